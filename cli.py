@@ -1,0 +1,3 @@
+from torchid.app import main
+
+main()

@@ -1,0 +1,64 @@
+"""Find a robot by built-in name or by path."""
+
+from pathlib import Path
+
+from torchid.errors import RobotError
+from torchid.robot.model import Robot
+from torchid.robot.yaml_file import read_yaml
+
+_SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
+
+
+def _folder() -> Path:
+    """configs/robots: inside the installed package, or beside it in a checkout."""
+    here = Path(__file__).resolve().parents[1]
+    installed = here / "configs" / "robots"
+    return installed if installed.is_dir() else here.parent / "configs" / "robots"
+
+
+def built_in_robots() -> list[str]:
+    """Names of the built-in robots."""
+    return sorted(path.stem for path in _folder().glob("*.yaml"))
+
+
+def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
+    """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
+
+    Args:
+        name: `3r`, `kuka_lwr4`, ... or a path.
+        tip: for URDF and MJCF: the last link of the chain, where the tree branches.
+
+    Raises:
+        RobotError: no such robot, or a file that cannot be read as one.
+    """
+    text = str(name)
+    path = Path(text)
+    if text in built_in_robots():
+        _refuse_tip(tip, text)
+        return read_yaml(_folder() / f"{text}.yaml")
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise RobotError(
+            f"unknown robot '{text}'.",
+            expected=f"a built-in name or a file ({', '.join(_SUFFIXES)})",
+            available=built_in_robots(),
+        )
+    if not path.is_file():
+        raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
+    if suffix in (".yaml", ".yml"):
+        _refuse_tip(tip, text)
+        return read_yaml(path)
+    if suffix == ".urdf":
+        from torchid.robot.urdf import read_urdf
+
+        return read_urdf(path, tip=tip)
+    from torchid.robot.mjcf import read_mjcf
+
+    return read_mjcf(path, tip=tip)
+
+
+def _refuse_tip(tip: str | None, name: str) -> None:
+    if tip is not None:
+        raise RobotError(
+            f"--tip chooses a chain in a URDF or MJCF; '{name}' is a DH table.", got=tip
+        )

@@ -1,0 +1,174 @@
+"""What a robot is: frozen data, no masses in the kinematics.
+
+Frames. Link i moves about the z axis of its joint frame. `before[i]` is the constant pose of joint
+frame i in link frame i-1 (the base for i = 0); the joint turns (or slides) about z; `after[i]` is
+the constant pose of link frame i in the moved joint frame. So
+
+    T_i(q) = before_i * Rz(q_i) * after_i        (prismatic: Tz(q_i) in place of Rz)
+
+Classical DH has before = 1, modified DH has after = 1, a URDF joint with axis a has a rotation
+that takes z to a on both sides. Inertial parameters are expressed in the link frames.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from torchid.errors import RobotError
+from torchid.robot.inertia import InertialParameters
+from torchid.typing import Float
+
+if TYPE_CHECKING:
+    import pytorch_kinematics
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+
+
+class JointType(StrEnum):
+    """Kinds of one-degree-of-freedom joints."""
+
+    REVOLUTE = "R"
+    PRISMATIC = "P"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Joint limits, each (n, 2) lower and upper, or None where nothing is known.
+
+    Attributes:
+        position: [rad or m].
+        velocity: [rad/s or m/s].
+        acceleration: [rad/s^2 or m/s^2].
+        torque: [N m or N].
+    """
+
+    position: Float[Tensor, "n 2"] | None = None
+    velocity: Float[Tensor, "n 2"] | None = None
+    acceleration: Float[Tensor, "n 2"] | None = None
+    torque: Float[Tensor, "n 2"] | None = None
+
+    def require(self, *names: str, robot: str, purpose: str) -> None:
+        """Raise RobotError unless all the named limits are known and finite."""
+        missing = [
+            name
+            for name in names
+            if getattr(self, name) is None or not torch.isfinite(getattr(self, name)).all()
+        ]
+        if missing:
+            raise RobotError(
+                f"robot '{robot}' has no finite {' and '.join(missing)} limits, "
+                f"which {purpose} needs.",
+                expected="limits: {position: [...], velocity: [...], acceleration: [...]}",
+                hint="add a `limits` entry to the robot's yaml, "
+                "or save one with `torchid robot ROBOT --yaml FILE` and complete it",
+            )
+
+
+def _empty() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A serial manipulator with n one-degree-of-freedom joints.
+
+    Attributes:
+        name: what to call it.
+        joint_names, link_names: n each, from base to tip.
+        joint_types: n of R or P.
+        before: (n, 4, 4) pose of each joint frame in the previous link frame.
+        after: (n, 4, 4) pose of each link frame in its moved joint frame.
+        gravity: (3,) gravity acceleration in the base frame [m/s^2].
+        tool: (4, 4) pose of the tool in the last link frame.
+        limits: position, velocity, acceleration, torque.
+        parameters: nominal inertial parameters (n, 10), or None.
+        effects: nominal effects, as records {effect, joint, <parameter>: value}.
+        drive_gain: (n,) [N m/A or N/A] torque per ampere, or None.
+        bounds: groups of bounds for the extraction, as read from the robot's yaml.
+        warnings: what the reader noticed, one sentence each.
+        source: file or built-in name it came from.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    joint_types: tuple[JointType, ...]
+    before: Float[Tensor, "n 4 4"]
+    after: Float[Tensor, "n 4 4"]
+    gravity: Float[Tensor, "3"]
+    tool: Float[Tensor, "4 4"]
+    limits: Limits = field(default_factory=Limits)
+    parameters: InertialParameters | None = None
+    effects: tuple[Mapping[str, Any], ...] = ()
+    drive_gain: Float[Tensor, "n"] | None = None
+    bounds: Mapping[str, Any] = field(default_factory=_empty)
+    warnings: tuple[str, ...] = ()
+    source: str = ""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_types)
+
+    @property
+    def axes(self) -> Float[Tensor, "n 3"]:
+        """Unit vectors along the joint axes, in the link frames."""
+        return self.after[:, 2, :3].clone()
+
+    def require_parameters(self, purpose: str) -> InertialParameters:
+        """The nominal inertial parameters, or a RobotError that says what needs them."""
+        if self.parameters is None:
+            raise RobotError(
+                f"robot '{self.name}' has no inertial parameters, which {purpose} needs.",
+                expected="`parameters` in the robot's yaml, or <inertial> in its URDF or MJCF",
+                hint="`torchid identify` needs only the kinematics",
+            )
+        return self.parameters
+
+    def with_parameters(self, parameters: InertialParameters | None) -> "Robot":
+        """The same robot with other nominal inertial parameters."""
+        return replace(self, parameters=parameters)
+
+    def to_chain(self, dtype: torch.dtype = torch.float64) -> "pytorch_kinematics.SerialChain":
+        """The robot as a pytorch-kinematics SerialChain (see torchid.robot.chain)."""
+        from torchid.robot.chain import to_chain
+
+        return to_chain(self, dtype)
+
+
+def joint_transforms(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n 4 4"]:
+    """T_i(q): pose of each link frame in the previous one (..., n, 4, 4)."""
+    before = robot.before.to(q)
+    after = robot.after.to(q)
+    revolute = torch.tensor([t is JointType.REVOLUTE for t in robot.joint_types], device=q.device)
+    angle = torch.where(revolute, q, torch.zeros_like(q))
+    slide = torch.where(revolute, torch.zeros_like(q), q)
+    c, s = torch.cos(angle), torch.sin(angle)
+    one, zero = torch.ones_like(q), torch.zeros_like(q)
+    rows = (
+        (c, -s, zero, zero),
+        (s, c, zero, zero),
+        (zero, zero, one, slide),
+        (zero, zero, zero, one),
+    )
+    motion = torch.stack([torch.stack(row, -1) for row in rows], -2)
+    return before @ motion @ after
+
+
+def link_poses(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n 4 4"]:
+    """Poses of all link frames in the base frame (..., n, 4, 4), by chained 4x4 products."""
+    steps = joint_transforms(robot, q).unbind(-3)
+    poses = [steps[0]]
+    for step in steps[1:]:
+        poses.append(poses[-1] @ step)
+    return torch.stack(poses, -3)
+
+
+def tool_pose(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch 4 4"]:
+    """Pose of the tool in the base frame (..., 4, 4)."""
+    return link_poses(robot, q)[..., -1, :, :] @ robot.tool.to(q)

@@ -1,0 +1,36 @@
+"""Axis names of tensors, used in annotations throughout (checked while testing by jaxtyping).
+
+T instants, n joints (= moving links), K candidate parameter sets, P columns of a regressor,
+B base parameters. `*batch` stands for any number of leading axes.
+"""
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+Joints = Float[Tensor, "*batch n"]
+JointMatrix = Float[Tensor, "*batch n n"]
+Pi = Float[Tensor, "*batch n 10"]
+Wrenches = Float[Tensor, "*batch n 6"]
+Transforms = Float[Tensor, "*batch 4 4"]
+Inertia6 = Float[Tensor, "*batch 6"]
+Matrix3 = Float[Tensor, "*batch 3 3"]
+Vector3 = Float[Tensor, "*batch 3"]
+Signals = Float[Tensor, "*batch T"]
+Samples = Float[Tensor, "T n"]
+
+__all__ = [
+    "Bool",
+    "Float",
+    "Inertia6",
+    "Int",
+    "JointMatrix",
+    "Joints",
+    "Matrix3",
+    "Pi",
+    "Samples",
+    "Signals",
+    "Tensor",
+    "Transforms",
+    "Vector3",
+    "Wrenches",
+]
