@@ -1,0 +1,301 @@
+"""What was measured: time, positions and, where known, velocities, accelerations and torques.
+
+A Log is frozen and its methods return new ones. Several trajectories live in one Log, one after
+the other; time may start again in each of them, so no signal may be differentiated, filtered or
+interpolated across the border between two.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import torch
+
+from torchid.errors import LogError
+from torchid.typing import Bool, Float, Int, Tensor
+
+JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current")
+OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Samples of a robot with n joints; all tensors float64.
+
+    Attributes:
+        t: (T,) time stamps [s], increasing within each trajectory.
+        q: (T, n) joint positions [rad or m].
+        dq: (T, n) measured joint velocities [rad/s or m/s], or None.
+        ddq: (T, n) given joint accelerations [rad/s^2 or m/s^2], or None.
+        tau: (T, n) joint torques [N m or N], or None.
+        current: (T, n) motor currents [A], or None.
+        trajectory: (T,) trajectory of each sample, 0, 1, ... in consecutive runs (default: all 0).
+        names: one name a trajectory.
+        source: where the log came from.
+        warnings: what the readers and the resampling noticed, one sentence each.
+
+    Raises:
+        LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs.
+    """
+
+    t: Float[Tensor, " T"]
+    q: Float[Tensor, "T n"]
+    dq: Float[Tensor, "T n"] | None = None
+    ddq: Float[Tensor, "T n"] | None = None
+    tau: Float[Tensor, "T n"] | None = None
+    current: Float[Tensor, "T n"] | None = None
+    trajectory: Int[Tensor, " T"] = field(default=cast(Tensor, None))
+    names: tuple[str, ...] = ()
+    source: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.trajectory is None:
+            self._set(
+                "trajectory", torch.zeros(len(self.t), dtype=torch.int64, device=self.t.device)
+            )
+        for name in ("t", *JOINT_SIGNALS):
+            if getattr(self, name) is not None:
+                self._set(name, getattr(self, name).to(torch.float64))
+        self._check_sizes()
+        count = self._check_runs()
+        if not self.names:
+            stem = self.source or "log"
+            self._set(
+                "names", (stem,) if count == 1 else tuple(f"{stem}[{k}]" for k in range(count))
+            )
+        if len(self.names) != count:
+            raise LogError(
+                f"{self._label}: one name a trajectory is needed.",
+                got=len(self.names),
+                expected=count,
+            )
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def _label(self) -> str:
+        return f"log '{self.source}'" if self.source else "log"
+
+    def _check_sizes(self) -> None:
+        if self.t.ndim != 1 or len(self.t) == 0:
+            raise LogError(
+                f"{self._label}: t must be a list of at least one time stamp.",
+                got=f"shape {tuple(self.t.shape)}",
+            )
+        if self.q.ndim != 2 or self.q.shape[1] == 0:
+            raise LogError(
+                f"{self._label}: q must have one column a joint.",
+                got=f"shape {tuple(self.q.shape)}",
+                expected="(samples, joints)",
+            )
+        size = (len(self.t), self.q.shape[1])
+        for name in JOINT_SIGNALS:
+            signal = getattr(self, name)
+            if signal is not None and tuple(signal.shape) != size:
+                raise LogError(
+                    f"{self._label}: {name} has another size than t and q.",
+                    got=tuple(signal.shape),
+                    expected=size,
+                )
+        if tuple(self.trajectory.shape) != size[:1]:
+            raise LogError(
+                f"{self._label}: one trajectory number a sample is needed.",
+                got=tuple(self.trajectory.shape),
+                expected=size[:1],
+            )
+
+    def _check_runs(self) -> int:
+        """The number of trajectories, which must be numbered 0, 1, ... one after the other."""
+        steps = self.trajectory.diff()
+        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
+            raise LogError(
+                f"{self._label}: trajectories must be consecutive runs of samples.",
+                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
+                expected="0, 1, 2, ...",
+            )
+        return int(self.trajectory[-1]) + 1
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.q.shape[1]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all trajectories together."""
+        return len(self.t)
+
+    @property
+    def trajectory_count(self) -> int:
+        """Number of trajectories."""
+        return len(self.names)
+
+    @property
+    def duration(self) -> tuple[float, ...]:
+        """Seconds from the first to the last sample of each trajectory."""
+        return tuple(float(self.t[s.stop - 1] - self.t[s.start]) for s in self.slices())
+
+    @property
+    def signals(self) -> dict[str, Float[Tensor, "T n"]]:
+        """The joint signals that are there, by name: q and any of dq, ddq, tau, current."""
+        found = {name: getattr(self, name) for name in JOINT_SIGNALS}
+        return {name: signal for name, signal in found.items() if signal is not None}
+
+    def slices(self) -> list[slice]:
+        """The rows of each trajectory."""
+        ends = torch.bincount(self.trajectory).cumsum(0).tolist()
+        return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def trajectories(self) -> list["Log"]:
+        """One Log a trajectory. The warnings stay with each of them."""
+        return [self.select(rows) for rows in self.slices()]
+
+    def select(self, rows: Bool[Tensor, " T"] | slice) -> "Log":
+        """The samples that a mask (T,) or a slice picks, trajectories numbered anew.
+
+        A trajectory that loses all its samples disappears, with its name.
+
+        Raises:
+            LogError: no sample is left, or the mask has the wrong size.
+        """
+        if isinstance(rows, Tensor) and (
+            rows.dtype != torch.bool or rows.shape != self.trajectory.shape
+        ):
+            raise LogError(
+                f"{self._label}: a selection is a mask with one value a sample.",
+                got=f"{rows.dtype} of shape {tuple(rows.shape)}",
+                expected=f"torch.bool of shape ({self.samples},)",
+            )
+        ids = self.trajectory[rows]
+        signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
+        if len(ids) == 0:
+            raise LogError(f"{self._label}: the selection leaves no sample.", got=_brief(rows))
+        kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
+        return replace(
+            self,
+            t=self.t[rows],
+            **signals,
+            trajectory=renumbered,
+            names=tuple(self.names[k] for k in kept.tolist()),
+        )
+
+    def split(self, fraction: float, gap_s: float = 0.0) -> tuple["Log", "Log"]:
+        """The first `fraction` of every trajectory's time, and the rest without `gap_s` seconds.
+
+        The gap keeps what a filter smears across the border out of the second part.
+
+        Raises:
+            LogError: `fraction` is not between 0 and 1, `gap_s` is negative, or a trajectory is
+                too short to leave two samples on either side.
+        """
+        if not 0.0 < fraction < 1.0:
+            raise LogError(
+                "a log is split at a fraction of its time.", got=fraction, expected="0..1"
+            )
+        if not gap_s >= 0.0:
+            raise LogError("the gap of a split is a time in seconds.", got=gap_s, expected=">= 0")
+        first = torch.zeros(self.samples, dtype=torch.bool, device=self.t.device)
+        rest = first.clone()
+        for name, rows in zip(self.names, self.slices(), strict=True):
+            t = self.t[rows]
+            border = t[0] + fraction * (t[-1] - t[0])
+            first[rows] = t <= border
+            rest[rows] = t > border + gap_s
+            if first[rows].sum() < 2 or rest[rows].sum() < 2:
+                raise LogError(
+                    f"trajectory '{name}' is too short to be split.",
+                    got=f"{float(t[-1] - t[0]):.3g} s, {len(t)} samples",
+                    expected=f"two samples on either side of {fraction:g} of it, {gap_s:g} s apart",
+                )
+        return self.select(first), self.select(rest)
+
+    def with_torque(self, gain: Float[Tensor, " n"]) -> "Log":
+        """The same log with tau = current * gain.
+
+        Args:
+            gain: (n,) drive gains [N m/A or N/A].
+
+        Raises:
+            LogError: there is no current, or the number of gains is not the number of joints.
+        """
+        if self.current is None:
+            raise LogError(
+                f"{self._label} has no motor currents to turn into torque.",
+                expected=f"columns i1..i{self.n}",
+                available=list(self.signals),
+            )
+        gain = torch.as_tensor(gain, dtype=torch.float64, device=self.current.device)
+        if tuple(gain.shape) != (self.n,):
+            raise LogError(
+                f"{self._label}: one drive gain a joint is needed.",
+                got=tuple(gain.shape),
+                expected=(self.n,),
+            )
+        return replace(self, tau=self.current * gain)
+
+    def replace(self, **changes: Any) -> "Log":
+        """The same log with other fields."""
+        return replace(self, **changes)
+
+    @classmethod
+    def concatenate(cls, logs: Sequence["Log"]) -> "Log":
+        """All trajectories of all logs, in order.
+
+        Accelerations that only some logs have are left out, with a warning.
+
+        Raises:
+            LogError: no logs, different numbers of joints, or only some have dq, tau or current.
+        """
+        if not logs:
+            raise LogError("there are no logs to put together.", got=0, expected="at least one")
+        if len(logs) == 1:
+            return logs[0]
+        first = logs[0]
+        _same_joints(logs)
+        signals: dict[str, Any] = dict.fromkeys(OPTIONAL_SIGNALS)
+        warnings = [warning for log in logs for warning in log.warnings]
+        for name in OPTIONAL_SIGNALS:
+            having = [log for log in logs if getattr(log, name) is not None]
+            if len(having) == len(logs):
+                signals[name] = torch.cat([getattr(log, name) for log in logs])
+            elif having and name == "ddq":
+                warnings.append("ddq is left out: not all logs have it.")
+            elif having:
+                lacking = next(log for log in logs if getattr(log, name) is None)
+                raise LogError(
+                    f"some logs have {name} and others do not.",
+                    got=f"{name} in {having[0]._label}, none in {lacking._label}",
+                    expected=f"{name} in all of them, or in none",
+                    hint="read them one by one",
+                )
+        offsets = [0]
+        for log in logs[:-1]:
+            offsets.append(offsets[-1] + log.trajectory_count)
+        return replace(
+            first,
+            t=torch.cat([log.t for log in logs]),
+            q=torch.cat([log.q for log in logs]),
+            **signals,
+            trajectory=torch.cat(
+                [log.trajectory + k for log, k in zip(logs, offsets, strict=True)]
+            ),
+            names=tuple(name for log in logs for name in log.names),
+            source=", ".join(dict.fromkeys(log.source for log in logs if log.source)),
+            warnings=tuple(dict.fromkeys(warnings)),
+        )
+
+
+def _same_joints(logs: Sequence[Log]) -> None:
+    for log in logs[1:]:
+        if log.n != logs[0].n:
+            raise LogError(
+                "logs with different numbers of joints do not go together.",
+                got=f"{log.n} in {log._label}",
+                expected=f"{logs[0].n} as in {logs[0]._label}",
+            )
+
+
+def _brief(rows: Tensor | slice) -> str:
+    return str(rows) if isinstance(rows, slice) else "a mask that is false everywhere"
