@@ -11,7 +11,6 @@ Others:
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -104,12 +103,12 @@ class InertialParameters:
         """Inertia tensors (..., n, 6) [kg m^2] about the link frame's origin (the paper's J)."""
         return self.pi[..., 4:]
 
-    @cached_property
+    @property
     def inertia_about_com(self) -> Inertia6:
         """Barycentric inertia tensors (..., n, 6) [kg m^2], in axes of the link frame (I)."""
         return self.pi[..., 4:] - parallel_axis(self.mass, self.com)
 
-    @cached_property
+    @property
     def pseudo_inertia(self) -> Float[Tensor, "*batch n 4 4"]:
         """Pseudo-inertia matrices [[S, m c], [m c', m]] with S = tr(J)/2 E - J.
 

@@ -73,9 +73,9 @@ def _empty() -> Mapping[str, Any]:
     return MappingProxyType({})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial manipulator with n one-degree-of-freedom joints.
+    """A serial manipulator with n one-degree-of-freedom joints. Compared by identity.
 
     Attributes:
         name: what to call it.

@@ -1,0 +1,123 @@
+"""Newton-Euler inverse dynamics (eqs. 2.12-2.14) and the wrench at every joint (eq. 2.32)."""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.recursion import chain_geometry, forces, kinematics
+from torchid.dynamics.scalars import Scalar
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Joints, Wrenches
+
+CHUNK = 8184
+"""Samples at a time: long enough to hide the cost of a kernel call, short enough for the cache, and
+not a power of two, whose strides share cache lines (benchmarks/dynamics.py)."""
+
+
+def inverse_dynamics(
+    robot: Robot,
+    q: Joints,
+    dq: Joints,
+    ddq: Joints,
+    parameters: InertialParameters | None = None,
+) -> Joints:
+    """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15).
+
+    Args:
+        robot: kinematics and gravity.
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+            ones if None.
+
+    Returns:
+        (..., n) [N m; N for prismatic joints], positive along the axis.
+
+    Raises:
+        RobotError: no parameters given and none in the robot.
+    """
+    pi = _parameters(robot, parameters, "inverse dynamics").pi.to(q)
+    geometry = chain_geometry(robot)
+
+    def torques(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
+        values, _ = forces(geometry, kinematics(geometry, *motion), _components(pi))
+        return _stack(values, like)
+
+    if pi.ndim > 2:
+        return torques([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
+    return _in_chunks(torques, q, dq, ddq)
+
+
+def joint_wrenches(
+    robot: Robot,
+    q: Joints,
+    dq: Joints,
+    ddq: Joints,
+    parameters: InertialParameters | None = None,
+) -> Wrenches:
+    """Internal wrenches: what link i-1 exerts on link i through joint i (eqs. 2.13, 2.32).
+
+    Args:
+        robot, q, dq, ddq, parameters: as for `inverse_dynamics`.
+
+    Returns:
+        (..., n, 6): force [N], then moment [N m] about the origin of joint frame i (O_{i-1} for
+        classical DH), both in axes of link frame i. The component along the axis is the torque.
+    """
+    pi = _parameters(robot, parameters, "internal wrenches").pi.to(q)
+    geometry = chain_geometry(robot)
+
+    def wrenches(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
+        _, values = forces(geometry, kinematics(geometry, *motion), _components(pi))
+        rows = [_stack([*force, *moment], like) for force, moment in values]
+        return torch.stack(rows, -2)
+
+    if pi.ndim > 2:
+        return wrenches([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
+    return _in_chunks(wrenches, q, dq, ddq)
+
+
+def _parameters(
+    robot: Robot, parameters: InertialParameters | None, purpose: str
+) -> InertialParameters:
+    return robot.require_parameters(purpose) if parameters is None else parameters
+
+
+def _components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:
+    """Each parameter as a float where it is one number, which folds it into the kernels."""
+    if pi.ndim == 2 and not pi.requires_grad:
+        return pi.tolist()
+    return [list(link.unbind(-1)) for link in pi.unbind(-2)]
+
+
+def _broadcast_like(q: Tensor, pi: Tensor) -> Tensor:
+    return q.new_zeros(torch.broadcast_shapes(q.shape[:-1], pi.shape[:-2]))
+
+
+def _stack(values: Sequence[Scalar], like: Tensor) -> Tensor:
+    full = [
+        v.expand_as(like) if isinstance(v, Tensor) else torch.full_like(like, v) for v in values
+    ]
+    return torch.stack(full, -1)
+
+
+def column_chunks(
+    *signals: Float[Tensor, "M n"], size: int
+) -> Iterator[list[tuple[Tensor, ...]]]:
+    """Pieces of at most `size` samples, each signal as n contiguous columns."""
+    total = signals[0].shape[0]
+    for start in range(0, total, size):
+        yield [x[start : start + size].T.contiguous().unbind(0) for x in signals]
+
+
+def _in_chunks(function, q: Tensor, dq: Tensor, ddq: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
+    q, dq, ddq = torch.broadcast_tensors(q, dq, ddq)
+    batch, n = q.shape[:-1], q.shape[-1]
+    flat = [x.reshape(-1, n) for x in (q, dq, ddq)]
+    if flat[0].shape[0] == 0:
+        pieces = [function([x.T.unbind(0) for x in flat], q.new_zeros(0))]
+    else:
+        pieces = [function(m, m[0][0]) for m in column_chunks(*flat, size=CHUNK)]
+    out = torch.cat(pieces)
+    return out.reshape(*batch, *out.shape[1:])

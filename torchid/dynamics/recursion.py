@@ -1,0 +1,327 @@
+"""The recursive dynamics of a serial chain, written once on components.
+
+Two passes, as in Newton-Euler (eqs. 2.12, 2.13): `kinematics` goes from the base to the tip and
+knows no inertial parameters; `forces` goes back and is linear in them. With
+
+    S = [wd]x + [w]x [w]x        (3x3, in the link frame)
+
+every point r of a link accelerates by a + S r, so a link of mass m, first moment h and inertia J
+about the frame's origin needs the force f = m a + S h and the moment n = h x a + J wd + w x J w.
+
+Quantities of link i are in the axes of link frame i, about its origin. Gravity enters as the
+acceleration -g of the base.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.scalars import (
+    ZERO,
+    Scalar,
+    Vec3,
+    add,
+    add3,
+    add_cross,
+    add_scaled,
+    cross,
+    dot,
+    fma,
+    mul,
+)
+from torchid.robot.model import JointType, Robot
+
+Matrix = tuple[Vec3, Vec3, Vec3]
+"""Rows of a 3x3 matrix."""
+
+
+@dataclass(frozen=True)
+class JointGeometry:
+    """Constants of one joint, as Python floats.
+
+    Attributes:
+        revolute: or prismatic.
+        constant, cosine, sine: (3, 3) each; the rotation from link to previous link axes is
+            constant + cosine cos q + sine sin q.
+        previous_offset: joint frame's origin in the previous link frame [m].
+        link_offset: link frame's origin from the joint frame's, in link axes [m] (q = 0).
+        axis: unit vector along the joint, in link axes.
+    """
+
+    revolute: bool
+    constant: tuple[tuple[float, ...], ...]
+    cosine: tuple[tuple[float, ...], ...]
+    sine: tuple[tuple[float, ...], ...]
+    previous_offset: Vec3
+    link_offset: Vec3
+    axis: Vec3
+
+
+@dataclass(frozen=True)
+class ChainGeometry:
+    """Constants of the whole chain; hashable by identity, made once per robot."""
+
+    joints: tuple[JointGeometry, ...]
+    gravity: Vec3
+
+
+class Link(NamedTuple):
+    """Motion of one link, and how to come back from it.
+
+    Attributes:
+        w, wd: angular velocity and acceleration.
+        a: acceleration of the link frame's origin, gravity included.
+        s: S = [wd]x + [w]x [w]x.
+        rotation: link axes to previous link axes.
+        offset: link frame's origin from the joint frame's, in link axes.
+    """
+
+    w: Vec3
+    wd: Vec3
+    a: Vec3
+    s: Matrix
+    rotation: Matrix
+    offset: Vec3
+
+
+@lru_cache(maxsize=64)
+def chain_geometry(robot: Robot) -> ChainGeometry:
+    """The robot's geometry as floats; entries of the rotations within 1e-15 of 0 are 0."""
+    joints = []
+    for i, kind in enumerate(robot.joint_types):
+        before, after = robot.before[i].double().cpu(), robot.after[i].double().cpu()
+        b, a = before[:3, :3], after[:3, :3]
+        # R = B Rz(q) A, expanded in 1, cos q, sin q.
+        constant = b[:, 2:3] @ a[2:3, :]
+        cosine = b[:, 0:1] @ a[0:1, :] + b[:, 1:2] @ a[1:2, :]
+        sine = b[:, 1:2] @ a[0:1, :] - b[:, 0:1] @ a[1:2, :]
+        revolute = kind is JointType.REVOLUTE
+        if not revolute:
+            constant, cosine, sine = constant + cosine, 0 * cosine, 0 * sine
+        joints.append(
+            JointGeometry(
+                revolute,
+                _rows(constant),
+                _rows(cosine),
+                _rows(sine),
+                Vec3(*before[:3, 3].tolist()),
+                Vec3(*(a.T @ after[:3, 3]).tolist()),
+                Vec3(*_clean(a[2]).tolist()),
+            )
+        )
+    return ChainGeometry(tuple(joints), Vec3(*robot.gravity.double().tolist()))
+
+
+def _clean(x: Tensor) -> Tensor:
+    return torch.where(x.abs() < 1e-15, torch.zeros_like(x), x)
+
+
+def _rows(x: Tensor) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in _clean(x).tolist())
+
+
+def kinematics(
+    geometry: ChainGeometry, q: Sequence[Tensor], dq: Sequence[Scalar], ddq: Sequence[Scalar]
+) -> list[Link]:
+    """Forward pass (eq. 2.12): motion of every link, base to tip.
+
+    Args:
+        geometry: of the robot.
+        q, dq, ddq: n tensors of one shape [rad, rad/s, rad/s^2 or m, ...]; dq and ddq may be 0.0.
+    """
+    w, wd = ZERO, ZERO
+    a = Vec3(-geometry.gravity.x, -geometry.gravity.y, -geometry.gravity.z)
+    s: Matrix = (ZERO, ZERO, ZERO)
+    links = []
+    for joint, qi, dqi, ddqi in zip(geometry.joints, q, dq, ddq, strict=True):
+        rotation = _rotation(joint, qi)
+        a = add3(a, _apply(s, joint.previous_offset))
+        w, wd, a = (_transposed(rotation, v) for v in (w, wd, a))
+        offset = joint.link_offset
+        turned = cross(w, joint.axis)
+        if joint.revolute:
+            wd = add_scaled(add_scaled(wd, joint.axis, ddqi), turned, dqi)
+            w = add_scaled(w, joint.axis, dqi)
+        else:
+            a = add_scaled(add_scaled(a, joint.axis, ddqi), turned, dqi, 2.0)
+            offset = add_scaled(offset, joint.axis, qi)
+        s = _spin(w, wd)
+        a = add3(a, _apply(s, offset))
+        links.append(Link(w, wd, a, s, rotation, offset))
+    return links
+
+
+def forces(
+    geometry: ChainGeometry, links: Sequence[Link], pi: Sequence[Sequence[Scalar]]
+) -> tuple[list[Scalar], list[tuple[Vec3, Vec3]]]:
+    """Backward pass (eqs. 2.13, 2.14): joint torques, and the wrench each joint transmits.
+
+    Args:
+        geometry: of the robot.
+        links: from `kinematics`.
+        pi: for each link its ten parameters, tensors or floats, in torchid's order.
+
+    Returns:
+        torques: n scalars.
+        wrenches: for each joint the force and the moment about the joint frame's origin that link
+            i-1 exerts on link i, in axes of link frame i.
+    """
+    n = len(links)
+    torques: list[Scalar] = [0.0] * n
+    wrenches: list[tuple[Vec3, Vec3]] = [(ZERO, ZERO)] * n
+    force, moment = ZERO, ZERO
+    for i in reversed(range(n)):
+        link, joint = links[i], geometry.joints[i]
+        own_force, own_moment = _newton_euler(link, pi[i])
+        force, moment = add3(force, own_force), add3(moment, own_moment)
+        moment = add_cross(moment, link.offset, force)
+        torques[i] = dot(joint.axis, moment if joint.revolute else force)
+        wrenches[i] = (force, moment)
+        force, moment = _turned(link.rotation, force), _turned(link.rotation, moment)
+        moment = add_cross(moment, joint.previous_offset, force)
+    return torques, wrenches
+
+
+def _newton_euler(link: Link, pi: Sequence[Scalar]) -> tuple[Vec3, Vec3]:
+    """Force and moment (about the link frame's origin) that one link needs to move so.
+
+    The moment of the inertia uses the second-moment matrix P = tr(J)/2 E - J: J wd + w x J w is
+    the axial vector of S P - (S P)', six products fewer than the textbook form.
+    """
+    m, hx, hy, hz, jxx, jxy, jxz, jyy, jyz, jzz = pi
+    h = Vec3(hx, hy, hz)
+    force = Vec3(*(fma(dot(row, h), m, ak) for row, ak in zip(link.s, link.a, strict=True)))
+    pxx = _half_sum(jyy, jzz, jxx)
+    pyy = _half_sum(jxx, jzz, jyy)
+    pzz = _half_sum(jxx, jyy, jzz)
+    sx, sy, sz = link.s
+    # P's off-diagonal entries are -Jxy, -Jxz, -Jyz: their signs are in the -1 below.
+    moment = cross(h, link.a)
+    x = fma(fma(moment.x, sz.y, pyy), sy.z, pzz, -1.0)
+    x = fma(fma(x, sz.x, jxy, -1.0), sy.x, jxz)
+    x = fma(fma(x, sz.z, jyz, -1.0), sy.y, jyz)
+    y = fma(fma(moment.y, sx.z, pzz), sz.x, pxx, -1.0)
+    y = fma(fma(y, sx.y, jyz, -1.0), sz.y, jxy)
+    y = fma(fma(y, sx.x, jxz, -1.0), sz.z, jxz)
+    z = fma(fma(moment.z, sy.x, pxx), sx.y, pyy, -1.0)
+    z = fma(fma(z, sy.z, jxz, -1.0), sx.z, jyz)
+    z = fma(fma(z, sy.y, jxy, -1.0), sx.x, jxy)
+    return force, Vec3(x, y, z)
+
+
+def _half_sum(a: Scalar, b: Scalar, minus: Scalar) -> Scalar:
+    return mul(fma(add(a, b), minus, -1.0), 0.5)
+
+
+def screw_rows(geometry: ChainGeometry, links: Sequence[Link]) -> list[tuple[Vec3, Vec3]]:
+    """For every link l, what unit rates of joints 0..l move it: (v, w) as Vec3 of (l+1, M).
+
+    v is the velocity of link frame l's origin, w its angular velocity, in link axes. Joint torque
+    i is then v . f + w . n summed over links l >= i (virtual work).
+    """
+    out: list[tuple[Vec3, Vec3]] = []
+    v = w = None
+    for joint, link in zip(geometry.joints, links, strict=True):
+        like = _like(link)
+        own_w = joint.axis if joint.revolute else ZERO
+        own_v = cross(joint.axis, link.offset) if joint.revolute else joint.axis
+        if v is not None and w is not None:
+            v = _transposed(link.rotation, add_cross(v, w, joint.previous_offset))
+            w = _transposed(link.rotation, w)
+            v = add_cross(v, w, link.offset)
+        v, w = _append(v, own_v, like), _append(w, own_w, like)
+        out.append((v, w))
+    return out
+
+
+def _like(link: Link) -> Tensor:
+    """Any tensor of the batch's shape."""
+    for row in (*link.rotation, link.offset):
+        for entry in row:
+            if isinstance(entry, Tensor):
+                return entry
+    raise AssertionError("a joint's motion is a tensor, so its rotation or offset is one")
+
+
+def _append(rows: Vec3 | None, own: Vec3, like: Tensor) -> Vec3:
+    def one(k: int) -> Tensor:
+        entry = own[k]
+        last = entry if isinstance(entry, Tensor) else torch.full_like(like, entry)
+        if rows is None:
+            return last.unsqueeze(0)
+        first = rows[k]
+        assert isinstance(first, Tensor)
+        return torch.cat([first, last.unsqueeze(0)])
+
+    return Vec3(one(0), one(1), one(2))
+
+
+def regressor_columns(
+    geometry: ChainGeometry, links: Sequence[Link]
+) -> list[tuple[Tensor, ...]]:
+    """Closed form of the regressor: for every link l ten tensors (l+1, M), its columns for the
+    torque rows 0..l (rows below are zero: joint i does not feel links before it).
+
+    Row i of a column is v . f + w . n for the unit parameter, see `screw_rows`.
+    """
+    columns = []
+    for link, (v, w) in zip(links, screw_rows(geometry, links), strict=True):
+        mass = dot(v, link.a)
+        moment = add_cross(_transposed(link.s, v), link.a, w)
+        d = cross(w, link.w)
+        inertia = [
+            fma(mul(w[i], link.wd[i]), link.w[i], d[i])
+            if i == j
+            else fma(
+                fma(fma(mul(w[i], link.wd[j]), w[j], link.wd[i]), link.w[j], d[i]), link.w[i], d[j]
+            )
+            for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        ]
+        shape_of = v.x
+        assert isinstance(shape_of, Tensor)
+        columns.append(tuple(_full(c, shape_of) for c in (mass, *moment, *inertia)))
+    return columns
+
+
+def _full(x: Scalar, like: Tensor) -> Tensor:
+    return x if isinstance(x, Tensor) else torch.full_like(like, x)
+
+
+def _rotation(joint: JointGeometry, q: Tensor) -> Matrix:
+    c, s = (torch.cos(q), torch.sin(q)) if joint.revolute else (0.0, 0.0)
+    return tuple(  # type: ignore[return-value]
+        Vec3(
+            *(
+                fma(fma(joint.constant[i][j], c, joint.cosine[i][j]), s, joint.sine[i][j])
+                for j in range(3)
+            )
+        )
+        for i in range(3)
+    )
+
+
+def _spin(w: Vec3, wd: Vec3) -> Matrix:
+    """[wd]x + [w]x [w]x."""
+    xx, yy, zz = mul(w.x, w.x), mul(w.y, w.y), mul(w.z, w.z)
+    xy, xz, yz = mul(w.x, w.y), mul(w.x, w.z), mul(w.y, w.z)
+    return (
+        Vec3(fma(mul(yy, -1.0), zz, -1.0), fma(xy, wd.z, -1.0), add(xz, wd.y)),
+        Vec3(add(xy, wd.z), fma(mul(xx, -1.0), zz, -1.0), fma(yz, wd.x, -1.0)),
+        Vec3(fma(xz, wd.y, -1.0), add(yz, wd.x), fma(mul(xx, -1.0), yy, -1.0)),
+    )
+
+
+def _apply(m: Matrix, v: Vec3) -> Vec3:
+    return Vec3(dot(m[0], v), dot(m[1], v), dot(m[2], v))
+
+
+_turned = _apply
+
+
+def _transposed(m: Matrix, v: Vec3) -> Vec3:
+    """m' v."""
+    return Vec3(*(fma(fma(mul(m[0][j], v.x), m[1][j], v.y), m[2][j], v.z) for j in range(3)))
