@@ -1,0 +1,198 @@
+"""Base parameters: which combinations of parameters the torque depends on (section 2.2).
+
+The regressor of many random states, with the columns of the chosen effects behind it, is reduced
+by QR from left to right, in the paper's order: masses, first moments, inertias. A column whose
+diagonal entry of R vanishes is a combination of those before it. With the independent columns
+first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
+
+    Y pi = Y1 (pi_1 + K pi_2):     base parameters = G pi,   G = [1 K] with columns put back.
+
+This is the robot's structure: it uses random states, not the log. What a log excites is a matter
+of the fit (see `least_squares`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.regressor import regressor
+from torchid.effects.base import Effect, Motion
+from torchid.errors import IdentificationError
+from torchid.robot.inertia import parameter_names, parameter_units
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float
+
+RANK_TOLERANCE = 1e-6
+"""Relative size below which a diagonal entry of R counts as zero. Kept entries are of order 1e-2
+and above on the arms tried, dropped ones 1e-15; a twist given as 1.5708 for pi/2 makes 1e-6."""
+
+_CLEAR_GAP = 1e3
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The base parameters of a robot with a set of effects.
+
+    Attributes:
+        names: (B,) readable sums, e.g. `m3 + m4 - 5 m3c3y`.
+        units: (B,).
+        parameter_names: (P,) all parameters: the paper's 10 n, then the effects' coefficients.
+        independent, dependent: indices into the P parameters.
+        grouping: (B, P) matrix G, base = G parameters.
+        rank_gap: (smallest kept, largest dropped) diagonal entry of R, columns scaled to 1.
+        n_rigid: how many of the base parameters belong to the rigid body (effects' own follow).
+        warnings: sentences for the user.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    independent: tuple[int, ...]
+    dependent: tuple[int, ...]
+    grouping: Float[Tensor, "B P"]
+    rank_gap: tuple[float, float]
+    n_rigid: int
+    warnings: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.independent)
+
+    def project(self, parameters: Float[Tensor, "*batch P"]) -> Float[Tensor, "*batch B"]:
+        """Values of the base parameters for full parameter vectors (..., P)."""
+        return parameters @ self.grouping.to(parameters).T
+
+    def absorbed_effects(self) -> list[str]:
+        """Effect coefficients that are part of a rigid base parameter, e.g. Ia1 of J1zz + ..."""
+        rigid = len(self.parameter_names) - self._n_coefficients
+        return [self.parameter_names[k] for k in self.dependent if k >= rigid]
+
+    @property
+    def _n_coefficients(self) -> int:
+        return len(self.parameter_names) - 10 * sum(
+            1 for name in self.parameter_names if name[:1] == "m" and name[1:].isdigit()
+        )
+
+
+def base_parameters(
+    robot: Robot, effects: Sequence[Effect] = (), *, seed: int = 0, samples: int | None = None
+) -> BaseParameters:
+    """The robot's base parameters, by QR of the regressor at random states.
+
+    Args:
+        robot: kinematics and gravity; its masses are not used.
+        effects: linear effects whose coefficients are identified too, after the rigid body.
+        seed: of the random states; the answer does not depend on it.
+        samples: number of random states; by default 50 a column and joint.
+
+    Raises:
+        IdentificationError: the robot's torque depends on no parameter at all.
+    """
+    motion = random_states(robot, seed, samples)
+    y = stacked_regressor(robot, effects, motion)
+    names = parameter_names(robot.n) + [c for e in effects for c in e.coefficient_names()]
+    units = parameter_units(robot.n) + [
+        c.unit_for(robot.joint_types[e.joint] is JointType.PRISMATIC)
+        for e in effects
+        for c in e.coefficients
+    ]
+    return group_columns(y, names, units, n_rigid_parameters=10 * robot.n)
+
+
+def random_states(robot: Robot, seed: int = 0, samples: int | None = None) -> Motion:
+    """Random q in +-pi, dq in +-2, ddq in +-5 (m, s): (samples, n) each, on the CPU."""
+    generator = torch.Generator().manual_seed(seed)
+    shape = (samples or 60 * robot.n + 60, robot.n)
+    q, dq, ddq = (
+        (2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1) * scale
+        for scale in (torch.pi, 2.0, 5.0)
+    )
+    return Motion(q, dq, ddq)
+
+
+def stacked_regressor(
+    robot: Robot, effects: Sequence[Effect], motion: Motion
+) -> Float[Tensor, "R P"]:
+    """Regressor and effect columns of M states, stacked to (M n, P) (eq. 2.19)."""
+    rigid = regressor(robot, *motion)
+    columns = []
+    for effect in effects:
+        own = effect.columns(motion)
+        wide = own.new_zeros(*rigid.shape[:2], own.shape[-1])
+        wide[:, effect.joint] = own
+        columns.append(wide)
+    return torch.cat([rigid, *columns], -1).flatten(0, 1)
+
+
+def group_columns(
+    y: Float[Tensor, "R P"],
+    names: Sequence[str],
+    units: Sequence[str],
+    *,
+    n_rigid_parameters: int,
+) -> BaseParameters:
+    """Base parameters from a stacked regressor: which columns are independent, and the grouping."""
+    scale = torch.linalg.vector_norm(y, dim=0)
+    used = scale > RANK_TOLERANCE * scale.max()
+    if not bool(used.any()):
+        raise IdentificationError("the torque of this robot depends on no inertial parameter.")
+    scaled = y / torch.where(used, scale, torch.ones_like(scale))
+    diagonal = torch.linalg.qr(scaled, mode="r").R.diagonal().abs() * used
+    kept = diagonal > RANK_TOLERANCE
+    independent, dependent = kept.nonzero().flatten(), (~kept).nonzero().flatten()
+    r = torch.linalg.qr(y[:, torch.cat([independent, dependent])], mode="r").R
+    b = len(independent)
+    k = torch.linalg.solve_triangular(r[:b, :b], r[:b, b:], upper=True)
+    k = _tidy(k)
+    grouping = y.new_zeros(b, y.shape[1])
+    grouping[torch.arange(b), independent] = 1.0
+    grouping[:, dependent] = k
+    gap = (float(diagonal[kept].min()), float(diagonal[~kept].max()) if len(dependent) else 0.0)
+    return BaseParameters(
+        names=tuple(_sum_name(row, names, int(i)) for row, i in zip(grouping, independent, strict=True)),
+        units=tuple(units[i] for i in independent),
+        parameter_names=tuple(names),
+        independent=tuple(independent.tolist()),
+        dependent=tuple(dependent.tolist()),
+        grouping=grouping,
+        rank_gap=gap,
+        n_rigid=int((independent < n_rigid_parameters).sum()),
+        warnings=_gap_warnings(diagonal, kept, gap, names),
+    )
+
+
+def _tidy(k: Tensor) -> Tensor:
+    """Rounding removed where it is plainly rounding: entries within 1e-9 of 0 or of +-1."""
+    for value in (0.0, 1.0, -1.0):
+        k = torch.where((k - value).abs() < 1e-9, torch.full_like(k, value), k)
+    return k
+
+
+def _gap_warnings(
+    diagonal: Tensor, kept: Tensor, gap: tuple[float, float], names: Sequence[str]
+) -> tuple[str, ...]:
+    if gap[1] == 0 or gap[0] / gap[1] > _CLEAR_GAP:
+        return ()
+    weakest = names[int(torch.where(kept, diagonal, torch.inf).argmin())]
+    strongest = names[int(torch.where(kept, -torch.inf, diagonal).argmax())]
+    return (
+        f"the number of base parameters is not clear-cut: {weakest} was kept with {gap[0]:.1e}, "
+        f"{strongest} dropped with {gap[1]:.1e}",
+    )
+
+
+def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
+    """`m3 + m4 - 5 m3c3y`, the independent parameter first, then by index."""
+    order = [lead] + [k for k in row.nonzero().flatten().tolist() if k != lead]
+    text = ""
+    for k in order:
+        value = float(row[k])
+        size = "" if abs(abs(value) - 1) < 1e-9 else f"{abs(value):.5g} "
+        sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
+        text += f"{sign}{size}{names[k]}"
+    return text
+
+
+base_parameters_cached = lru_cache(maxsize=32)(base_parameters)
