@@ -1,0 +1,299 @@
+"""Is this log what the identification takes it for: finite, in order, in SI units, this robot's?
+
+What cannot be used raises LogError; what is merely odd comes back as warnings.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.typing import Float, Tensor
+
+STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
+MOVING = 1e-2  # a joint must vary this much to compare its dq with the change of q [rad or m]
+SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
+FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
+_DEGREES = 180.0 / math.pi
+_TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+_COLUMN = {"q": "q", "dq": "dq", "ddq": "ddq", "tau": "tau", "current": "i"}
+
+
+def check_log(
+    log: Log,
+    *,
+    n: int,
+    robot_name: str,
+    position_limits: Float[Tensor, "n 2"] | None = None,
+    prismatic: Sequence[bool] = (),
+) -> tuple[str, ...]:
+    """Refuse a log that cannot be what it should be; return what is odd about the others.
+
+    Args:
+        log: as it was read, before any resampling.
+        n: number of joints of the robot.
+        robot_name: for the messages.
+        position_limits: (n, 2) lower and upper [rad or m]; not finite where unknown.
+        prismatic: n times whether the joint slides; empty: none does.
+
+    Returns:
+        Warnings, one sentence each: joints that never move or have no torque, dq that is not the
+        derivative of q.
+
+    Raises:
+        LogError: another number of joints, NaN or infinity, time that does not increase or is not
+            in seconds, positions or velocities in degrees, no torque at all.
+    """
+    slides = tuple(prismatic) or (False,) * n
+    if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
+        raise ValueError(f"prismatic and position_limits must have {n} entries")
+    _check_joint_count(log, n, robot_name)
+    _check_finite(log)
+    _check_increasing(log)
+    _check_positions_in_radians(log, position_limits, slides)
+    agreement = _velocity_agreement(log)
+    _check_time_unit(log, agreement)
+    _check_velocity_unit(log, agreement, slides)
+    return (*_still_joints(log), *_no_torque(log), *_velocity_warnings(log, agreement))
+
+
+def _label(log: Log) -> str:
+    return f"log '{log.source}'" if log.source else "log"
+
+
+def _check_joint_count(log: Log, n: int, robot_name: str) -> None:
+    if log.n != n:
+        raise LogError(
+            f"{_label(log)} has another number of joints than robot '{robot_name}'.",
+            got=f"{log.n} (q1..q{log.n})",
+            expected=f"{n} (q1..q{n})",
+        )
+
+
+def _columns(log: Log) -> Iterator[tuple[str, Float[Tensor, " T"]]]:
+    """Every column of a log under the name it has in a file."""
+    yield "t", log.t
+    for name, signal in log.signals.items():
+        for k in range(log.n):
+            yield f"{_COLUMN[name]}{k + 1}", signal[:, k]
+
+
+def _where(log: Log, row: int) -> str:
+    """Which sample of which trajectory, counted from 1."""
+    rows = log.slices()[int(log.trajectory[row])]
+    name = log.names[int(log.trajectory[row])]
+    return f"row {row - rows.start + 1} of '{name}'"
+
+
+def _check_finite(log: Log) -> None:
+    bad = {name: ~torch.isfinite(column) for name, column in _columns(log)}
+    wrong = {name: mask for name, mask in bad.items() if mask.any()}
+    if not wrong:
+        return
+    name, mask = next(iter(wrong.items()))
+    first = int(mask.nonzero()[0])
+    more = f", and {len(wrong) - 1} more columns have some" if len(wrong) > 1 else ""
+    raise LogError(
+        f"{_label(log)}: column {name} has {int(mask.sum())} values that are empty, NaN or "
+        f"infinite, the first in {_where(log, first)}{more}.",
+        got=", ".join(f"{key}: {int(m.sum())}" for key, m in list(wrong.items())[:10]),
+        expected="a number in every row",
+        hint="cut out those rows; resampling bridges the gap or splits the trajectory there",
+    )
+
+
+def _check_increasing(log: Log) -> None:
+    for name, rows in zip(log.names, log.slices(), strict=True):
+        t = log.t[rows]
+        steps = t.diff()
+        wrong = (steps <= 0).nonzero().flatten()
+        if len(t) < 2:
+            raise LogError(f"trajectory '{name}' has one sample only.", got=1, expected="many")
+        if len(wrong) == 0:
+            continue
+        k = int(wrong[0])
+        repeated, back = int((steps == 0).sum()), int((steps < 0).sum())
+        raise LogError(
+            f"{_label(log)}: time does not increase in {_where(log, rows.start + k + 1)}.",
+            got=f"{float(t[k]):.9g} s, then {float(t[k + 1]):.9g} s; in all {repeated} repeated "
+            f"and {back} decreasing time stamps",
+            expected="increasing time within a trajectory",
+            hint="delete repeated rows, or number the trajectories in an integer column `traj`",
+        )
+
+
+def _check_positions_in_radians(log: Log, limits: Tensor | None, slides: Sequence[bool]) -> None:
+    for k, slide in enumerate(slides):
+        if slide:
+            continue
+        low, high = float(log.q[:, k].min()), float(log.q[:, k].max())
+        limit = _largest_angle(None if limits is None else limits[k])
+        if max(-low, high) > limit:
+            raise LogError(
+                f"{_label(log)}: q{k + 1} looks like degrees.",
+                got=f"{low:.4g} to {high:.4g}",
+                expected=f"radians, at most {limit:.3g} for this joint",
+                hint=f"multiply q{k + 1} by pi/180; if the joint does turn that far, "
+                "say so in the robot's position limits",
+            )
+
+
+def _largest_angle(limits: Tensor | None) -> float:
+    """The largest |q| of a revolute joint that is taken for radians."""
+    if limits is None or torch.isnan(limits).any():
+        return 4.0 * math.pi
+    # A joint without end (infinite limits) may wind up, but hardly more than eight turns.
+    return min(max(2.0 * math.pi, 2.0 * float(limits.abs().max())), 16.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """How the measured dq of one joint relates to the change of its q.
+
+    Attributes:
+        joint: from 0.
+        ratio: dq over the derivative of q, in size.
+        correlation: of q with the integral of dq.
+    """
+
+    joint: int
+    ratio: float
+    correlation: float
+
+
+def _velocity_agreement(log: Log) -> list[_Agreement]:
+    """One record a joint that moves; empty without dq.
+
+    The integral of dq is compared with q, not dq with a derivative: encoder noise, quantisation
+    and dropped packets matter little there.
+    """
+    if log.dq is None:
+        return []
+    integrals, positions = [], []
+    for rows in log.slices():
+        t, q, dq = log.t[rows], log.q[rows], log.dq[rows]
+        integral = torch.zeros_like(q)
+        integral[1:] = torch.cumulative_trapezoid(dq, t[:, None], dim=0)
+        integrals.append(integral - integral.mean(0))
+        positions.append(q - q.mean(0))
+    moved, q = torch.cat(integrals), torch.cat(positions)
+    extent = q.amax(0) - q.amin(0)
+    records = []
+    for k in range(log.n):
+        a, b = float(moved[:, k].norm()), float(q[:, k].norm())
+        if float(extent[k]) > MOVING and a > 0.0:
+            records.append(_Agreement(k, a / b, float(moved[:, k] @ q[:, k]) / (a * b)))
+    return records
+
+
+def _check_time_unit(log: Log, agreement: Sequence[_Agreement]) -> None:
+    """Refuse time in milli-, micro- or nanoseconds, or counted in samples."""
+    step = max(float(log.t[rows].diff().median()) for rows in log.slices())
+    clear = [a for a in agreement if a.correlation > FOLLOWS]
+    for factor, unit in _TIME_UNITS.items():
+        if clear and all(_near(a.ratio, factor) for a in clear):
+            _refuse_time(log, f"looks like {unit}: dq is {clear[0].ratio:.4g} times dq1/dt", step)
+    if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
+        why = "and dq disagrees" if clear else "too long for a robot"
+        _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
+
+
+def _refuse_time(log: Log, why: str, step: float) -> None:
+    raise LogError(
+        f"{_label(log)}: t {why}.",
+        got=f"a median step of {step:g}, t from {float(log.t[0]):g} to {float(log.t[-1]):g}",
+        expected="seconds",
+        hint="convert t to seconds, or dq to the unit of q per second",
+    )
+
+
+def _check_velocity_unit(log: Log, agreement: Sequence[_Agreement], slides: Sequence[bool]) -> None:
+    for a in agreement:
+        column = f"dq{a.joint + 1}"
+        if a.correlation < -FOLLOWS:
+            raise LogError(
+                f"{_label(log)}: {column} has the opposite sign of the change of q{a.joint + 1}.",
+                got=f"correlation {a.correlation:.3f}",
+                expected="velocities in the direction of the positions",
+            )
+        if slides[a.joint] or a.correlation < FOLLOWS:
+            continue
+        if _near(a.ratio, _DEGREES):
+            raise LogError(
+                f"{_label(log)}: the units of {column} look like degrees per second.",
+                got=f"{a.ratio:.1f} times the derivative of q{a.joint + 1}",
+                expected="rad/s",
+                hint=f"multiply {column} by pi/180",
+            )
+        if _near(a.ratio, 1.0 / _DEGREES):
+            raise LogError(
+                f"{_label(log)}: the units of q{a.joint + 1} look like degrees.",
+                got=f"{column} is 1/{1.0 / a.ratio:.1f} of its derivative",
+                expected="rad",
+                hint=f"multiply q{a.joint + 1} by pi/180",
+            )
+
+
+def _near(ratio: float, factor: float) -> bool:
+    return 0.93 < ratio / factor < 1.07
+
+
+def _still_joints(log: Log) -> list[str]:
+    extent = log.q.amax(0) - log.q.amin(0)
+    return [
+        f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
+        "its parameters cannot be identified from this log."
+        for k in range(log.n)
+        if float(extent[k]) < STILL
+    ]
+
+
+def _no_torque(log: Log) -> list[str]:
+    signal, name = (log.tau, "tau") if log.tau is not None else (log.current, "i")
+    if signal is None:
+        return []
+    zero = (signal == 0).all(0)
+    if zero.all():
+        raise LogError(
+            f"{_label(log)}: all torques are zero.",
+            got=f"0 in {name}1..{name}{log.n}" if log.n > 1 else f"0 in {name}1",
+            expected="measured torques or currents",
+        )
+    return [
+        f"joint {k + 1} has no torque: {name}{k + 1} is zero throughout."
+        for k in range(log.n)
+        if bool(zero[k])
+    ]
+
+
+def _velocity_warnings(log: Log, agreement: Sequence[_Agreement]) -> list[str]:
+    """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
+
+    def joints(odd: Callable[[_Agreement], bool]) -> list[_Agreement]:
+        return [a for a in agreement if odd(a)]
+
+    warnings = []
+    scaled = joints(lambda a: a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0)
+    if scaled:
+        low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)
+        size = f"{low:.3g}" if high < 1.01 * low else f"{low:.3g} to {high:.3g}"
+        warnings.append(
+            f"{_list(scaled)} {size} times the derivative of q: "
+            "the time stamps, or the units of dq, are wrong by that factor."
+        )
+    other = joints(lambda a: abs(a.correlation) < FOLLOWS)
+    if other:
+        worst = min(a.correlation for a in other)
+        warnings.append(
+            f"{_list(other)} not the derivative of q (the correlation of its integral with q is "
+            f"down to {worst:.2f})."
+        )
+    return [f"{_label(log)}: {warning}" for warning in warnings]
+
+
+def _list(records: Sequence[_Agreement]) -> str:
+    names = ", ".join(f"dq{a.joint + 1}" for a in records)
+    return f"{names} {'is' if len(records) == 1 else 'are'}"
