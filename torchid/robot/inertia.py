@@ -180,7 +180,9 @@ def move(parameters: Float[Tensor, "*batch 10"], transform: Float[Tensor, "*b 4 
         + m.unsqueeze(-1) * pp
     )
     trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    return torch.cat([m, h + m * p, six(trace * eye - second)], dim=-1)
+    # The mass alone has not been broadcast against a batch of transforms.
+    mass = m.expand(*h.shape[:-1], 1)
+    return torch.cat([mass, h + m * p, six(trace * eye - second)], dim=-1)
 
 
 def parameter_names(n: int) -> list[str]:

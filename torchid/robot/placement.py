@@ -1,4 +1,4 @@
-"""Constant poses: DH rows, roll-pitch-yaw, quaternions, and the rotation that aligns z with an axis.
+"""Constant poses: DH rows, roll-pitch-yaw, quaternions, the rotation that takes z to an axis.
 
 Right angles are kept exact: an entry within 1e-15 of -1, 0 or 1 is that number, so that cos(pi/2)
 does not leave 6e-17 behind in every later product.

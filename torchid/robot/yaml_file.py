@@ -17,6 +17,7 @@ from torchid.robot.placement import dh_classical, dh_modified, pose, rotation_z
 
 _KEYS = ("name", "dh", "gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "tool")
 _JOINT_KEYS = ("type", "a", "alpha", "alpha_deg", "d", "theta", "theta_deg", "name")
+_EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
 _LIMIT_KEYS = ("position", "velocity", "acceleration", "torque")
 
 
@@ -28,7 +29,7 @@ def read_yaml(path: Path) -> Robot:
     """
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such date
         raise RobotError(f"'{path}' is not valid yaml: {str(error).splitlines()[0]}") from error
     except OSError as error:
         raise RobotError(f"'{path}' cannot be read: {error.strerror}") from error
@@ -63,20 +64,19 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         parameters=_parameters(data.get("parameters"), n, source),
         effects=_effects(data.get("effects") or (), n, source),
         drive_gain=None if gain is None else _numbers(gain, (n,), f"{source}: drive_gain"),
-        bounds=MappingProxyType(dict(data.get("bounds") or {})),
+        bounds=_bounds(data.get("bounds") or {}, source),
         source=source,
     )
 
 
-def _dh(
-    dh: Any, source: str
-) -> tuple[tuple[JointType, ...], Tensor, Tensor, tuple[str, ...]]:
+def _dh(dh: Any, source: str) -> tuple[tuple[JointType, ...], Tensor, Tensor, tuple[str, ...]]:
     if not isinstance(dh, Mapping) or "joints" not in dh or "convention" not in dh:
         raise RobotError(
             f"{source}: 'dh' needs 'convention' and 'joints'.",
             got=list(dh) if isinstance(dh, Mapping) else type(dh).__name__,
-            expected="dh: {convention: classical|modified, joints: [{type: R|P, a, alpha, d, theta}]}",
+            expected="dh: {convention: classical|modified, joints: [{type, a, alpha, d, theta}]}",
         )
+    _known(dh, ("convention", "joints"), f"{source}: dh")
     convention = dh["convention"]
     if convention not in ("classical", "modified"):
         raise RobotError(
@@ -115,7 +115,9 @@ def _dh_row(row: Any, where: str) -> tuple[JointType, float, float, float, float
 def _angle(row: Mapping[str, Any], key: str, where: str) -> float:
     if f"{key}_deg" in row:
         if key in row:
-            raise RobotError(f"{where}: both {key} and {key}_deg are given.", expected="one of them")
+            raise RobotError(
+                f"{where}: both {key} and {key}_deg are given.", expected="one of them"
+            )
         return math.radians(_number(row[f"{key}_deg"], f"{where}: {key}_deg"))
     return _number(row.get(key, 0), f"{where}: {key}")
 
@@ -131,10 +133,11 @@ def _limits(data: Mapping[str, Any], n: int, source: str) -> Limits:
 
 def _interval(data: Any, n: int, where: str) -> Tensor:
     """Symmetric bounds, or [lo, hi] a joint, as (n, 2)."""
+    # A joint that turns for ever has infinite limits.
     if isinstance(data, Sequence) and data and isinstance(data[0], Sequence):
-        bounds = _numbers(data, (n, 2), where)
+        bounds = _numbers(data, (n, 2), where, finite=False)
     else:
-        upper = _numbers(data, (n,), where)
+        upper = _numbers(data, (n,), where, finite=False)
         bounds = torch.stack([-upper, upper], -1)
     if (bounds[:, 0] >= bounds[:, 1]).any():
         raise RobotError(f"{where}: a lower limit is not below its upper limit.", got=data)
@@ -173,13 +176,20 @@ def _effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...]:
                 expected="{effect: viscous_friction, joint: 1, Fv: 0.07}",
             )
         joint = record.get("joint")
-        if joint is not None and (not isinstance(joint, int) or not 1 <= joint <= n):
+        whole = isinstance(joint, int) and not isinstance(joint, bool)
+        if joint is not None and not (whole and 1 <= joint <= n):
             raise RobotError(
                 f"{source}: effect '{record['effect']}' is on a joint that does not exist.",
                 got=joint,
                 available=list(range(1, n + 1)),
             )
     return tuple(MappingProxyType(dict(record)) for record in data)
+
+
+def _bounds(data: Any, source: str) -> Mapping[str, Any]:
+    if not isinstance(data, Mapping):
+        raise RobotError(f"{source}: bounds must be a mapping of groups.", got=data)
+    return MappingProxyType(dict(data))
 
 
 def _known(data: Any, keys: Sequence[str], where: str) -> None:
@@ -192,19 +202,22 @@ def _known(data: Any, keys: Sequence[str], where: str) -> None:
 
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise RobotError(f"{where}: not a finite number.", got=repr(value))
+        hint = _EXPONENT if isinstance(value, str) else None
+        raise RobotError(f"{where}: not a finite number.", got=repr(value), hint=hint)
     return float(value)
 
 
-def _numbers(data: Any, shape: tuple[int, ...], where: str) -> Tensor:
+def _numbers(data: Any, shape: tuple[int, ...], where: str, *, finite: bool = True) -> Tensor:
     try:
         tensor = torch.tensor(data, dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise RobotError(f"{where}: not numbers, or rows of unequal length.", got=data) from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RobotError(
+            f"{where}: not numbers, or rows of unequal length.", got=data, hint=_EXPONENT
+        ) from error
     if tuple(tensor.shape) != shape:
         raise RobotError(
             f"{where}: wrong size.", got=tuple(tensor.shape), expected=f"{shape} for this robot"
         )
-    if not torch.isfinite(tensor).all():
+    if tensor.isnan().any() or (finite and tensor.isinf().any()):
         raise RobotError(f"{where}: not all finite.", got=data)
     return tensor

@@ -1,0 +1,97 @@
+"""The robot as a pytorch-kinematics chain, and the Jacobian of the tool from it.
+
+The chain is built from our float64 matrices: pytorch-kinematics' own readers parse numbers in
+float32. Every joint turns about z between two constant poses, as in torchid.robot.model.
+"""
+
+import pytorch_kinematics as pk
+import torch
+from torch import Tensor
+
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float, Joints
+
+
+def to_chain(robot: Robot, dtype: torch.dtype = torch.float64) -> "pk.SerialChain":
+    """The robot as a SerialChain of the given dtype, on the device of its data.
+
+    Each joint has two frames: `<joint>/moved`, which moves, and one named as the link, which is
+    the link frame. The root is `base` and the end is `tool`. A name that is already taken has
+    underscores appended. Joint parameters are named as the robot's joints. Forward kinematics of
+    the end is `torchid.robot.model.tool_pose`.
+    """
+    # Frame names must differ, whereas a URDF link may be called `base` or `tool`.
+    taken = set(robot.link_names)
+    root = _fixed(_free("base", taken), None, dtype)
+    last = root
+    for i in range(robot.n):
+        moved = _moving(robot, i, _free(f"{robot.joint_names[i]}/moved", taken), dtype)
+        link = _fixed(robot.link_names[i], robot.after[i], dtype)
+        last.add_child(moved)
+        moved.add_child(link)
+        last = link
+    tool = _fixed(_free("tool", taken), robot.tool, dtype)
+    last.add_child(tool)
+    device = robot.before.device
+    tree = pk.Chain(root, dtype=dtype, device=device)
+    return pk.SerialChain(tree, tool.name, dtype=dtype, device=device)
+
+
+def tool_jacobian(
+    robot: Robot, q: Joints, chain: "pk.SerialChain | None" = None
+) -> Float[Tensor, "*batch 6 n"]:
+    """Geometric Jacobian of the tool, in axes of the base frame.
+
+    Args:
+        robot: the robot.
+        q: (..., n) joint positions [rad or m]; its dtype and device are the result's.
+        chain: `to_chain(robot, q.dtype)`, to save building it at every call.
+
+    Returns:
+        (..., 6, n). Rows 0-2: velocity of the tool's origin per unit joint velocity [m/rad or 1];
+        rows 3-5: angular velocity of the tool [1 or rad/m, 0 for a prismatic joint]. Linear
+        first, so that J' (force, moment at the tool's origin) is the joint torque.
+    """
+    if chain is None:
+        chain = to_chain(robot, q.dtype).to(device=q.device)
+    batch = q.shape[:-1]
+    jacobian: Tensor = chain.jacobian(q.reshape(-1, robot.n))
+    return jacobian.reshape(*batch, 6, robot.n)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _offset(matrix: Tensor, dtype: torch.dtype) -> "pk.Transform3d":
+    return pk.Transform3d(matrix=matrix.to(dtype).contiguous())
+
+
+def _fixed(name: str, placed: Tensor | None, dtype: torch.dtype) -> "pk.Frame":
+    offset = None if placed is None else _offset(placed, dtype)
+    joint = pk.Joint(name=f"{name}/fixed", offset=offset, joint_type="fixed", dtype=dtype)
+    return pk.Frame(name, link=pk.Link(name), joint=joint)
+
+
+def _moving(robot: Robot, i: int, name: str, dtype: torch.dtype) -> "pk.Frame":
+    revolute = robot.joint_types[i] is JointType.REVOLUTE
+    limits = robot.limits
+    joint = pk.Joint(
+        name=robot.joint_names[i],
+        offset=_offset(robot.before[i], dtype),
+        joint_type="revolute" if revolute else "prismatic",
+        axis=torch.tensor([0.0, 0.0, 1.0], dtype=dtype, device=robot.before.device),
+        dtype=dtype,
+        device=robot.before.device,
+        limits=_pair(limits.position, i),
+        velocity_limits=_pair(limits.velocity, i),
+        effort_limits=_pair(limits.torque, i),
+    )
+    return pk.Frame(name, link=pk.Link(name), joint=joint)
+
+
+def _pair(limit: Tensor | None, i: int) -> tuple[float, float] | None:
+    return None if limit is None else (float(limit[i, 0]), float(limit[i, 1]))

@@ -1,0 +1,267 @@
+"""Read MJCF through MuJoCo's own compiler: defaults, includes and geometry inertias are its work.
+
+The compiled model is float64. What MuJoCo has beyond rigid bodies, linear damping, dry friction
+and armature on independent joints is told in `warnings`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchid.errors import MissingExtraError, RobotError
+from torchid.robot.assemble import assemble
+from torchid.robot.inertia import InertialParameters, move
+from torchid.robot.model import JointType, Robot
+from torchid.robot.placement import pose, quaternion
+from torchid.robot.tree import Interval, Tree, TreeJoint
+from torchid.robot.xml_numbers import parse_xml
+
+_OLDEST = (3, 15)
+_NO_GRAVITY = (0.0, 0.0, 0.0)
+_UNNAMED = "MuJoCo Model"
+
+
+def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
+    """Read the serial chain of an MJCF file from the world to a tip.
+
+    Link frames are MuJoCo's body frames. Bodies without joints are merged into the body that
+    moves them. A body with several joints becomes a chain of massless links, named
+    `body/joint`, that ends in the body. q is MuJoCo's qpos (`ref` is in the kinematics). Damping,
+    frictionloss and armature become `effects`; gravity is the model's option.
+
+    Args:
+        path: the file.
+        tip: a body, or a site, that ends the chain; needed where several chains move.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+        RobotError: MuJoCo is too old or cannot compile the file, a free or ball joint is on the
+            chain, nothing moves, several chains and no tip, or an unknown tip.
+    """
+    path = Path(path)
+    mujoco = _mujoco()
+    model = _compile(mujoco, path)
+    links, joints = _Bodies(mujoco, model, str(path)).read()
+    if tip is not None and tip not in links:
+        _add_site(mujoco, model, tip, links, joints)
+    warnings = _warnings(mujoco, model)
+    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return assemble(
+        Tree(links, tuple(joints), str(path)),
+        tip=tip,
+        name=_model_name(model) or path.stem,
+        gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
+        path=path,
+        warnings=warnings,
+    )
+
+
+def _mujoco() -> Any:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError("mujoco", "mjcf", "Reading MJCF") from error
+    version = tuple(int(part) for part in mujoco.__version__.split(".")[:2])
+    if version < _OLDEST:
+        raise RobotError(
+            "this MuJoCo is too old to read a robot exactly.",
+            got=mujoco.__version__,
+            expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
+            hint="pip install 'torchid[mjcf]'",
+        )
+    return mujoco
+
+
+def _compile(mujoco: Any, path: Path) -> Any:
+    root = parse_xml(path)
+    if root.tag != "mujoco":
+        hint = "this is a URDF: give it the suffix .urdf" if root.tag == "robot" else None
+        raise RobotError(f"{path}: not MJCF.", got=f"<{root.tag}>", expected="<mujoco>", hint=hint)
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        text = " ".join(str(error).split())
+        # MuJoCo's wording for a mesh, texture or include that is not there.
+        missing = any(words in text.lower() for words in ("opening file", "not found", "no file"))
+        raise RobotError(
+            f"{path}: MuJoCo cannot compile it: {text}",
+            hint="the files it names (meshes, includes) must lie where it says: masses and "
+            "inertias may come from them"
+            if missing
+            else None,
+        ) from error
+
+
+def _model_name(model: Any) -> str | None:
+    """The model's name, the first string of the name buffer; None for MuJoCo's default."""
+    name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
+    return None if name in ("", _UNNAMED) else name
+
+
+class _Bodies:
+    """Links and joints of a compiled model."""
+
+    def __init__(self, mujoco: Any, model: Any, source: str):
+        self.mujoco, self.model, self.source = mujoco, model, source
+        kinds = mujoco.mjtObj
+        self.bodies = _names(mujoco, model, kinds.mjOBJ_BODY, model.nbody, "body")
+        self.joints = _names(mujoco, model, kinds.mjOBJ_JOINT, model.njnt, "joint")
+
+    def read(self) -> tuple[dict[str, Tensor | None], list[TreeJoint]]:
+        """Links with their parameters (10,) or None, and joints in the order of qpos."""
+        links: dict[str, Tensor | None] = {self.bodies[0]: None}
+        joints: list[TreeJoint] = []
+        for body in range(1, self.model.nbody):
+            links[self.bodies[body]] = _inertial(self.model, body)
+            steps = self._steps(body)
+            joints.extend(steps)
+            for step in steps[:-1]:
+                links[step.child] = torch.zeros(10, dtype=torch.float64)
+        return links, joints
+
+    def _steps(self, body: int) -> list[TreeJoint]:
+        """The joints from a body's parent to the body; one fixed joint where it has none."""
+        model = self.model
+        name, parent = self.bodies[body], self.bodies[int(model.body_parentid[body])]
+        placed = pose(quaternion(model.body_quat[body]), model.body_pos[body].tolist())
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        if count == 0:
+            return [TreeJoint(f"{name} (fixed)", parent, name, origin=placed)]
+        steps = []
+        for joint in range(first, first + count):
+            last = joint == first + count - 1
+            below = name if last else f"{name}/{self.joints[joint]}"
+            steps.append(self._movable(joint, parent, below, placed))
+            # The next joint of the body starts where this one has taken the body frame.
+            parent, placed = below, pose()
+        return steps
+
+    def _movable(self, joint: int, parent: str, below: str, placed: Tensor) -> TreeJoint:
+        model, name = self.model, self.joints[joint]
+        kinds = self.mujoco.mjtJoint
+        kind = int(model.jnt_type[joint])
+        motions = {
+            int(kinds.mjJNT_HINGE): JointType.REVOLUTE,
+            int(kinds.mjJNT_SLIDE): JointType.PRISMATIC,
+        }
+        if kind not in motions:
+            word = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
+            refused = f"joint '{name}' is a {word} joint; only hinge and slide joints are known"
+            return TreeJoint(name, parent, below, origin=placed, refused=refused)
+        anchor = torch.tensor(model.jnt_pos[joint].tolist(), dtype=torch.float64)
+        dof = int(model.jnt_dofadr[joint])
+        limited = bool(model.jnt_limited[joint])
+        return TreeJoint(
+            name,
+            parent,
+            below,
+            motions[kind],
+            placed @ pose(None, anchor),
+            torch.tensor(model.jnt_axis[joint].tolist(), dtype=torch.float64),
+            zero=float(model.qpos0[int(model.jnt_qposadr[joint])]),
+            child_pose=pose(None, -anchor),
+            position=_interval(model.jnt_range[joint]) if limited else None,
+            torque=_torque_limit(self.mujoco, model, joint),
+            damping=float(model.dof_damping[dof]),
+            friction=float(model.dof_frictionloss[dof]),
+            armature=float(model.dof_armature[dof]),
+        )
+
+
+def _names(mujoco: Any, model: Any, kind: Any, count: int, word: str) -> list[str]:
+    """Names of a kind of object; those without one get word_<id>, distinct from the others."""
+    given = [mujoco.mj_id2name(model, int(kind), i) for i in range(count)]
+    taken = set(given)
+    out = []
+    for i, name in enumerate(given):
+        own = name or f"{word}_{i}"
+        while not name and own in taken:
+            own += "_"
+        out.append(own)
+    return out
+
+
+def _inertial(model: Any, body: int) -> Tensor | None:
+    """(10,) parameters in the body frame, or None for a body without mass."""
+    mass = torch.tensor(float(model.body_mass[body]), dtype=torch.float64)
+    if mass == 0:
+        return None
+    xx, yy, zz = model.body_inertia[body].tolist()
+    principal = torch.tensor([xx, 0.0, 0.0, yy, 0.0, zz], dtype=torch.float64)
+    own = InertialParameters.from_com(mass, torch.zeros(3, dtype=torch.float64), principal)
+    return move(own.pi, pose(quaternion(model.body_iquat[body]), model.body_ipos[body].tolist()))
+
+
+def _interval(values: Sequence[float]) -> Interval:
+    low, high = sorted(float(v) for v in values)
+    return low, high
+
+
+def _torque_limit(mujoco: Any, model: Any, joint: int) -> Interval | None:
+    """The joint's own range, or that of the only actuator on it; None where neither is known."""
+    if model.jnt_actfrclimited[joint]:
+        return _interval(model.jnt_actfrcrange[joint])
+    on_joint = [
+        a
+        for a in range(model.nu)
+        if int(model.actuator_trntype[a]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+        and int(model.actuator_trnid[a, 0]) == joint
+    ]
+    if len(on_joint) != 1 or not model.actuator_forcelimited[on_joint[0]]:
+        return None
+    return _interval(model.actuator_forcerange[on_joint[0]] * model.actuator_gear[on_joint[0], 0])
+
+
+def _add_site(
+    mujoco: Any,
+    model: Any,
+    site: str,
+    links: dict[str, Tensor | None],
+    joints: list[TreeJoint],
+) -> None:
+    """A site named as the tip becomes a massless link fixed to its body."""
+    index = mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_SITE), site)
+    if index < 0:
+        return
+    placed = pose(quaternion(model.site_quat[index]), model.site_pos[index].tolist())
+    bodies = _names(mujoco, model, mujoco.mjtObj.mjOBJ_BODY, model.nbody, "body")
+    body = bodies[int(model.site_bodyid[index])]
+    links[site] = None
+    joints.append(TreeJoint(f"{site} (fixed)", body, site, origin=placed))
+
+
+def _warnings(mujoco: Any, model: Any) -> list[str]:
+    """What the model holds and a Robot does not."""
+    out = []
+    joints = _names(mujoco, model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt, "joint")
+    for joint, name in enumerate(joints):
+        if model.jnt_stiffness[joint]:
+            rest = float(model.qpos_spring[int(model.jnt_qposadr[joint])])
+            out.append(
+                f"joint '{name}' has a spring (stiffness {model.jnt_stiffness[joint]:g}, at rest "
+                f"at {rest:g}): it is not modelled"
+            )
+        dof = int(model.jnt_dofadr[joint])
+        if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
+            getattr(model, "jnt_stiffnesspoly", ()), joint
+        ):
+            out.append(f"joint '{name}' has nonlinear damping or stiffness: it is not modelled")
+    if model.neq:
+        out.append(f"{model.neq} equality constraint(s) are not modelled")
+    if model.ntendon:
+        out.append(f"{model.ntendon} tendon(s) are not modelled")
+    if model.body_gravcomp.any():
+        out.append("gravity compensation of bodies (gravcomp) is not modelled")
+    if model.opt.density or model.opt.viscosity:
+        out.append("forces of the surrounding fluid (density, viscosity) are not modelled")
+    if int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
+        out.append("the model turns gravity off: gravity is zero")
+    return out
+
+
+def _any(table: Any, row: int) -> bool:
+    """Whether a row of a table has an entry that is not zero; newer MuJoCo has more tables."""
+    return len(table) > row and bool(table[row].any())

@@ -1,0 +1,205 @@
+"""Read a URDF: lxml for the file, float64 for the numbers.
+
+What a model holds beyond rigid bodies on independent joints is refused or told in `warnings`;
+<visual>, <collision>, <gazebo>, <mujoco> and <transmission> are not looked at.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchid.errors import RobotError
+from torchid.robot.assemble import assemble
+from torchid.robot.inertia import InertialParameters, move
+from torchid.robot.model import STANDARD_GRAVITY, JointType, Robot
+from torchid.robot.tree import Interval, Tree, TreeJoint
+from torchid.robot.xml_numbers import (
+    attribute,
+    child,
+    number,
+    numbers,
+    origin,
+    parse_xml,
+    refuse_xacro,
+    unit_axis,
+)
+
+_MOTIONS = {
+    "revolute": JointType.REVOLUTE,
+    "continuous": JointType.REVOLUTE,
+    "prismatic": JointType.PRISMATIC,
+    "fixed": None,
+}
+_REFUSED = ("floating", "planar")
+_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
+    """Read the serial chain of a URDF from its root link to a tip.
+
+    Link frames are the URDF's child link frames. Links behind fixed joints are merged into the
+    link that moves them; those fixed to the root belong to the base. `tool` is the pose of the
+    tip link. Limits that only some joints have are infinite for the others. <dynamics> becomes
+    `effects` viscous_friction and coulomb_friction; gravity is (0, 0, -9.81) in the root frame.
+
+    Args:
+        path: the file.
+        tip: last link of the chain; needed where several chains move. Movable branches off the
+            chain are left out, with a warning.
+
+    Raises:
+        RobotError: a file that cannot be read, xacro or MJCF in it, a structure that is not a
+            tree, a joint that is not revolute, continuous, prismatic or fixed, a mimic joint on
+            the chain, a value that is not a number, several chains and no tip, an unknown tip.
+    """
+    path = Path(path)
+    source = str(path)
+    root = parse_xml(path)
+    _is_urdf(root, source)
+    refuse_xacro(root, source)
+    links: dict[str, Tensor | None] = {}
+    for element in root.findall("link"):
+        name = attribute(element, "name", source)
+        if name in links:
+            raise RobotError(f"{source}: two links have the same name.", got=name)
+        links[name] = _inertial(element, f"{source}: link '{name}'")
+    warnings: list[str] = []
+    joints: dict[str, TreeJoint] = {}
+    for element in root.findall("joint"):
+        joint = _joint(element, source, warnings)
+        if joint.name in joints:
+            raise RobotError(f"{source}: two joints have the same name.", got=joint.name)
+        joints[joint.name] = joint
+    if not links:
+        raise RobotError(f"{source}: the robot has no links.")
+    return assemble(
+        Tree(links, tuple(joints.values()), source),
+        tip=tip,
+        name=(root.get("name") or path.stem).strip(),
+        gravity=STANDARD_GRAVITY,
+        path=path,
+        warnings=warnings,
+    )
+
+
+def _is_urdf(root: Any, source: str) -> None:
+    if root.tag == "robot":
+        return
+    hint = None
+    if root.tag == "mujoco":
+        hint = "this is MJCF: give it the suffix .xml"
+    elif root.tag == "sdf":
+        hint = "this is SDF: convert it to URDF"
+    raise RobotError(f"{source}: not a URDF.", got=f"<{root.tag}>", expected="<robot>", hint=hint)
+
+
+def _inertial(link: Any, where: str) -> Tensor | None:
+    """(10,) parameters in the link frame, or None."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return None
+    mass = torch.tensor(number(child(inertial, "mass", where), "value", where), dtype=torch.float64)
+    element = child(inertial, "inertia", where)
+    values = [number(element, name, where) for name in _TENSOR]
+    tensor = torch.tensor(values, dtype=torch.float64)
+    # In the axes of the inertial frame and about its origin, the centre of mass.
+    own = InertialParameters.from_com(mass, torch.zeros(3, dtype=torch.float64), tensor)
+    return move(own.pi, origin(inertial, where))
+
+
+def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
+    name = attribute(element, "name", source)
+    where = f"{source}: joint '{name}'"
+    kind = attribute(element, "type", where)
+    if kind not in _MOTIONS and kind not in _REFUSED:
+        raise RobotError(
+            f"{where}: unknown joint type.", got=kind, available=[*_MOTIONS, *_REFUSED]
+        )
+    motion = _MOTIONS.get(kind)
+    parent = attribute(child(element, "parent", where), "link", where)
+    carried = attribute(child(element, "child", where), "link", where)
+    if kind == "fixed":
+        return TreeJoint(name, parent, carried, origin=origin(element, where))
+    axis = element.find("axis")
+    direction = None if axis is None else numbers(axis, "xyz", 3, where)
+    position, velocity, torque = _limits(element, kind, name, where, warnings)
+    damping, friction = _dynamics(element, name, where, warnings)
+    return TreeJoint(
+        name,
+        parent,
+        carried,
+        motion,
+        origin(element, where),
+        unit_axis(direction or [1.0, 0.0, 0.0], where),
+        position=position,
+        velocity=velocity,
+        torque=torque,
+        damping=damping,
+        friction=friction,
+        refused=_refusal(element, kind, name, where),
+    )
+
+
+def _refusal(element: Any, kind: str, name: str, where: str) -> str | None:
+    if kind in _REFUSED:
+        return f"joint '{name}' is {kind}; only revolute, continuous and prismatic joints are known"
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    return (
+        f"joint '{name}' mimics joint '{attribute(mimic, 'joint', where)}'; joints that are not "
+        "independent are not supported (end the chain before it with tip, or make it fixed)"
+    )
+
+
+def _limits(
+    element: Any, kind: str, name: str, where: str, warnings: list[str]
+) -> tuple[Interval | None, Interval | None, Interval | None]:
+    """Position, velocity and torque limits; None where not given."""
+    limit = element.find("limit")
+    if limit is None:
+        return None, None, None
+    velocity = _symmetric(limit, "velocity", name, where, warnings)
+    torque = _symmetric(limit, "effort", name, where, warnings)
+    if kind == "continuous":
+        return None, velocity, torque
+    lower = numbers(limit, "lower", 1, where, finite=False)
+    upper = numbers(limit, "upper", 1, where, finite=False)
+    if lower is None and upper is None:
+        return None, velocity, torque
+    # URDF's default for the one that is missing is 0.
+    low, high = (lower or [0.0])[0], (upper or [0.0])[0]
+    if low == high == 0.0:
+        warnings.append(f"joint '{name}' has position limits 0 and 0: they are not used")
+        return None, velocity, torque
+    if low >= high:
+        raise RobotError(f"{where}: the lower limit is not below the upper.", got=[low, high])
+    return (low, high), velocity, torque
+
+
+def _symmetric(limit: Any, key: str, name: str, where: str, warnings: list[str]) -> Interval | None:
+    values = numbers(limit, key, 1, where, finite=False)
+    if values is None:
+        return None
+    if values[0] < 0:
+        raise RobotError(f"{where}: <limit {key}> is negative.", got=values[0])
+    if values[0] == 0:
+        # What exporters write when nothing was entered.
+        warnings.append(f"joint '{name}' has the {key} limit 0: it is not used")
+        return None
+    return (-values[0], values[0])
+
+
+def _dynamics(element: Any, name: str, where: str, warnings: list[str]) -> tuple[float, float]:
+    """Damping and friction, 0 where not given."""
+    dynamics = element.find("dynamics")
+    if dynamics is None:
+        return 0.0, 0.0
+    damping = (numbers(dynamics, "damping", 1, where) or [0.0])[0]
+    friction = (numbers(dynamics, "friction", 1, where) or [0.0])[0]
+    for key, value in (("damping", damping), ("friction", friction)):
+        if value < 0:
+            warnings.append(f"joint '{name}' has negative {key} ({value:g})")
+    return damping, friction

@@ -1,0 +1,139 @@
+"""XML files of robots: parsed from bytes, and their numbers read as float64 or refused by name."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+from lxml import etree
+from torch import Tensor
+
+from torchid.errors import RobotError
+from torchid.robot.placement import pose, quaternion, roll_pitch_yaw
+
+_XACRO = "ros.org/wiki/xacro"
+_EXPAND = "expand it first: `xacro robot.urdf.xacro > robot.urdf`"
+
+
+def parse_xml(path: Path) -> Any:
+    """The root element of an XML file, without comments, its own default namespace removed.
+
+    Raises:
+        RobotError: the file cannot be read or is not XML.
+    """
+    try:
+        # From bytes: an encoding declaration in a str is an error. Some exporters leave blank
+        # lines before the declaration, which every URDF reader forgives.
+        data = path.read_bytes().lstrip()
+    except OSError as error:
+        raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    parser = etree.XMLParser(
+        remove_comments=True, remove_pis=True, resolve_entities=False, no_network=True
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        hint = _EXPAND if "xacro" in str(error) else None
+        raise RobotError(f"'{path}' is not valid XML: {error.args[0]}.", hint=hint) from error
+    namespace = etree.QName(root).namespace
+    if namespace is not None:
+        for element in root.iter(f"{{{namespace}}}*"):
+            element.tag = etree.QName(element).localname
+    return root
+
+
+def refuse_xacro(root: Any, source: str) -> None:
+    """Raise RobotError where an element is xacro's. A bare xmlns:xacro is left by expansion."""
+    for element in root.iter(tag=etree.Element):
+        if _XACRO in (etree.QName(element).namespace or ""):
+            raise RobotError(
+                f"{source}: is a xacro file, not a URDF.",
+                got=f"<xacro:{etree.QName(element).localname}> on line {element.sourceline}",
+                hint=_EXPAND,
+            )
+
+
+def attribute(element: Any, name: str, where: str) -> str:
+    """A required attribute that is not empty, or a RobotError."""
+    value = element.get(name)
+    if value is None or not value.strip():
+        raise RobotError(
+            f"{where}: <{element.tag}> needs the attribute '{name}'.",
+            got=dict(element.attrib) or "no attributes",
+        )
+    return str(value).strip()
+
+
+def child(element: Any, tag: str, where: str) -> Any:
+    """A required child element, or a RobotError."""
+    found = element.find(tag)
+    if found is None:
+        raise RobotError(
+            f"{where}: <{element.tag}> needs a <{tag}>.",
+            got=[c.tag for c in element if isinstance(c.tag, str)],
+        )
+    return found
+
+
+def numbers(
+    element: Any, name: str, count: int, where: str, *, finite: bool = True
+) -> list[float] | None:
+    """The numbers of an attribute, or None where there is no such attribute.
+
+    Args:
+        element: an lxml element.
+        name: the attribute.
+        count: how many numbers there must be.
+        where: names the file and the element in errors.
+        finite: refuse infinities too (NaN always is refused).
+
+    Raises:
+        RobotError: not numbers, a wrong count, not finite, or an unexpanded macro.
+    """
+    text = element.get(name)
+    if text is None:
+        return None
+    what = f"{where}: <{element.tag} {name}>"
+    if "${" in text or "$(" in text:
+        raise RobotError(f"{what} holds a xacro macro.", got=text, hint=_EXPAND)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError as error:
+        raise RobotError(f"{what} is not a number.", got=repr(text)) from error
+    if len(values) != count:
+        raise RobotError(f"{what}: wrong count.", got=repr(text), expected=f"{count} numbers")
+    if any(math.isnan(v) or (finite and math.isinf(v)) for v in values):
+        raise RobotError(f"{what} is not finite.", got=repr(text))
+    return values
+
+
+def number(element: Any, name: str, where: str) -> float:
+    """A required number (see `numbers`)."""
+    attribute(element, name, where)
+    values = numbers(element, name, 1, where)
+    assert values is not None
+    return values[0]
+
+
+def origin(element: Any, where: str) -> Tensor:
+    """(4, 4) pose of the <origin> in an element; the identity where there is none."""
+    found = element.find("origin")
+    if found is None:
+        return pose()
+    position = numbers(found, "xyz", 3, where) or [0.0, 0.0, 0.0]
+    xyzw = numbers(found, "quat_xyzw", 4, where)
+    if xyzw is not None:
+        if not any(xyzw):
+            raise RobotError(f"{where}: <origin quat_xyzw> is zero.", got=xyzw)
+        return pose(quaternion([xyzw[3], *xyzw[:3]]), position)
+    rpy = numbers(found, "rpy", 3, where) or [0.0, 0.0, 0.0]
+    return pose(roll_pitch_yaw(rpy), position)
+
+
+def unit_axis(values: list[float], where: str) -> Tensor:
+    """(3,) unit vector along a joint axis; a zero axis is a RobotError."""
+    axis = torch.tensor(values, dtype=torch.float64)
+    # A subnormal axis would give an infinite quotient, so its length is compared, not its entries.
+    if float(axis.norm()) < 1e-12:
+        raise RobotError(f"{where}: the axis has no direction.", got=values)
+    return axis / axis.norm()
