@@ -206,7 +206,7 @@ def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
 
 def _sample(values: np.ndarray) -> str:
     """The type of a column and one of its values that is not a number."""
-    for value in values.ravel()[:100_000].tolist():
+    for value in values.ravel().tolist():
         try:
             float(value)
         except (TypeError, ValueError):
@@ -293,13 +293,39 @@ def _read_csv(path: Path) -> Log:
         keys = [str(k) for k in range(len(names))]
         wanted = {key: name for key, name in zip(keys, names, strict=True) if _wanted(name)}
         _joint_columns(names, path)
-        table = pa.csv.read_csv(
-            path,
-            read_options=pa.csv.ReadOptions(column_names=keys, skip_rows=1, use_threads=False),
-            parse_options=pa.csv.ParseOptions(delimiter=delimiter),
-            convert_options=pa.csv.ConvertOptions(include_columns=list(wanted)),
-        )
-    return log_from_columns({name: _from_arrow(table[key]) for key, name in wanted.items()}, path)
+        try:
+            # The type is given: inferred, it would be that of the first block of lines only.
+            table = _csv_table(path, keys, list(wanted), delimiter, pa.float64())
+        except pa.ArrowInvalid as error:
+            if "conversion error" not in str(error):
+                raise
+            # As text, so that the column and the value can be named.
+            table = _csv_table(path, keys, list(wanted), delimiter, pa.string())
+        columns = {name: _from_arrow(_parsed(table[key])) for key, name in wanted.items()}
+    return log_from_columns(columns, path)
+
+
+def _parsed(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column of a csv as numbers, or as it is where not all of it are numbers."""
+    try:
+        return column.cast(pa.float64())
+    except pa.ArrowInvalid:
+        return column
+
+
+def _csv_table(
+    path: Path, keys: list[str], wanted: list[str], delimiter: str, kind: pa.DataType
+) -> pa.Table:
+    return pa.csv.read_csv(
+        path,
+        read_options=pa.csv.ReadOptions(column_names=keys, skip_rows=1, use_threads=False),
+        parse_options=pa.csv.ParseOptions(delimiter=delimiter),
+        convert_options=pa.csv.ConvertOptions(
+            include_columns=wanted,
+            column_types=dict.fromkeys(wanted, kind),
+            strings_can_be_null=True,
+        ),
+    )
 
 
 def _csv_header(path: Path) -> tuple[list[str], str]:
@@ -333,8 +359,6 @@ def _from_arrow(column: pa.ChunkedArray) -> np.ndarray:
     kind = column.type
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         return column.cast(pa.float64()).to_numpy()
-    if pa.types.is_null(kind) and len(column) == 0:
-        return np.empty(0)  # a csv without rows has columns without type
     return np.array(column.to_pylist(), dtype=object)
 
 

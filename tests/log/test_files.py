@@ -1,0 +1,115 @@
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from torchid.errors import TorchidError
+from torchid.log.files import atomic_write
+
+
+def test_writes_text_and_bytes(tmp_path: Path) -> None:
+    with atomic_write(tmp_path / "a.json") as file:
+        file.write("é\n")
+    with atomic_write(tmp_path / "b.npz", "wb") as file:
+        file.write(b"\x00\n")
+    assert (tmp_path / "a.json").read_bytes() == "é\n".encode()
+    assert (tmp_path / "b.npz").read_bytes() == b"\x00\n"
+    assert sorted(os.listdir(tmp_path)) == ["a.json", "b.npz"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_failure_keeps_the_old_file_and_leaves_nothing(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write() -> None:
+        with atomic_write(path) as file:
+            file.write("half of the new")
+            raise error
+
+    with pytest.raises(error):
+        write()
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_old_file_stands_until_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with atomic_write(path) as file:
+        file.write("new")
+        file.flush()
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+
+
+def test_failure_without_an_old_file_leaves_an_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt"):
+        _ = 1 / 0
+    assert os.listdir(tmp_path) == []
+
+
+def test_missing_folder(tmp_path: Path) -> None:
+    with (
+        pytest.raises(TorchidError, match=r"no folder .*nowhere") as info,
+        atomic_write(tmp_path / "nowhere" / "a.txt"),
+    ):
+        pytest.fail("must not get here")
+    assert "mkdir" in str(info.value)
+
+
+def test_folder_and_file_in_the_way(tmp_path: Path) -> None:
+    with pytest.raises(TorchidError, match="is a folder"), atomic_write(tmp_path):
+        pass
+    (tmp_path / "file").write_text("")
+    with pytest.raises(TorchidError, match="no folder"), atomic_write(tmp_path / "file" / "a"):
+        pass
+
+
+def test_name_too_long(tmp_path: Path) -> None:
+    with (
+        pytest.raises(TorchidError, match="cannot be written"),
+        atomic_write(tmp_path / ("x" * 300)),
+    ):
+        pass
+    assert os.listdir(tmp_path) == []
+
+
+def test_full_disk_is_a_clear_error(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    with pytest.raises(TorchidError, match="No space left"), atomic_write("/dev/full") as file:
+        file.write("x" * 100_000)
+
+
+def test_an_error_about_another_file_is_not_ours(tmp_path: Path) -> None:
+    other = tmp_path / "elsewhere" / "x"
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "a.txt"):
+        other.read_text()
+    assert os.listdir(tmp_path) == []
+
+
+def test_devices_are_written_not_replaced() -> None:
+    with atomic_write(os.devnull) as file:
+        file.write("gone")
+    assert not Path(os.devnull).is_file()
+
+
+def test_links_are_followed_and_permissions_kept(tmp_path: Path) -> None:
+    target, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    with atomic_write(link) as file:
+        file.write("new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+
+
+def test_mode_is_checked(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="mode"), atomic_write(tmp_path / "a", "a"):
+        pass

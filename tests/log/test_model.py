@@ -1,0 +1,175 @@
+import dataclasses
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
+
+from torchid.errors import LogError
+from torchid.log.model import Log
+
+from .examples import same, snapshot, uniform
+
+
+@pytest.fixture
+def three() -> Log:
+    """Three trajectories of 101, 201 and 51 samples."""
+    return Log.concatenate(
+        [uniform(samples=s, names=(f"run{s}",), source=f"{s}.csv") for s in (101, 201, 51)]
+    )
+
+
+def test_defaults() -> None:
+    log = Log(torch.arange(3.0), torch.zeros(3, 2), source="here")
+    assert (log.n, log.samples, log.trajectory_count) == (2, 3, 1)
+    assert log.trajectory.tolist() == [0, 0, 0]
+    assert log.trajectory.dtype == torch.int64
+    assert log.t.dtype == log.q.dtype == torch.float64
+    assert log.names == ("here",)
+    assert log.duration == (2.0,)
+    assert list(log.signals) == ["q"]
+
+
+def test_frozen(three: Log) -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        three.t = three.q  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"t": torch.zeros(0), "q": torch.zeros(0, 2)}, "at least one"),
+        ({"t": torch.zeros(3, 1)}, "shape"),
+        ({"q": torch.zeros(3, 0)}, "one column a joint"),
+        ({"q": torch.zeros(4, 2)}, "q has another size"),
+        ({"dq": torch.zeros(3, 1)}, "dq has another size"),
+        ({"tau": torch.zeros(2, 2)}, "tau has another size"),
+        ({"trajectory": torch.zeros(2, dtype=torch.int64)}, "one trajectory number a sample"),
+        ({"trajectory": torch.tensor([1, 1, 1])}, "consecutive runs"),
+        ({"trajectory": torch.tensor([0, 2, 2])}, "consecutive runs"),
+        ({"trajectory": torch.tensor([0, 1, 0])}, "consecutive runs"),
+        ({"names": ("a", "b")}, "one name a trajectory"),
+    ],
+)
+def test_wrong_sizes(fields: dict, text: str) -> None:
+    # With jaxtyping's hook, the annotations refuse some of them first.
+    with pytest.raises((LogError, TypeCheckError)) as info:
+        Log(**({"t": torch.zeros(3), "q": torch.zeros(3, 2)} | fields))
+    assert info.type is TypeCheckError or text in str(info.value)
+
+
+def test_trajectories(three: Log) -> None:
+    parts = three.trajectories()
+    assert [p.samples for p in parts] == [101, 201, 51]
+    assert [p.names for p in parts] == [("run101",), ("run201",), ("run51",)]
+    assert all((p.trajectory == 0).all() and p.t[0] == 0.0 for p in parts)
+    assert three.duration == pytest.approx((1.0, 2.0, 0.5))
+    again = Log.concatenate(parts)
+    assert same(again, snapshot(three))
+    assert again.names == three.names
+
+
+def test_concatenate_merges_sources_and_warnings() -> None:
+    a = uniform(source="a", warnings=("odd", "both"))
+    b = uniform(source="b", warnings=("both",))
+    log = Log.concatenate([a, b, a])
+    assert log.source == "a, b"
+    assert log.warnings == ("odd", "both")
+    assert log.trajectory_count == 3
+    assert Log.concatenate([a]) is a
+
+
+@pytest.mark.parametrize("name", ["dq", "tau", "current"])
+def test_concatenate_refuses_what_only_some_have(name: str) -> None:
+    with pytest.raises(LogError, match=f"some logs have {name} and others do not") as info:
+        Log.concatenate([uniform(source="with"), uniform(source="without", **{name: None})])
+    assert "'with'" in str(info.value)
+    assert "'without'" in str(info.value)
+
+
+def test_concatenate_leaves_partial_ddq_out() -> None:
+    log = Log.concatenate([uniform(ddq=None), uniform()])
+    assert log.ddq is None
+    assert any("ddq" in warning for warning in log.warnings)
+
+
+def test_concatenate_refuses_other_joint_counts_and_nothing() -> None:
+    with pytest.raises(LogError, match="different numbers of joints"):
+        Log.concatenate([uniform(2), uniform(3)])
+    with pytest.raises(LogError, match="no logs"):
+        Log.concatenate([])
+
+
+def test_with_torque(three: Log) -> None:
+    before = snapshot(three)
+    gain = torch.tensor([2.0, -3.0], dtype=torch.float64)
+    result = three.with_torque(gain)
+    assert three.current is not None
+    assert torch.equal(result.tau, three.current * gain)
+    assert same(three, before)
+    with pytest.raises(LogError, match="one drive gain a joint") as info:
+        three.with_torque(torch.ones(3))
+    assert (info.value.got, info.value.expected) == ((3,), (2,))
+    with pytest.raises(LogError, match="no motor currents") as info:
+        three.replace(current=None).with_torque(gain)
+    assert info.value.available == ["q", "dq", "ddq", "tau"]
+
+
+def test_select_drops_empty_trajectories(three: Log) -> None:
+    middle_gone = three.select(three.trajectory != 1)
+    assert middle_gone.names == ("run101", "run51")
+    assert middle_gone.trajectory.unique().tolist() == [0, 1]
+    assert three.select(slice(None, None, 2)).samples == 177
+    assert three.select(slice(150, 160)).names == ("run201",)
+
+
+def test_select_refuses_nothing_and_nonsense(three: Log) -> None:
+    with pytest.raises(LogError, match="leaves no sample"):
+        three.select(three.t < 0)
+    with pytest.raises(LogError, match="leaves no sample"):
+        three.select(slice(5, 5))
+    with pytest.raises(LogError, match="mask with one value a sample"):
+        three.select(torch.ones(4, dtype=torch.bool))
+
+
+@given(
+    fraction=st.floats(0.1, 0.9),
+    gap=st.floats(0.0, 0.2),
+    sizes=st.lists(st.integers(400, 600), min_size=1, max_size=3),
+)
+def test_split_cuts_every_trajectory(fraction: float, gap: float, sizes: list[int]) -> None:
+    log = Log.concatenate([uniform(samples=s) for s in sizes])
+    first, rest = log.split(fraction, gap)
+    assert first.trajectory_count == rest.trajectory_count == len(sizes)
+    for whole, a, b in zip(
+        log.trajectories(), first.trajectories(), rest.trajectories(), strict=True
+    ):
+        border = fraction * whole.duration[0]
+        assert a.t[0] == whole.t[0]
+        assert b.t[-1] == whole.t[-1]
+        assert a.t[-1] == pytest.approx(border, abs=0.0101)
+        assert b.t[0] == pytest.approx(border + gap, abs=0.0101)
+        assert b.t[0] - a.t[-1] > gap
+
+
+def test_split_without_gap_loses_nothing(three: Log) -> None:
+    first, rest = three.split(0.5)
+    assert first.samples + rest.samples == three.samples
+
+
+@pytest.mark.parametrize(
+    ("fraction", "gap", "text"),
+    [
+        (0.0, 0.0, "fraction"),
+        (1.0, 0.0, "fraction"),
+        (float("nan"), 0.0, "fraction"),
+        (0.5, -1.0, "gap"),
+        (0.5, float("nan"), "gap"),
+        (0.5, 0.4, "'run51' is too short"),
+        (0.001, 0.0, "too short"),
+    ],
+)
+def test_split_refuses(three: Log, fraction: float, gap: float, text: str) -> None:
+    with pytest.raises(LogError, match=text):
+        three.split(fraction, gap)

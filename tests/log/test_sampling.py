@@ -1,0 +1,209 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.log.sampling import is_uniform, resample, sampling_rate, time_steps
+
+from .examples import log_at, motion, same, snapshot, uniform
+
+
+def stamps(seed: int, samples: int = 3000, low: float = 0.7, high: float = 1.3) -> np.ndarray:
+    return np.cumsum(0.01 * np.random.default_rng(seed).uniform(low, high, samples))
+
+
+def drop(t: np.ndarray, *gaps: tuple[int, int]) -> np.ndarray:
+    """t without `count` samples from `start` on, for each (start, count)."""
+    return np.delete(t, [k for start, count in gaps for k in range(start, start + count)])
+
+
+def errors(log: Log) -> dict[str, float]:
+    q, dq, ddq = motion(log.t.numpy(), log.n)
+    true = {"q": q, "dq": dq, "ddq": ddq, "tau": 3 * ddq + np.sin(q), "current": ddq}
+    return {k: float(np.abs(v.numpy() - true[k]).max()) for k, v in log.signals.items()}
+
+
+def test_uniform_log_is_returned_as_it_was() -> None:
+    log = uniform()
+    result = resample(log)
+    assert same(result, snapshot(log))
+    assert result.warnings == ()
+    assert is_uniform(log)
+    assert sampling_rate(log) == [pytest.approx(100.0)]
+
+
+def test_tiny_jitter_moves_only_the_stamps() -> None:
+    t = 0.01 * np.arange(2000) + 4e-6 * np.random.default_rng(0).uniform(-1, 1, 2000)
+    log = log_at(t)
+    result = resample(log)
+    assert is_uniform(log)
+    assert torch.equal(result.q, log.q)
+    assert torch.equal(result.tau, log.tau)
+    assert result.warnings == ()
+    assert not torch.equal(result.t, log.t)
+    assert result.t.diff().max() - result.t.diff().min() < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jitter(seed: int) -> None:
+    log = log_at(stamps(seed), warnings=("kept",))
+    before = snapshot(log)
+    result = resample(log)
+    assert same(log, before)
+    assert not is_uniform(log)
+    assert is_uniform(result)
+    error = errors(result)
+    assert error["q"] < 1e-6
+    assert error["dq"] < 1e-5
+    assert error["tau"] < 1e-2  # linear; accelerations are up to 5 rad/s^2
+    assert result.warnings[0] == "kept"
+    assert "7 / " in result.warnings[1]
+    assert "resampled" in result.warnings[1]
+    assert result.names == log.names
+    assert result.source == log.source
+
+
+def test_alternating_steps_as_on_a_ur10e() -> None:
+    t = np.concatenate([[0.0], np.cumsum(np.tile([0.010, 0.012, 0.010], 1000))])
+    result = resample(log_at(t))
+    assert sampling_rate(result) == [pytest.approx(100.0)]
+    assert errors(result)["q"] < 1e-7
+    assert result.duration[0] == pytest.approx(t[-1], abs=0.01)
+
+
+def test_dropped_packets() -> None:
+    t = drop(0.01 * np.arange(2001), (300, 1), (800, 4), (1500, 8))
+    result = resample(log_at(t))
+    assert result.samples == 2001
+    assert result.trajectory_count == 1
+    assert errors(result)["q"] < 2e-3
+    assert "2 gaps of more than 3 steps" in result.warnings[0]
+    assert "90 ms" in result.warnings[0]
+
+
+def test_torque_never_overshoots() -> None:
+    log = log_at(drop(stamps(3), (800, 4), (1500, 8)))
+    step = torch.sign(log.dq)
+    result = resample(log.replace(tau=step))
+    assert result.tau.abs().max() <= 1.0
+
+
+@pytest.mark.parametrize("count", [25, 200])
+def test_long_gap_splits(count: int) -> None:
+    t = drop(0.01 * np.arange(2001), (500, count))
+    result = resample(log_at(t))
+    assert result.names == ("example[part 1]", "example[part 2]")
+    assert result.samples == 2001 - count
+    assert is_uniform(result)
+    assert errors(result)["tau"] < 1e-12
+    assert "a gap of up to" in result.warnings[0]
+    assert "at 4.990 s" in result.warnings[0]
+    assert result.trajectories()[1].t[0] == pytest.approx(0.01 * (500 + count))
+
+
+def test_fast_log_splits_at_twenty_steps() -> None:
+    t = drop(0.001 * np.arange(4001), (2000, 25))
+    assert resample(log_at(t)).trajectory_count == 2
+    assert resample(log_at(drop(0.001 * np.arange(4001), (2000, 15)))).trajectory_count == 1
+
+
+def test_slow_log_does_not_split_at_every_sample() -> None:
+    t = 0.3 * np.arange(100) + 0.05 * np.random.default_rng(0).uniform(size=100)
+    assert resample(log_at(t)).trajectory_count == 1
+
+
+def test_short_pieces_are_dropped() -> None:
+    t = drop(0.01 * np.arange(2001), (500, 50), (600, 50))
+    result = resample(log_at(t))
+    assert result.trajectory_count == 2
+    assert (
+        "split there into 3 pieces, of which 1 shorter than 1 s were dropped" in result.warnings[0]
+    )
+
+
+def test_nothing_left() -> None:
+    t = np.concatenate([k + 0.01 * np.arange(20) for k in range(10)])
+    with pytest.raises(LogError, match="no piece of 1 s"):
+        resample(log_at(t))
+
+
+def test_one_step_for_trajectories_that_agree() -> None:
+    log = Log.concatenate([uniform(step=0.01), uniform(step=0.01005), uniform(step=0.01)])
+    result = resample(log)
+    assert sampling_rate(result) == pytest.approx([100.0] * 3)
+    assert errors(result)["q"] < 1e-6
+    assert len(result.warnings) == 1
+
+
+def test_a_step_each_for_those_that_do_not() -> None:
+    log = Log.concatenate([uniform(step=0.01), uniform(step=0.02), log_at(stamps(0))])
+    result = resample(log)
+    assert sampling_rate(result)[:2] == pytest.approx([100.0, 50.0])
+    assert torch.equal(result.q[:1002], log.q[:1002])
+    assert result.trajectory_count == 3
+
+
+def test_trajectories_are_not_interpolated_across() -> None:
+    later = uniform(t=5.01 + 0.01 * torch.arange(501.0, dtype=torch.float64))
+    log = Log.concatenate([log_at(stamps(1, 500)), later])
+    result = resample(log)
+    assert torch.equal(result.trajectories()[1].q, later.q)
+
+
+def test_only_positions() -> None:
+    log = log_at(stamps(0), dq=None, ddq=None, tau=None, current=None)
+    assert list(resample(log).signals) == ["q"]
+
+
+def test_nan_stays_where_it_is() -> None:
+    log = log_at(stamps(0))
+    q = log.q.clone()
+    q[1000, 0] = math.nan
+    result = resample(log.replace(q=q))
+    assert 1 <= int(result.q.isnan().sum()) <= 3
+
+
+@pytest.mark.parametrize("function", [resample, sampling_rate, time_steps])
+def test_time_must_increase(function: object) -> None:
+    t = uniform().t.clone()
+    t[10] = t[9]
+    with pytest.raises(LogError, match="does not increase at sample 11") as info:
+        function(uniform(t=t))  # type: ignore[operator]
+    assert "0.09 s, then 0.09 s" in str(info.value)
+    t[10] = math.nan
+    with pytest.raises(LogError, match="does not increase at sample 11"):
+        function(uniform(t=t))  # type: ignore[operator]
+    with pytest.raises(LogError, match="one sample only"):
+        function(uniform(samples=1))  # type: ignore[operator]
+    assert not is_uniform(uniform(t=t))
+    assert not is_uniform(uniform(samples=1))
+
+
+def test_time_steps() -> None:
+    (steps,) = time_steps(log_at(drop(0.01 * np.arange(501), (100, 5))))
+    assert (steps.shortest, steps.median, steps.longest) == pytest.approx((0.01, 0.01, 0.06))
+    assert str(steps).endswith("1 gap of more than 3 steps")
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    seed=st.integers(0, 1000),
+    start=st.sampled_from([0.0, -3.0, 1.7e9]),
+    low=st.floats(0.3, 1.0),
+)
+def test_grid_covers_the_log_and_resampling_twice_changes_nothing(
+    seed: int, start: float, low: float
+) -> None:
+    t = start + stamps(seed, 400, low, 2.0 - low)
+    result = resample(log_at(t))
+    step = 1.0 / sampling_rate(result)[0]
+    assert result.t[0] == t[0]
+    assert t[-1] - step * 1.001 < result.t[-1] <= t[-1] + 1e-4 * step
+    again = resample(result)
+    assert torch.equal(again.q, result.q)
+    assert torch.allclose(again.t, result.t, rtol=0, atol=1e-6)
