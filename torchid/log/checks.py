@@ -195,7 +195,9 @@ def _check_time_unit(log: Log, agreement: Sequence[_Agreement]) -> None:
     clear = [a for a in agreement if a.correlation > FOLLOWS]
     for factor, unit in _TIME_UNITS.items():
         if clear and all(_near(a.ratio, factor) for a in clear):
-            _refuse_time(log, f"looks like {unit}: dq is {clear[0].ratio:.4g} times dq1/dt", step)
+            k, ratio = clear[0].joint + 1, clear[0].ratio
+            why = f"looks like {unit}: dq{k} is {ratio:.4g} times the derivative of q{k}"
+            _refuse_time(log, why, step)
     if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
         why = "and dq disagrees" if clear else "too long for a robot"
         _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
