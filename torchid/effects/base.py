@@ -17,11 +17,27 @@ from torchid.typing import Float
 
 
 class Motion(NamedTuple):
-    """Motion of all joints, each (..., n): q [rad or m], dq [rad/s, m/s], ddq [rad/s^2, m/s^2]."""
+    """Motion of all joints.
+
+    Attributes:
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        direction: (..., n) sign of each joint's motion, where it is known better than from the
+            sign of dq: measured velocity is noise at standstill.
+    """
 
     q: Tensor
     dq: Tensor
     ddq: Tensor
+    direction: Tensor | None = None
+
+    @property
+    def state(self) -> tuple[Tensor, Tensor, Tensor]:
+        """q, dq, ddq: what a rigid body feels."""
+        return self.q, self.dq, self.ddq
+
+    def part(self, rows: slice) -> "Motion":
+        """The motion at some of the instants (first axis)."""
+        return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -60,6 +76,8 @@ class Effect(ABC):
     name: ClassVar[str]
     family: ClassVar[str]
     coefficients: ClassVar[tuple[Coefficient, ...]]
+    jumps: ClassVar[bool] = False
+    """Whether its columns are discontinuous in the motion."""
 
     @abstractmethod
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:

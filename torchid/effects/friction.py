@@ -35,10 +35,13 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb_friction"
     family: ClassVar[str] = "sign"
+    jumps: ClassVar[bool] = True
     coefficients: ClassVar = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
 
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
-        """sign(dq) of the joint, sharp or smooth."""
+        """Direction of the joint's motion: as given, else sign(dq), sharp or smooth."""
+        if motion.direction is not None and self.smoothing == 0:
+            return motion.direction[..., self.joint, None]
         dq = motion.dq[..., self.joint, None]
         return torch.tanh(dq / self.smoothing) if self.smoothing > 0 else torch.sign(dq)
 

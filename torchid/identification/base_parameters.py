@@ -2,8 +2,8 @@
 
 The regressor of many random states, with the columns of the chosen effects behind it, is reduced
 by QR from left to right, in the paper's order: masses, first moments, inertias. A column whose
-diagonal entry of R vanishes is a combination of those before it. With the independent columns
-first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
+diagonal entry of R vanishes is a combination of those before it (see `rank`). With the independent
+columns first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
 
     Y pi = Y1 (pi_1 + K pi_2):     base parameters = G pi,   G = [1 K] with columns put back.
 
@@ -13,7 +13,6 @@ of the fit (see `least_squares`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -21,13 +20,18 @@ from torch import Tensor
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Effect, Motion
 from torchid.errors import IdentificationError
+from torchid.identification.rank import independent_columns
 from torchid.robot.inertia import parameter_names, parameter_units
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
-RANK_TOLERANCE = 1e-6
+RANK_TOLERANCE = 1e-4
 """Relative size below which a diagonal entry of R counts as zero. Kept entries are of order 1e-2
-and above on the arms tried, dropped ones 1e-15; a twist given as 1.5708 for pi/2 makes 1e-6."""
+and above on the arms tried, dropped ones 1e-15; twists written as 1.5708 for pi/2 make 1e-5."""
+
+VISIBLE = 1e-5
+"""Smaller coefficients of a grouping are not shown in its name: they come from twists written with
+a few digits, not from the robot's structure."""
 
 _CLEAR_GAP = 1e3
 
@@ -116,7 +120,7 @@ def stacked_regressor(
     robot: Robot, effects: Sequence[Effect], motion: Motion
 ) -> Float[Tensor, "R P"]:
     """Regressor and effect columns of M states, stacked to (M n, P) (eq. 2.19)."""
-    rigid = regressor(robot, *motion)
+    rigid = regressor(robot, *motion.state)
     columns = []
     for effect in effects:
         own = effect.columns(motion)
@@ -134,13 +138,9 @@ def group_columns(
     n_rigid_parameters: int,
 ) -> BaseParameters:
     """Base parameters from a stacked regressor: which columns are independent, and the grouping."""
-    scale = torch.linalg.vector_norm(y, dim=0)
-    used = scale > RANK_TOLERANCE * scale.max()
-    if not bool(used.any()):
+    kept, diagonal = independent_columns(y, RANK_TOLERANCE)
+    if not bool(kept.any()):
         raise IdentificationError("the torque of this robot depends on no inertial parameter.")
-    scaled = y / torch.where(used, scale, torch.ones_like(scale))
-    diagonal = torch.linalg.qr(scaled, mode="r").R.diagonal().abs() * used
-    kept = diagonal > RANK_TOLERANCE
     independent, dependent = kept.nonzero().flatten(), (~kept).nonzero().flatten()
     r = torch.linalg.qr(y[:, torch.cat([independent, dependent])], mode="r").R
     b = len(independent)
@@ -151,7 +151,9 @@ def group_columns(
     grouping[:, dependent] = k
     gap = (float(diagonal[kept].min()), float(diagonal[~kept].max()) if len(dependent) else 0.0)
     return BaseParameters(
-        names=tuple(_sum_name(row, names, int(i)) for row, i in zip(grouping, independent, strict=True)),
+        names=tuple(
+            _sum_name(row, names, int(i)) for row, i in zip(grouping, independent, strict=True)
+        ),
         units=tuple(units[i] for i in independent),
         parameter_names=tuple(names),
         independent=tuple(independent.tolist()),
@@ -185,7 +187,7 @@ def _gap_warnings(
 
 def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
     """`m3 + m4 - 5 m3c3y`, the independent parameter first, then by index."""
-    order = [lead] + [k for k in row.nonzero().flatten().tolist() if k != lead]
+    order = [lead] + [k for k in (row.abs() > VISIBLE).nonzero().flatten().tolist() if k != lead]
     text = ""
     for k in order:
         value = float(row[k])
@@ -193,6 +195,3 @@ def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         text += f"{sign}{size}{names[k]}"
     return text
-
-
-base_parameters_cached = lru_cache(maxsize=32)(base_parameters)

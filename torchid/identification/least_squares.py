@@ -1,0 +1,292 @@
+"""Least squares on the triangular factor: ordinary, weighted, robust; with physical signs.
+
+    ols     minimises ||tau - Y x||^2;
+    wls     weighs each joint's rows by the inverse of its residual's standard deviation, or whitens
+            them with the residuals' covariance between joints;
+    huber   wls with Huber's weights (c = 1.345), by iteration, the scale being 1.4826 MAD.
+
+The problem enters only through its factor R of [A b], so a pass over the data costs a factor's
+worth of memory. Coefficients that physics forbids to be negative are bounded at zero (bounded
+least squares on R), and are reported by the caller.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from scipy.optimize import lsq_linear
+
+from torchid.errors import IdentificationError
+from torchid.identification.factor import TriangularFactor, stacked_factor
+from torchid.identification.rank import independent_columns
+from torchid.identification.rows import RowBlock, RowSource
+from torchid.typing import Bool, Float, Tensor
+
+Method = Literal["ols", "wls", "huber"]
+METHODS: tuple[Method, ...] = ("ols", "wls", "huber")
+Covariance = Literal["diagonal", "full"]
+COVARIANCES: tuple[Covariance, ...] = ("diagonal", "full")
+
+HUBER = 1.345
+"""95 % efficiency for Gaussian residuals (Huber 1964)."""
+MAD_TO_SIGMA = 1.4826
+
+_MAX_ITERATIONS = 30
+_CONVERGED = 1e-4
+_UNDETERMINED = 1e-7
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Solution of one least-squares problem, columns in the layout's order.
+
+    Attributes:
+        x: (B,) coefficients; 0 where they are held at zero or undetermined.
+        free: (B,) estimated; the others are bounded, undetermined or left out.
+        bounded: (B,) held at zero because the data ask for the sign that physics forbids.
+        undetermined: (B,) without effect in these data.
+        factor: (B + 1, B + 1) R of the weighted [A b].
+        unweighted_factor: (B + 1, B + 1) R of the kept rows, each row weighing one.
+        whitening: (n, n) upper triangular W with W S W' = 1 for the residuals' covariance S.
+        robust: (I, n) square root of Huber's weights; 0 for rows left out.
+        residual: (I, n) unweighted residual.
+        kept: (I, n) rows that took part.
+        iterations: of the reweighting.
+    """
+
+    x: Float[Tensor, " B"]
+    free: Bool[Tensor, " B"]
+    bounded: Bool[Tensor, " B"]
+    undetermined: Bool[Tensor, " B"]
+    factor: Float[Tensor, "C C"]
+    unweighted_factor: Float[Tensor, "C C"]
+    whitening: Float[Tensor, "n n"]
+    robust: Float[Tensor, "I n"]
+    residual: Float[Tensor, "I n"]
+    kept: Bool[Tensor, "I n"]
+    iterations: int
+
+    @property
+    def condition_number(self) -> float:
+        """Condition number of the regressor of the free columns, rows unweighted (as published
+        condition numbers are)."""
+        return _condition(self.unweighted_factor[:-1, :-1][:, self.free])
+
+    @property
+    def scaled_condition_number(self) -> float:
+        """The same with columns scaled to length one: what the choice of units cannot change."""
+        r = self.unweighted_factor[:-1, :-1][:, self.free]
+        return _condition(r / torch.linalg.vector_norm(r, dim=0))
+
+
+def _condition(r: Tensor) -> float:
+    s = torch.linalg.svdvals(r)
+    return float(s[0] / s[-1]) if len(s) else 1.0
+
+
+def fit(
+    source: RowSource,
+    *,
+    method: Method = "huber",
+    covariance: Covariance = "diagonal",
+    non_negative: Bool[Tensor, " B"] | None = None,
+    left_out: Bool[Tensor, " B"] | None = None,
+) -> Fit:
+    """Solve tau = A x over all rows of `source`.
+
+    Args:
+        method: `ols`, `wls` or `huber`.
+        covariance: `diagonal` or `full`, for wls and huber.
+        non_negative: (B,) coefficients bounded at zero.
+        left_out: (B,) coefficients held at zero from the start.
+
+    Raises:
+        IdentificationError: no row to fit.
+    """
+    b = source.layout.size
+    n = source.layout.robot.n
+    signs = torch.zeros(b, dtype=torch.bool) if non_negative is None else non_negative
+    excluded = torch.zeros(b, dtype=torch.bool) if left_out is None else left_out
+    kept = torch.cat([block.keep for block in source])
+    if not bool(kept.any()):
+        raise IdentificationError(
+            "no row is left to fit.",
+            got="no joint ever moves faster than 0.02 rad/s" if source.moving_only else "no sample",
+            hint="use --rows all",
+        )
+    unit = kept.to(torch.float64)
+    plain = factor(source, unit, torch.eye(n, dtype=torch.float64))
+    undetermined = undetermined_columns(plain, excluded)
+    held = excluded | undetermined
+    x, bounded = solve(plain, signs, held)
+    whitening, robust, weighted = torch.eye(n, dtype=torch.float64), unit, plain
+    residual = residuals(source, x)
+    iterations = 0
+    while method != "ols" and iterations < _MAX_ITERATIONS:
+        iterations += 1
+        whitening, robust = _weights(residual, kept, robust, method, covariance)
+        weighted = factor(source, robust, whitening)
+        previous = x
+        x, bounded = solve(weighted, signs, held)
+        residual = residuals(source, x)
+        change = torch.linalg.vector_norm(weighted[:-1, :-1] @ (x - previous))
+        if float(change) <= _CONVERGED * float(weighted[-1, -1].abs() + 1e-300):
+            break
+    return Fit(
+        x, ~(held | bounded), bounded, undetermined, weighted, plain, whitening, robust,
+        residual, kept, iterations,
+    )  # fmt: skip
+
+
+def residuals(source: RowSource, x: Float[Tensor, " B"]) -> Float[Tensor, "I n"]:
+    """tau - A x of all rows."""
+    return torch.cat([block.residual(source.layout, x) for block in source])
+
+
+def factor(
+    source: RowSource, robust: Float[Tensor, "I n"], whitening: Float[Tensor, "n n"]
+) -> Float[Tensor, "C C"]:
+    """R (B + 1, B + 1) of the weighted rows [W A, W b], one pass over the data."""
+    add = _per_joint if _is_diagonal(whitening) else _jointly
+    return add(source, robust, whitening)
+
+
+def _is_diagonal(w: Tensor) -> bool:
+    return bool((w - torch.diag(w.diagonal())).abs().max() == 0)
+
+
+def _per_joint(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
+    columns = source.layout.columns
+    factors = [TriangularFactor(len(c) + 1) for c in columns]
+    scale = whitening.diagonal()
+    for block in source:
+        weight = robust[block.instant] * scale
+        for i, matrix in enumerate(block.matrices):
+            rows = torch.cat([matrix, block.tau[:, i : i + 1]], 1) * weight[:, i : i + 1]
+            factors[i].add(rows)
+    b = source.layout.size
+    wide = []
+    for f, c in zip(factors, columns, strict=True):
+        embedded = torch.zeros(len(c) + 1, b + 1, dtype=torch.float64)
+        embedded[:, [*c, b]] = f.factor()
+        wide.append(embedded)
+    return stacked_factor(wide)
+
+
+def _jointly(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
+    total = TriangularFactor(source.layout.size + 1)
+    for block in source:
+        for rows in whitened_rows(source, block, robust, whitening):
+            total.add(rows)
+    return total.factor()
+
+
+def whitened_rows(
+    source: RowSource, block: RowBlock, robust: Tensor, whitening: Tensor
+) -> list[Float[Tensor, "m C"]]:
+    """Per joint the dense weighted rows (m, B + 1) of [A b]. Huber's weights act on the whitened
+    rows; rows left out are zero before they are mixed."""
+    b = source.layout.size
+    dense = []
+    for i, (matrix, c) in enumerate(zip(block.matrices, source.layout.columns, strict=True)):
+        rows = matrix.new_zeros(matrix.shape[0], b + 1)
+        rows[:, list(c)] = matrix
+        rows[:, b] = block.tau[:, i]
+        dense.append(rows * block.keep[:, i : i + 1])
+    weight = robust[block.instant]
+    mixed = []
+    for i in range(len(dense)):
+        terms = [whitening[i, j] * dense[j] for j in range(len(dense)) if whitening[i, j] != 0]
+        mixed.append(torch.stack(terms).sum(0) * weight[:, i : i + 1])
+    return mixed
+
+
+def _weights(
+    residual: Tensor, kept: Tensor, robust: Tensor, method: Method, covariance: Covariance
+) -> tuple[Tensor, Tensor]:
+    """Whitening matrix, and square roots of the robust weights, from residuals (I, n)."""
+    sigma = _scales(residual, kept, method)
+    if covariance == "full":
+        whitening = _whitening(residual * kept, robust)
+        white = (residual * kept) @ whitening.T
+        white_scale = _scales(white, kept, method)
+        whitening = whitening / white_scale.unsqueeze(-1)
+        white = white / white_scale
+    else:
+        whitening = torch.diag(1 / sigma)
+        white = residual / sigma
+    size = white.abs().clamp(min=1e-300)
+    huber = (HUBER / size).clamp(max=1.0).sqrt() if method == "huber" else torch.ones_like(size)
+    return whitening, huber * kept
+
+
+def _scales(residual: Tensor, kept: Tensor, method: Method) -> Float[Tensor, " n"]:
+    """Noise level per joint; a joint whose rows fit exactly gets the smallest other level."""
+    levels = []
+    for r, k in zip(residual.unbind(-1), kept.unbind(-1), strict=True):
+        own = r[k]
+        if len(own) == 0:
+            levels.append(torch.zeros((), dtype=r.dtype))
+        elif method == "huber":
+            levels.append(MAD_TO_SIGMA * own.abs().median())
+        else:
+            levels.append((own * own).mean().sqrt())
+    sigma = torch.stack(levels)
+    positive = sigma[sigma > 0]
+    floor = positive.min() if len(positive) else torch.ones((), dtype=sigma.dtype)
+    return torch.where(sigma > 0, sigma, floor)
+
+
+def _whitening(residual: Tensor, robust: Tensor) -> Float[Tensor, "n n"]:
+    """Upper triangular W with W S W' = 1. Upper, so that row i mixes only rows j >= i and keeps
+    its zeros for the links before i."""
+    weighted = residual * robust
+    pairs = (robust.T @ robust).clamp(min=1.0)
+    s = weighted.T @ weighted / pairs
+    s = s + 1e-12 * s.diagonal().max() * torch.eye(len(s), dtype=s.dtype)
+    return torch.linalg.cholesky(torch.linalg.inv(s)).T
+
+
+def solve(
+    r: Float[Tensor, "C C"], non_negative: Bool[Tensor, " B"], held: Bool[Tensor, " B"]
+) -> tuple[Float[Tensor, " B"], Bool[Tensor, " B"]]:
+    """Least squares from R of [A b]: (x, bounded), with x = 0 where held.
+
+    Unconstrained first; if a non-negative coefficient comes out negative, bounded-variable least
+    squares (Stark and Parker 1995) on the factor.
+    """
+    b = r.shape[0] - 1
+    free = (~held).nonzero().flatten()
+    x = torch.zeros(b, dtype=r.dtype)
+    bounded = torch.zeros(b, dtype=torch.bool)
+    if len(free) == 0:
+        return x, bounded
+    a, y = r[:, :-1][:, free], r[:, -1]
+    scale = torch.linalg.vector_norm(a, dim=0)
+    scaled = a / scale
+    q, triangle = torch.linalg.qr(scaled)
+    z = torch.linalg.solve_triangular(triangle, (q.T @ y).unsqueeze(-1), upper=True).squeeze(-1)
+    signs = non_negative[free]
+    if bool((z[signs] < 0).any()):
+        lower = np.where(signs.numpy(), 0.0, -np.inf)
+        found = lsq_linear(scaled.numpy(), y.numpy(), (lower, np.inf), method="bvls")
+        z = torch.from_numpy(found.x)
+        z = torch.where(signs & (found_at_bound(found.active_mask)), torch.zeros_like(z), z)
+        bounded[free] = signs & (z == 0)
+    x[free] = z / scale
+    return x, bounded
+
+
+def found_at_bound(active: np.ndarray) -> Tensor:
+    """scipy's active mask as a tensor: True where a lower bound holds."""
+    return torch.from_numpy(np.asarray(active) == -1)
+
+
+def undetermined_columns(
+    r: Float[Tensor, "C C"], held: Bool[Tensor, " B"], tolerance: float = _UNDETERMINED
+) -> Bool[Tensor, " B"]:
+    """Columns that are combinations of earlier ones in these data, or zero; from left to right."""
+    kept = torch.zeros_like(held)
+    kept[~held], _ = independent_columns(r[:, :-1][:, ~held], tolerance)
+    return ~kept & ~held

@@ -1,0 +1,189 @@
+"""From a resampled log to motion that can be put into a regressor, trajectory by trajectory."""
+
+from dataclasses import dataclass
+
+import torch
+
+from torchid.effects.base import Motion
+from torchid.errors import LogError
+from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.typing import Bool, Float, Tensor
+
+MOVING = 0.02
+"""A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
+any torque and the sign of dq is noise."""
+
+WIDE = 5.0
+"""Columns that jump (the sign of a velocity) are computed from motion filtered at this multiple of
+the cut-off, so that a reversal stays sharp until the common filter smooths it like the torque."""
+
+_AGREE = 0.02
+_LAG_WORTH_SAYING = 2e-3
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One trajectory, uniformly sampled and differentiated.
+
+    Attributes:
+        name: of the trajectory.
+        rate: sampling rate [Hz].
+        cutoff: of the motion's filter [Hz], or None for the log as it is.
+        t: (T,) [s].
+        motion: q, dq, ddq, each (T, n), filtered at the cut-off.
+        wide: the same, filtered at `WIDE` times the cut-off, with the direction of each joint.
+        tau: (T, n) measured torque, unfiltered.
+        warnings: sentences for the user.
+    """
+
+    name: str
+    rate: float
+    cutoff: float | None
+    t: Float[Tensor, " T"]
+    motion: Motion
+    wide: Motion
+    tau: Float[Tensor, "T n"]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.t.shape[0]
+
+    @property
+    def moving(self) -> Bool[Tensor, "T n"]:
+        """Whether each joint moves."""
+        return self.motion.dq.abs() > MOVING
+
+    @property
+    def edge(self) -> int:
+        """Samples to leave out at each end: one period of the cut-off."""
+        return 0 if self.cutoff is None else round(self.rate / self.cutoff)
+
+
+def measurements(
+    log: Log, cutoff: float | None, reversal: Float[Tensor, " n"] | None = None
+) -> list[Measurement]:
+    """Filter and differentiate every trajectory of a resampled log that has torques.
+
+    Measured velocity is used where the log has it, otherwise the central difference of position;
+    acceleration is the central difference of velocity, unless the log gives one that agrees with
+    it. With a cut-off all are low-passed with zero phase.
+
+    Args:
+        log: on a uniform grid.
+        cutoff: [Hz], or None for no filter.
+        reversal: (n,) speed a joint must reach before its direction counts as reversed; 0 if None.
+
+    Raises:
+        LogError: no torque in the log, or a trajectory shorter than the filter's edges.
+    """
+    if log.tau is None:
+        raise LogError(
+            f"log '{log.source}' has no torque.",
+            got="current" if log.current is not None else "positions only",
+            expected="columns tau1.., or i1.. and drive gains",
+            hint="give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
+            if log.current is not None
+            else None,
+        )
+    parts = zip(log.trajectories(), sampling_rate(log), strict=True)
+    threshold = torch.zeros(log.n) if reversal is None else reversal
+    return [_measurement(part, rate, cutoff, threshold) for part, rate in parts]
+
+
+def fast_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
+    """Speed that each joint exceeds in one of a hundred samples."""
+    speeds = torch.cat([m.motion.dq.abs() for m in measured])
+    return torch.quantile(speeds[:: max(1, len(speeds) // 100_000)], 0.99, dim=0)
+
+
+def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Float[Tensor, "T n"]:
+    """Direction of motion with hysteresis: the sign of the last velocity above the threshold, so
+    that a joint at rest keeps the direction it came from; 0 before the first such velocity.
+
+    Friction does not reverse at the instant the velocity does: asperities and gear teeth first
+    spring back (presliding), and velocity noise at standstill is no motion at all.
+    """
+    sure = dq.abs() > threshold.to(dq)
+    index = torch.arange(len(dq), device=dq.device).unsqueeze(-1).expand_as(dq)
+    last = torch.cummax(torch.where(sure, index, -torch.ones_like(index)), 0).values
+    sign = torch.sign(dq).gather(0, last.clamp(min=0))
+    return torch.where(last >= 0, sign, torch.zeros_like(sign))
+
+
+def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor) -> Measurement:
+    assert log.tau is not None
+    name = log.names[0]
+    q = log.q.T
+    dq, ddq, warnings = _derivatives(log, rate, cutoff)
+    if cutoff is None:
+        motion = wide = Motion(log.q, dq.T.contiguous(), ddq.T.contiguous())
+    else:
+        motion = _filtered((q, dq, ddq), rate, cutoff)
+        wide = _filtered((q, dq, ddq), rate, WIDE * cutoff)
+    wide = wide._replace(direction=direction(wide.dq, threshold))
+    out = Measurement(name, rate, cutoff, log.t, motion, wide, log.tau, tuple(warnings))
+    if out.samples - 2 * out.edge < 10:
+        raise LogError(
+            f"trajectory '{name}' is too short to be filtered at {cutoff:g} Hz.",
+            got=f"{out.samples} samples at {rate:.4g} Hz",
+            expected=f"at least {2 * out.edge + 10}",
+        )
+    return out
+
+
+def _filtered(signals: tuple[Tensor, ...], rate: float, cutoff: float) -> Motion:
+    """(T, n) signals from (n, T) ones; unfiltered where the cut-off is beyond the log's band."""
+    if cutoff < 0.45 * rate:
+        low_pass = ZeroPhaseFilter(rate, cutoff)
+        signals = tuple(low_pass.apply(x) for x in signals)
+    return Motion(*(x.T.contiguous() for x in signals))
+
+
+def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, Tensor, list[str]]:
+    """dq and ddq (n, T), and what was noticed about the ones measured."""
+    warnings: list[str] = []
+    derivative = central_difference(log.q.T, rate)
+    dq = derivative if log.dq is None else log.dq.T
+    own = central_difference(dq, rate)
+    if log.dq is not None and cutoff is not None:
+        lag, _ = _lag(derivative, dq, rate, cutoff)
+        if abs(lag) > _LAG_WORTH_SAYING:
+            word = "lags" if lag > 0 else "leads"
+            warnings.append(
+                f"{log.names[0]}: measured dq {word} the derivative of q by {abs(lag) * 1e3:.1f} ms"
+            )
+    if log.ddq is None:
+        return dq, own, warnings
+    if cutoff is None:
+        return dq, log.ddq.T, warnings
+    lag, difference = _lag(own, log.ddq.T, rate, cutoff)
+    if difference < _AGREE:
+        return dq, log.ddq.T, warnings
+    warnings.append(
+        f"{log.names[0]}: the log's ddq differs from the derivative of dq by "
+        f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
+    )
+    return dq, own, warnings
+
+
+def _lag(reference: Tensor, signal: Tensor, rate: float, cutoff: float) -> tuple[float, float]:
+    """Median lag [s] of `signal` behind `reference` (n, T), and their relative difference.
+
+    reference(t) = signal(t + lag) to first order; both low-passed, edges left out.
+    """
+    low_pass = ZeroPhaseFilter(rate, min(cutoff, 0.4 * rate))
+    edge = min(round(rate / cutoff), reference.shape[-1] // 4)
+    middle = slice(edge, reference.shape[-1] - edge)
+    a, b = low_pass.apply(reference), low_pass.apply(signal)
+    slope = central_difference(b, rate)[..., middle]
+    gap = (a - b)[..., middle]
+    energy = (slope * slope).sum(-1)
+    active = energy > 1e-6 * energy.max()
+    if not bool(active.any()) or float(energy.max()) == 0.0:
+        return 0.0, 0.0
+    lag = (gap * slope).sum(-1)[active] / energy[active]
+    return float(lag.median()), float(gap.norm() / a[..., middle].norm())

@@ -1,0 +1,135 @@
+"""An identification as plain data: the schema torchid.identification/1 (design: README, Contracts).
+
+Joints are 1-based, numbers are plain floats, and what is not a number (an infinite relative
+standard deviation, say) is null.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from torchid.identification.identify import Identification
+from torchid.identification.validation import Errors
+
+SCHEMA = "torchid.identification/1"
+
+
+def record(result: Identification) -> dict[str, Any]:
+    """The result as JSON-ready data."""
+    settings = result.settings
+    return {
+        "schema": SCHEMA,
+        "robot": result.robot.name,
+        "n_base": result.base.n_rigid,
+        "parameters": [_parameter(result, k) for k in range(result.base.n_rigid)],
+        "effects": _effects(result),
+        "condition_number": _number(result.condition_number),
+        "scaled_condition_number": _number(result.scaled_condition_number),
+        "cutoff_hz": result.cutoff,
+        "cutoff_choice": _choice(result),
+        "reversal_speed": result.reversal.tolist(),
+        "fit": _errors(result.fit),
+        "held_out": None if result.held_out is None else _errors(result.held_out),
+        "bounded": list(result.bounded),
+        "wrong_sign": list(result.wrong_sign),
+        "undetermined": list(result.undetermined),
+        "dropped": list(result.dropped),
+        "absorbed": result.base.absorbed_effects(),
+        "rank_gap": list(result.base.rank_gap),
+        "grouping": {
+            "parameters": list(result.base.parameter_names),
+            "matrix": result.base.grouping.tolist(),
+        },
+        "covariance": result.covariance.tolist(),
+        "statistics": {
+            "method": "delete-a-block jackknife",
+            "blocks": result.uncertainty.blocks,
+            "block_seconds": result.uncertainty.block_seconds,
+            "correlation_seconds": result.uncertainty.correlation_seconds,
+            "quantile95": result.uncertainty.quantile(0.95),
+        },
+        "settings": {
+            "effects": list(settings.effects),
+            "cutoff": settings.cutoff,
+            "reversal": settings.reversal,
+            "rows": settings.rows,
+            "method": settings.method,
+            "covariance": settings.covariance,
+            "signs": settings.signs,
+            "essential": settings.essential,
+            "held_out_fraction": settings.held_out_fraction,
+            "error_cutoff_hz": settings.error_cutoff,
+        },
+        "warnings": list(result.warnings),
+    }
+
+
+def _parameter(result: Identification, k: int) -> dict[str, Any]:
+    low, high = result.interval()[k].tolist()
+    free = bool(result.free[k])
+    return {
+        "name": result.base.names[k],
+        "unit": result.base.units[k],
+        "value": float(result.values[k]),
+        "std": float(result.std[k]) if free else None,
+        "relative_std_percent": _number(float(result.relative_std_percent[k])) if free else None,
+        "ci95": [low, high] if free else None,
+        "estimated": free,
+    }
+
+
+def _effects(result: Identification) -> list[dict[str, Any]]:
+    """One entry a kind of effect, over the joints on which its coefficients are base parameters."""
+    position = {k: b for b, k in enumerate(result.base.independent)}
+    start = 10 * result.robot.n
+    found: dict[str, dict[str, Any]] = {}
+    for effect in result.effects:
+        entry = found.setdefault(
+            effect.name,
+            {
+                "effect": effect.name,
+                "joints": [],
+                "parameters": {c.name: [] for c in effect.coefficients},
+                "std": {c.name: [] for c in effect.coefficients},
+            },
+        )
+        width = len(effect.coefficients)
+        own = [position.get(start + c) for c in range(width)]
+        start += width
+        if None in own:
+            continue
+        entry["joints"].append(effect.joint + 1)
+        for c, b in zip(effect.coefficients, own, strict=True):
+            assert b is not None
+            entry["parameters"][c.name].append(float(result.values[b]))
+            entry["std"][c.name].append(float(result.std[b]) if bool(result.free[b]) else None)
+    return list(found.values())
+
+
+def _errors(e: Errors) -> dict[str, Any]:
+    return {
+        "trajectories": list(e.trajectories),
+        "rmse": _numbers(e.rmse.tolist()),
+        "relative_error_percent": _numbers(e.relative_percent.tolist()),
+        "relative_error_percent_moving": _numbers(e.relative_percent_moving.tolist()),
+        "relative_error_percent_raw": _numbers(e.relative_percent_raw.tolist()),
+        "standstill_fraction": _numbers(e.standstill_fraction.tolist()),
+        "standstill_error_share": _numbers(e.standstill_error_share.tolist()),
+    }
+
+
+def _choice(result: Identification) -> dict[str, Any] | None:
+    if result.cutoff_choice is None:
+        return None
+    return {
+        "candidates_hz": list(result.cutoff_choice.candidates),
+        "cross_validated_error_percent": _numbers(result.cutoff_choice.scores),
+    }
+
+
+def _numbers(values: Iterable[float]) -> list[float | None]:
+    return [_number(v) for v in values]
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,243 @@
+"""The rows of the least-squares problem, in pieces: filtered regressor and torque.
+
+The regressor's columns and the torque pass through the same zero-phase filter and are decimated
+with it. Each torque row keeps only its own non-zero columns: joint i does not feel links before it.
+Pieces are made again for each pass over a long log, and kept for a short one, so memory does not
+grow with the log.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from torchid.dynamics.regressor import regressor_chunks
+from torchid.effects.base import Effect
+from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.motion import Measurement
+from torchid.log.filtering import ZeroPhaseFilter, reflect
+from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+PIECE = 16384
+"""Samples filtered at a time, besides the filter's tails."""
+
+MEMORY = 400e6
+"""Bytes of rows that are kept rather than made again."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which columns each torque row has.
+
+    Columns are ordered by link here, each link's effects behind it, so that torque row i has
+    non-zeros only from link i on; `order` leads back to the order of the base parameters.
+
+    Attributes:
+        robot, base, effects: what is identified.
+        order: (B,) position in `base.independent` of each column.
+        rigid: per torque row the (link, parameter) pairs of its rigid columns.
+        own: per torque row the (effect, coefficient) pairs of its effect columns.
+        columns: per torque row the column numbers, rigid ones first.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    effects: tuple[Effect, ...]
+    order: tuple[int, ...]
+    rigid: tuple[tuple[tuple[int, int], ...], ...]
+    own: tuple[tuple[tuple[int, int], ...], ...]
+    columns: tuple[tuple[int, ...], ...]
+
+    @property
+    def size(self) -> int:
+        """Number of columns B."""
+        return len(self.order)
+
+
+def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Layout:
+    """The columns of each torque row, for the base parameters of a robot with effects."""
+    flat = paper_order(robot.n).tolist()
+    coefficients = [(e, c) for e, effect in enumerate(effects) for c in range(_width(effect))]
+    described = []
+    for position, k in enumerate(base.independent):
+        if k < len(flat):
+            link, parameter = divmod(flat[k], PARAMETERS_PER_LINK)
+            described.append((link, 0, position, (link, parameter)))
+        else:
+            e, c = coefficients[k - len(flat)]
+            described.append((effects[e].joint, 1, position, (e, c)))
+    described.sort()
+    rigid, own, columns = [], [], []
+    for i in range(robot.n):
+        r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] >= i]
+        o = [(j, d[3]) for j, d in enumerate(described) if d[1] == 1 and d[0] == i]
+        rigid.append(tuple(pair for _, pair in r))
+        own.append(tuple(pair for _, pair in o))
+        columns.append(tuple(j for j, _ in r + o))
+    return Layout(
+        robot,
+        base,
+        tuple(effects),
+        tuple(d[2] for d in described),
+        tuple(rigid),
+        tuple(own),
+        tuple(columns),
+    )
+
+
+def _width(effect: Effect) -> int:
+    return len(effect.coefficients)
+
+
+@dataclass(frozen=True)
+class RowBlock:
+    """Rows of m instants.
+
+    Attributes:
+        matrices: per joint (m, columns of its row).
+        tau: (m, n) filtered torque.
+        keep: (m, n) rows that take part in the fit.
+        instant: (m,) running number of the instant over all trajectories.
+    """
+
+    matrices: tuple[Float[Tensor, "m c"], ...]
+    tau: Float[Tensor, "m n"]
+    keep: Bool[Tensor, "m n"]
+    instant: Tensor
+
+    def residual(self, layout: Layout, x: Float[Tensor, " B"]) -> Float[Tensor, "m n"]:
+        """tau minus the rows times x, x in the layout's order."""
+        fitted = [
+            a @ x[list(columns)] for a, columns in zip(self.matrices, layout.columns, strict=True)
+        ]
+        return self.tau - torch.stack(fitted, -1)
+
+
+class RowSource:
+    """All rows of a set of trajectories, as often as needed.
+
+    Args:
+        measured: filtered trajectories.
+        layout: the columns.
+        moving_only: leave out rows whose own joint does not move.
+        progress: called with (pieces done, pieces in all) while a pass is made.
+    """
+
+    def __init__(
+        self,
+        measured: Sequence[Measurement],
+        layout: Layout,
+        *,
+        moving_only: bool = False,
+        progress: Callable[[int, int], None] | None = None,
+    ):
+        self.measured = tuple(measured)
+        self.layout = layout
+        self.moving_only = moving_only
+        self._progress = progress
+        self._kept: list[RowBlock] | None = None
+
+    def __iter__(self) -> Iterator[RowBlock]:
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[RowBlock] | None = [] if self._bytes <= MEMORY else None
+        total = sum(len(_pieces(m)) for m in self.measured)
+        first_instants = itertools.accumulate((_kept_instants(m) for m in self.measured), initial=0)
+        done = 0
+        for m, first in zip(self.measured, first_instants, strict=False):
+            for block in _blocks(m, self.layout, self.moving_only, first):
+                if kept is not None:
+                    kept.append(block)
+                yield block
+                done += 1
+                if self._progress is not None:
+                    self._progress(done, total)
+        self._kept = kept
+
+    @property
+    def instants(self) -> int:
+        """Instants of all blocks together, after decimation."""
+        return sum(_kept_instants(m) for m in self.measured)
+
+    @cached_property
+    def boundaries(self) -> list[int]:
+        """First instant of each trajectory, and the end of the last."""
+        counts = (_kept_instants(m) for m in self.measured)
+        return list(itertools.accumulate(counts, initial=0))
+
+    @property
+    def interval(self) -> list[float]:
+        """Seconds between instants, per trajectory."""
+        return [_step(m) / m.rate for m in self.measured]
+
+    @property
+    def _bytes(self) -> float:
+        return 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
+
+
+def _filter(m: Measurement) -> ZeroPhaseFilter | None:
+    return None if m.cutoff is None else ZeroPhaseFilter(m.rate, m.cutoff)
+
+
+def _step(m: Measurement) -> int:
+    low_pass = _filter(m)
+    return 1 if low_pass is None else low_pass.largest_step
+
+
+def _kept_instants(m: Measurement) -> int:
+    return -(-(m.samples - 2 * m.edge) // _step(m))
+
+
+def _pieces(m: Measurement) -> list[tuple[int, int]]:
+    """Sample ranges between the trajectory's edges, each a whole number of steps long."""
+    length = max(1, PIECE // _step(m)) * _step(m)
+    first, last = m.edge, m.samples - m.edge
+    return [(start, min(start + length, last)) for start in range(first, last, length)]
+
+
+def _blocks(
+    m: Measurement, layout: Layout, moving_only: bool, first_instant: int
+) -> Iterator[RowBlock]:
+    low_pass, step = _filter(m), _step(m)
+    moving = m.moving
+    for start, stop in _pieces(m):
+        tail = 0 if low_pass is None else low_pass.tail
+        lo, hi = max(0, start - tail), min(m.samples, stop + tail)
+        signals = _columns(m, layout, lo, hi)
+        if low_pass is not None:
+            short = hi - lo - 1
+            before = min(tail - (start - lo), short)
+            after = min(tail - (hi - stop), short)
+            extended = reflect(signals, before, after)
+            origin = start - lo + before
+            signals = low_pass.decimated(extended, step, origin, origin + stop - start)
+        widths = [len(c) for c in layout.columns]
+        *matrices, tau = signals.split([*widths, layout.robot.n])
+        keep = moving[start:stop:step] if moving_only else torch.ones_like(tau.T, dtype=torch.bool)
+        count = tau.shape[-1]
+        instant = torch.arange(count, device=tau.device) + first_instant
+        first_instant += count
+        yield RowBlock(tuple(a.T for a in matrices), tau.T, keep, instant)
+
+
+def _columns(m: Measurement, layout: Layout, lo: int, hi: int) -> Float[Tensor, "C M"]:
+    """Unfiltered columns of all torque rows, then the torques, for samples lo..hi."""
+    motion, wide = m.motion.part(slice(lo, hi)), m.wide.part(slice(lo, hi))
+    effect_columns = [e.columns(wide if e.jumps else motion) for e in layout.effects]
+    rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
+    for chunk in regressor_chunks(layout.robot, *motion.state):
+        for i, pairs in enumerate(layout.rigid):
+            if pairs:
+                rows[i].append(chunk.row(i, pairs))
+    parts = []
+    for i, own in enumerate(layout.own):
+        if rows[i]:
+            parts.append(torch.cat(rows[i], -1))
+        if own:
+            parts.append(torch.stack([effect_columns[e][:, c] for e, c in own]))
+    return torch.cat([*parts, m.tau[lo:hi].T])

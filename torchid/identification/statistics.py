@@ -1,0 +1,140 @@
+"""Standard deviations that respect autocorrelation: the delete-a-block jackknife.
+
+Filtered residuals are strongly autocorrelated, and partly model error, so the textbook covariance
+s^2 (A'A)^-1 is far too small. The data are cut into contiguous blocks several correlation times
+long, the weighted problem is solved again without each block, and the spread of the solutions
+
+    V = (K - 1)/K sum_k (x_(k) - mean)(x_(k) - mean)'
+
+estimates the covariance without assuming white, Gaussian or equal residuals (Kuensch 1989).
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import t as student
+
+from torchid.identification.least_squares import Fit, whitened_rows
+from torchid.identification.rows import RowSource
+from torchid.typing import Float, Int, Tensor
+
+CORRELATION_TIMES = 4.0
+FEWEST_BLOCKS = 20
+MOST_BLOCKS = 120
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of the coefficients, in the layout's order.
+
+    Attributes:
+        covariance: (B, B); rows and columns of coefficients that are not free are 0.
+        blocks: number of blocks.
+        block_seconds: their length.
+        correlation_seconds: integrated autocorrelation time of the residuals, largest over joints.
+        warnings: sentences for the user.
+    """
+
+    covariance: Float[Tensor, "B B"]
+    blocks: int
+    block_seconds: float
+    correlation_seconds: float
+    warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> Float[Tensor, " B"]:
+        """Standard deviations (B,)."""
+        return self.covariance.diagonal().clamp(min=0).sqrt()
+
+    def quantile(self, level: float = 0.95) -> float:
+        """Half-width of a two-sided interval in standard deviations (Student, K - 1)."""
+        return float(student.ppf(0.5 + level / 2, max(1, self.blocks - 1)))
+
+
+def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
+    """Covariance of `fit` by leaving out one block at a time."""
+    correlation = correlation_instants(fit.residual * (fit.robust > 0))
+    block, count, length = block_numbers(source, correlation)
+    interval = max(source.interval)
+    warnings = []
+    if length < CORRELATION_TIMES * correlation:
+        warnings.append(
+            f"the log holds only {source.instants / max(correlation, 1):.0f} correlation times of "
+            "the residual: standard deviations are rough, and more likely too small than too large"
+        )
+    grams = _block_grams(source, fit, block, count)
+    covariance = _delete_one(grams, fit)
+    return Uncertainty(
+        covariance, count, length * interval, correlation * interval, tuple(warnings)
+    )
+
+
+def correlation_instants(residual: Float[Tensor, "I n"]) -> float:
+    """Integrated autocorrelation time 1 + 2 sum rho_k [instants], the largest over the joints;
+    the sum ends where it exceeds a fifth of the lag (Sokal's window)."""
+    centred = residual - residual.mean(0)
+    size = 2 ** math.ceil(math.log2(2 * max(2, len(centred))))
+    spectrum = torch.fft.rfft(centred.T, n=size)
+    auto = torch.fft.irfft(spectrum.abs() ** 2, n=size)[:, : len(centred)]
+    longest = 1.0
+    for row in auto:
+        if float(row[0]) <= 0:
+            continue
+        tau = 2 * torch.cumsum(row / row[0], 0) - 1
+        lags = torch.arange(len(tau), dtype=tau.dtype)
+        window = (lags >= 5 * tau).nonzero().flatten()
+        longest = max(longest, float(tau[window[0] if len(window) else -1]))
+    return longest
+
+
+def block_numbers(source: RowSource, correlation: float) -> tuple[Int[Tensor, " I"], int, int]:
+    """Block of each instant, their number, and their length; blocks do not cross trajectories."""
+    total = source.instants
+    length = max(1, math.ceil(CORRELATION_TIMES * correlation), math.ceil(total / MOST_BLOCKS))
+    length = min(length, max(1, total // FEWEST_BLOCKS))
+    numbers, count = [], 0
+    edges = source.boundaries
+    for first, last in itertools.pairwise(edges):
+        here = max(1, round((last - first) / length))
+        local = torch.arange(last - first) * here // max(1, last - first)
+        numbers.append(local + count)
+        count += here
+    return torch.cat(numbers), count, length
+
+
+def _block_grams(source: RowSource, fit: Fit, block: Tensor, count: int) -> Tensor:
+    """(K, F + 1, F + 1) Gram matrices of the weighted rows in coordinates where the whole has
+    unit Gram, F the free columns: well conditioned whatever the units."""
+    free = fit.free.nonzero().flatten()
+    f = len(free)
+    columns = torch.cat([free, torch.tensor([source.layout.size])])
+    basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
+    inverse = torch.linalg.solve_triangular(basis, torch.eye(f, dtype=basis.dtype), upper=True)
+    grams = torch.zeros(count, f + 1, f + 1, dtype=torch.float64)
+    for piece in source:
+        owner = block[piece.instant]
+        for rows in whitened_rows(source, piece, fit.robust, fit.whitening):
+            used = rows[:, columns]
+            z = torch.cat([used[:, :-1] @ inverse, used[:, -1:]], 1)
+            for k in owner.unique().tolist():
+                own = z[owner == k]
+                grams[k] += own.T @ own
+    return grams
+
+
+def _delete_one(grams: Tensor, fit: Fit) -> Float[Tensor, "B B"]:
+    count = grams.shape[0]
+    left = grams.sum(0) - grams
+    estimates = torch.linalg.lstsq(left[:, :-1, :-1], left[:, :-1, -1:]).solution.squeeze(-1)
+    spread = estimates - estimates.mean(0)
+    inner = (count - 1) / count * spread.T @ spread
+    free = fit.free.nonzero().flatten()
+    basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
+    inverse = torch.linalg.solve_triangular(
+        basis, torch.eye(len(free), dtype=basis.dtype), upper=True
+    )
+    covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
+    covariance[free.unsqueeze(-1), free] = inverse @ inner @ inverse.T
+    return covariance

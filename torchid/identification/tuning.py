@@ -1,0 +1,181 @@
+"""What is chosen from the training data alone, by cross-validation: cut-off and reversal speed.
+
+A candidate filters the training data, fits on all but one of five contiguous stretches of every
+trajectory, and predicts the torque of the one left out. All candidates are judged on the same data:
+cut-offs on unfiltered torque, reversal speeds on torque filtered at the cut-off. Rows at standstill
+are not judged: their torque is set by where friction happens to hold the joint.
+
+A low cut-off loses motion that carries torque, a high one feeds noise into the regressor, which
+biases it. A low reversal speed takes velocity noise for motion; a high one delays the friction.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from torchid.errors import LogError
+from torchid.identification.factor import stacked_factor
+from torchid.identification.least_squares import Fit, factor, fit, solve
+from torchid.identification.motion import Measurement, fast_speed, measurements
+from torchid.identification.rows import Layout, RowSource
+from torchid.identification.validation import model_torque
+from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.typing import Bool, Float, Tensor
+
+CUTOFFS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0)
+REVERSALS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.04)
+"""Reversal speeds, as fractions of each joint's 99 % speed."""
+
+WORTH_IT = 1.01
+"""A higher reversal speed must lower the error by more than 1 % to be preferred to a lower one."""
+
+FOLDS = 5
+LONGEST = 60_000
+"""Samples of the training data that take part in a choice."""
+
+Report = Callable[[int, int], None] | None
+
+
+@dataclass(frozen=True)
+class CutoffChoice:
+    """What was tried, and what won.
+
+    Attributes:
+        cutoff: [Hz], or None for no filter.
+        candidates: [Hz] (None: no filter).
+        scores: cross-validated relative error of unfiltered torque, mean over joints [%].
+    """
+
+    cutoff: float | None
+    candidates: tuple[float | None, ...]
+    scores: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Training:
+    """The training data and how they are fitted.
+
+    Attributes:
+        log: on a uniform grid.
+        layout: the columns.
+        moving_only: rows used for the fit.
+        non_negative: (B,) coefficients bounded at zero.
+    """
+
+    log: Log
+    layout: Layout
+    moving_only: bool
+    non_negative: Bool[Tensor, " B"]
+
+
+def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
+    """The cut-off with the lowest mean error over joints.
+
+    Candidates lie between 20 over the shortest trajectory's length and a fifth of the sampling
+    rate; no filter is one of them where the log has accelerations.
+    """
+    log = _shortened(training.log)
+    rate, seconds = min(sampling_rate(log)), min(log.duration)
+    tried: list[float | None] = [f for f in CUTOFFS if 20 / seconds <= f <= rate / 5]
+    if log.ddq is not None:
+        tried.append(None)
+    if not tried:
+        tried = [rate / 5]
+    scores = []
+    for k, cutoff in enumerate(tried):
+        try:
+            measured = measurements(log, cutoff)
+            measured = measurements(log, cutoff, REVERSALS[2] * fast_speed(measured))
+            scores.append(float(_cross_validated(training, measured, filtered=False).mean()))
+        except LogError:
+            scores.append(float("inf"))
+        if report is not None:
+            report(k + 1, len(tried))
+    best = min(range(len(tried)), key=scores.__getitem__)
+    return CutoffChoice(tried[best], tuple(tried), tuple(scores))
+
+
+def choose_reversal(
+    training: Training, cutoff: float | None, report: Report = None
+) -> Float[Tensor, " n"]:
+    """Each joint's reversal speed (n,) [rad/s or m/s]: the lowest whose error of the joint's own
+    torque is within 1 % of the best. Zero where no effect jumps."""
+    speed = fast_speed(measurements(training.log, cutoff))
+    if not any(effect.jumps for effect in training.layout.effects):
+        return torch.zeros_like(speed)
+    log = _shortened(training.log)
+    errors = []
+    for k, fraction in enumerate(REVERSALS):
+        measured = measurements(log, cutoff, fraction * speed)
+        errors.append(_cross_validated(training, measured, filtered=True))
+        if report is not None:
+            report(k + 1, len(REVERSALS))
+    table = torch.stack(errors)
+    best = (table <= WORTH_IT * table.min(0).values).to(torch.uint8).argmax(0)
+    return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed
+
+
+def _shortened(log: Log) -> Log:
+    """The first part of every trajectory, `LONGEST` samples in all."""
+    if log.samples <= LONGEST:
+        return log
+    share = LONGEST / log.samples
+    keep = torch.zeros(log.samples, dtype=torch.bool)
+    for rows in log.slices():
+        keep[rows.start : rows.start + max(1, round((rows.stop - rows.start) * share))] = True
+    return log.select(keep)
+
+
+def _cross_validated(
+    training: Training, measured: list[Measurement], *, filtered: bool
+) -> Float[Tensor, " n"]:
+    """Relative error of the stretches left out, per joint [%]."""
+    source = RowSource(measured, training.layout, moving_only=training.moving_only)
+    whole = fit(source, non_negative=training.non_negative)
+    folds = _fold_factors(source, whole)
+    error = torch.zeros(training.layout.robot.n, dtype=torch.float64)
+    energy = torch.zeros_like(error)
+    for k in range(FOLDS):
+        others = stacked_factor([f for j, f in enumerate(folds) if j != k])
+        x, _ = solve(others, training.non_negative, whole.undetermined)
+        for m in measured:
+            e, t = _left_out(m, training.layout, x, k, filtered)
+            error, energy = error + e, energy + t
+    return 100 * (error / energy.clamp(min=1e-300)).sqrt()
+
+
+def _fold_factors(source: RowSource, whole: Fit) -> list[Float[Tensor, "C C"]]:
+    """Factor of each stretch, with the weights of the whole."""
+    edges = source.boundaries
+    lengths = [b - a for a, b in itertools.pairwise(edges)]
+    fold = torch.cat([torch.arange(length) * FOLDS // max(1, length) for length in lengths])
+    return [
+        factor(source, whole.robust * (fold == k).unsqueeze(-1), whole.whitening)
+        for k in range(FOLDS)
+    ]
+
+
+def _left_out(
+    m: Measurement, layout: Layout, x: Tensor, k: int, filtered: bool
+) -> tuple[Tensor, Tensor]:
+    """Squared error and squared torque (n,) of stretch k of a trajectory, moving rows."""
+    values = torch.empty_like(x)
+    values[list(layout.order)] = x
+    tail = m.edge if filtered else 0
+    inside = m.samples - 2 * m.edge
+    start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
+    part = slice(start - tail, stop + tail)
+    predicted = model_torque(
+        layout.robot, layout.base, layout.effects, values, m.motion.part(part), m.wide.part(part)
+    )
+    measured, moving = m.tau[part], m.moving[start:stop]
+    if filtered and m.cutoff is not None:
+        low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
+        predicted, measured = (low_pass.apply(y.T).T for y in (predicted, measured))
+    judged = slice(tail, tail + stop - start)
+    error = (measured - predicted)[judged] * moving
+    return error.square().sum(0).cpu(), (measured[judged] * moving).square().sum(0).cpu()

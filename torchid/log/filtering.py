@@ -1,0 +1,128 @@
+"""Zero-phase low-pass, and differentiation.
+
+The filter is a Butterworth run forwards and backwards: amplitude 1 / (1 + (tan(pi f / fs) /
+tan(pi fc / fs))^2N) at frequency f, no phase. It is applied in the frequency domain, which makes it
+one batched torch operation on any device and lets the result be decimated on the way out, exactly
+where a time-domain filter followed by picking samples would end up. Ends are extended by odd
+reflection, as scipy.signal.sosfiltfilt does, and a time-domain tail of `settling_time` is kept on
+both sides of a chunk, so that chunks of a long log agree with the whole.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchid.errors import LogError
+from torchid.typing import Float, Signals
+
+ORDER = 4
+SETTLING_PERIODS = 8.0
+"""Length of the filter's tail in periods of the cut-off: the slowest pole of a 4th-order
+Butterworth decays as exp(-0.38 wc t), to 1e-8 after eight periods."""
+
+
+@dataclass(frozen=True)
+class ZeroPhaseFilter:
+    """Forward-backward Butterworth low-pass of order 4.
+
+    Attributes:
+        rate: sampling rate [Hz].
+        cutoff: [Hz], where the amplitude is one half.
+        order: of the one-way filter.
+    """
+
+    rate: float
+    cutoff: float
+    order: int = ORDER
+
+    def __post_init__(self) -> None:
+        if not 0 < self.cutoff < self.rate / 2:
+            raise LogError(
+                "the cut-off frequency is outside the log's band.",
+                got=f"{self.cutoff:g} Hz",
+                expected=f"between 0 and {self.rate / 2:.4g} Hz, half the sampling rate",
+            )
+
+    @property
+    def tail(self) -> int:
+        """Samples after which the impulse response is below 1e-8 of its area."""
+        return math.ceil(SETTLING_PERIODS * self.rate / self.cutoff)
+
+    def response(self, frequency: Float[Tensor, " F"]) -> Float[Tensor, " F"]:
+        """Amplitude at frequencies [Hz] up to half the sampling rate."""
+        warped = torch.tan(math.pi * frequency.clamp(max=self.rate / 2 * (1 - 1e-12)) / self.rate)
+        ratio = warped / math.tan(math.pi * self.cutoff / self.rate)
+        return 1 / (1 + ratio ** (2 * self.order))
+
+    def apply(self, x: Signals) -> Signals:
+        """Filtered signals (..., T), ends extended by odd reflection."""
+        pad = min(self.tail, x.shape[-1] - 1)
+        return self.decimated(reflect(x, pad, pad), 1, pad, pad + x.shape[-1])
+
+    def decimated(self, x: Signals, step: int, start: int, stop: int) -> Signals:
+        """Every `step`-th filtered sample in start..stop of signals (..., T) that already carry
+        their tails on both sides.
+
+        The spectrum is cut above the new Nyquist frequency, where the filter has left nothing:
+        `step` must not exceed `largest_step`.
+        """
+        length = _smooth_multiple(x.shape[-1], step)
+        spectrum = torch.fft.rfft(x, n=length)
+        kept = length // step
+        bins = kept // 2 + 1
+        frequency = torch.arange(bins, dtype=x.dtype, device=x.device) * (self.rate / length)
+        spectrum = spectrum[..., :bins] * self.response(frequency)
+        # The phase shift moves sample `start` onto the decimated grid.
+        offset = start % step
+        if offset:
+            angle = 2 * math.pi * frequency * (offset / self.rate)
+            spectrum = spectrum * torch.polar(torch.ones_like(angle), angle)
+        out = torch.fft.irfft(spectrum, n=kept) / step
+        first = start // step
+        count = max(0, math.ceil((stop - start) / step))
+        return out[..., first : first + count]
+
+    @property
+    def largest_step(self) -> int:
+        """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
+        amplitude has fallen below 3e-6."""
+        return max(1, int(self.rate / (10 * self.cutoff)))
+
+
+def reflect(x: Signals, before: int, after: int) -> Signals:
+    """Signals (..., T) extended by odd reflection about their first and last samples."""
+    if max(before, after) > x.shape[-1] - 1:
+        raise LogError(
+            "a trajectory is too short for the filter.",
+            got=f"{x.shape[-1]} samples",
+            expected=f"more than {max(before, after)}",
+        )
+    pieces = [x]
+    if before:
+        pieces.insert(0, 2 * x[..., :1] - x[..., 1 : before + 1].flip(-1))
+    if after:
+        pieces.append(2 * x[..., -1:] - x[..., -after - 1 : -1].flip(-1))
+    return torch.cat(pieces, -1)
+
+
+def central_difference(x: Signals, rate: float) -> Signals:
+    """Time derivative of signals (..., T): central differences, one-sided at the two ends."""
+    inner = (x[..., 2:] - x[..., :-2]) * (rate / 2)
+    first = (x[..., 1:2] - x[..., :1]) * rate
+    last = (x[..., -1:] - x[..., -2:-1]) * rate
+    return torch.cat([first, inner, last], -1)
+
+
+def _smooth_multiple(length: int, step: int) -> int:
+    """Smallest even multiple of `step`, at least `length`, whose factors the FFT likes."""
+    k = math.ceil(length / step)
+    while True:
+        rest = k
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1 and k % 2 == 0:
+            return k * step
+        k += 1
