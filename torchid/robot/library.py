@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from torchid.errors import RobotError
+from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
 from torchid.robot.yaml_file import read_yaml
 
@@ -10,10 +11,7 @@ _SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
 
 
 def _folder() -> Path:
-    """configs/robots: inside the installed package, or beside it in a checkout."""
-    here = Path(__file__).resolve().parents[1]
-    installed = here / "configs" / "robots"
-    return installed if installed.is_dir() else here.parent / "configs" / "robots"
+    return config_folder("robots")
 
 
 def built_in_robots() -> list[str]:

@@ -1,0 +1,298 @@
+"""Design of exciting trajectories: which motion tells the base parameters apart best.
+
+The error of least squares grows with the condition number of the weighted stacked regressor of the
+base parameters, W Y1 (eq. 2.19, section 2.2), and its covariance is sigma^2 (Y1' W^2 Y1)^-1. Both
+are functions of the trajectory's coefficients, through the closed form of the regressor, so they
+are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits: a
+candidate is first scaled, joint by joint, until it touches them, and the scale is part of what is
+differentiated.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchid.effects.base import Effect, Motion
+from torchid.errors import IdentificationError, TorchidError
+from torchid.identification.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    stacked_regressor,
+)
+from torchid.identification.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
+from torchid.identification.motion_limits import MotionLimits, largest_scale, motion_limits
+from torchid.identification.trajectories import random_trajectory
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+Criterion = Literal["condition", "d_optimal"]
+Progress = Callable[[int, int], None]
+
+_SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
+_RATE = 50.0  # [Hz], for the condition numbers that are reported
+_LEARNING_RATE = 0.1
+_CENTRE_SHARE = 0.9  # of the half range that q0 may use, so that no scale is lost to 0
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A designed trajectory and what the design gained.
+
+    Attributes:
+        trajectory: the best, (n, L), within the limits at every instant.
+        condition_before: (restarts,) condition numbers of the random starts, scaled to the limits
+            like the result; `start_condition` is their median.
+        condition_after: condition number of `trajectory`.
+        criterion: what was improved, `condition` or `d_optimal`.
+        base: the base parameters it was designed for.
+        warnings: sentences for the user.
+    """
+
+    trajectory: FourierTrajectory
+    condition_before: tuple[float, ...]
+    condition_after: float
+    criterion: Criterion
+    base: BaseParameters
+    warnings: tuple[str, ...]
+
+    @property
+    def start_condition(self) -> float:
+        """Median condition number of the random starts."""
+        ordered = sorted(self.condition_before)
+        k = len(ordered)
+        return (ordered[(k - 1) // 2] + ordered[k // 2]) / 2
+
+
+def condition_number(
+    robot: Robot,
+    base: BaseParameters,
+    motion: Motion,
+    weights: Float[Tensor, " n"] | None = None,
+    *,
+    effects: Sequence[Effect] = (),
+) -> float:
+    """Condition number (2-norm) of the weighted stacked regressor of the base parameters.
+
+    Args:
+        robot: kinematics and gravity.
+        base: its base parameters with `effects`.
+        motion: q, dq, ddq, each (..., n); leading axes are stacked.
+        weights: (n,) of the torque rows, e.g. 1 / noise [1/(N m)]; 1 if None.
+        effects: those that `base` was made with.
+
+    Raises:
+        IdentificationError: there are fewer rows than base parameters.
+    """
+    y = base_regressor(robot, base, motion, weights, effects=effects)
+    if y.shape[0] < y.shape[1]:
+        raise IdentificationError(
+            "the motion has fewer torques than there are base parameters.",
+            got=y.shape[0],
+            expected=f"at least {y.shape[1]}",
+        )
+    sizes = torch.linalg.svdvals(torch.linalg.qr(y, mode="r").R)
+    return float(sizes[0] / sizes[-1])
+
+
+def base_regressor(
+    robot: Robot,
+    base: BaseParameters,
+    motion: Motion,
+    weights: Float[Tensor, " n"] | None = None,
+    *,
+    effects: Sequence[Effect] = (),
+) -> Float[Tensor, "R B"]:
+    """Weighted stacked regressor of the base parameters (R, B), R instants times joints.
+
+    Arguments as for `condition_number`. Differentiable in the motion.
+    """
+    flat = Motion(*(x.reshape(-1, robot.n) for x in motion))
+    y = stacked_regressor(robot, effects, flat)
+    if y.shape[1] != len(base.parameter_names):
+        raise ValueError(
+            f"base parameters of {len(base.parameter_names)} columns do not fit a regressor of "
+            f"{y.shape[1]}: were they made with the same effects?"
+        )
+    y = y[:, list(base.independent)]
+    if weights is None:
+        return y
+    return y * weights.to(y).repeat(y.shape[0] // robot.n).unsqueeze(-1)
+
+
+def row_weights(robot: Robot) -> Float[Tensor, " n"] | None:
+    """1 / torque limit of every joint (n,), relative to the strongest; None where one is unknown.
+
+    Drives differ in strength by an order of magnitude and their torque noise with them.
+    """
+    limits = robot.limits.torque
+    if limits is None or not bool(torch.isfinite(limits).all()):
+        return None
+    size = limits.abs().amax(-1)
+    return size.max() / size if bool((size > 0).all()) else None
+
+
+def optimise_trajectory(
+    robot: Robot,
+    effects: Sequence[Effect] = (),
+    *,
+    seed: int,
+    restarts: int = 8,
+    criterion: Criterion = "condition",
+    iterations: int = 250,
+    weights: Float[Tensor, " n"] | None = None,
+    usage: float = 1.0,
+    harmonics: int = HARMONICS,
+    w_f: float = BASE_PULSATION,
+    duration: float = 20.0,
+    ramp: float = 1.0,
+    progress: Progress | None = None,
+) -> Excitation:
+    """The trajectory that determines the base parameters best, within the robot's limits.
+
+    Args:
+        robot: kinematics, gravity and limits.
+        effects: whose coefficients are to be identified too.
+        seed: of the random starts; the result is a function of it.
+        restarts: random starts, optimised in one batch.
+        criterion: `condition`, the condition number, or `d_optimal`, the determinant of the
+            information matrix (the volume of the confidence ellipsoid).
+        iterations: of Adam.
+        weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
+        usage: share of the limits that may be used.
+        harmonics, w_f, duration, ramp: see FourierTrajectory.
+        progress: called with (iterations done, all iterations).
+
+    Raises:
+        RobotError: the limits are incomplete, see `motion_limits`.
+        TorchidError: unknown criterion, or no restarts.
+        IdentificationError: the trajectories have fewer torques than base parameters.
+    """
+    if criterion not in ("condition", "d_optimal"):
+        raise TorchidError(
+            "unknown criterion.", got=criterion, available=["condition", "d_optimal"]
+        )
+    if restarts < 1 or iterations < 0:
+        raise TorchidError(
+            "a design needs at least one start.",
+            got=f"{restarts} restarts, {iterations} iterations",
+        )
+    limits = motion_limits(robot, usage=usage)
+    base = base_parameters(robot, effects)
+    weights = row_weights(robot) if weights is None else weights
+    start = random_trajectory(
+        robot,
+        seed,
+        count=restarts,
+        fill=True,
+        usage=usage,
+        harmonics=harmonics,
+        w_f=w_f,
+        duration=duration,
+        ramp=ramp,
+    )
+
+    def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
+        y = base_regressor(robot, base, trajectory.at(t), weights, effects=effects)
+        y = y.reshape(restarts, -1, len(base))
+        return y.transpose(1, 2) @ y / t.shape[0]
+
+    def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
+        return _cost(information(trajectory, t), criterion)
+
+    def condition(trajectory: FourierTrajectory) -> float:
+        motion = trajectory.sample(_RATE).motion
+        return condition_number(robot, base, motion, weights, effects=effects)
+
+    found = _descend(start, limits, cost, iterations, progress)
+    before = [condition(start.select(k)) for k in range(restarts)]
+    t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
+    # Starts compete too: a search that found nothing better returns the best of them.
+    candidates = [x.select(k) for x in (start, found) for k in range(restarts)]
+    with torch.no_grad():
+        costs = torch.cat([cost(start, t), cost(found, t)])
+    best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
+    return Excitation(
+        best,
+        tuple(before),
+        condition(best),
+        criterion,
+        base,
+        tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
+    )
+
+
+def _cost(information: Float[Tensor, "K B B"], criterion: Criterion) -> Float[Tensor, " K"]:
+    """Logarithm of the condition number, or minus that of the determinant's B-th root, halved."""
+    values = torch.linalg.eigvalsh(information)
+    # Rounding can make the smallest negative where the motion does not excite.
+    values = values.clamp(min=1e-15 * float(values.detach().max()))
+    if criterion == "condition":
+        return (values[:, -1].log() - values[:, 0].log()) / 2
+    return -values.log().mean(-1) / 2
+
+
+def _descend(
+    start: FourierTrajectory,
+    limits: MotionLimits,
+    cost: Callable[[FourierTrajectory, Tensor], Tensor],
+    iterations: int,
+    progress: Progress | None,
+) -> FourierTrajectory:
+    """The best iterate of each restart under Adam, (restarts, n, L)."""
+    middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
+    # Directions (a, b) have any size: the scale to the limits takes it out again.
+    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
+    shape = (start.coefficients / size).clone().requires_grad_()
+    place = torch.atanh(((start.q0 - middle) / reach).clamp(-0.99, 0.99)).requires_grad_()
+    optimiser = torch.optim.Adam([shape, place], lr=_LEARNING_RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, iterations))
+    t = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) * (start.duration / _SAMPLES)
+
+    def candidate() -> FourierTrajectory:
+        a, b = shape.chunk(2, -1)
+        raw = FourierTrajectory(
+            a,
+            b,
+            middle + reach * torch.tanh(place),
+            start.w_f,
+            start.duration,
+            start.ramp,
+            start.warnings,
+        )
+        return raw.scaled(largest_scale(raw, limits))
+
+    lowest = torch.full((start.q0.shape[0],), math.inf, dtype=torch.float64)
+    best = start
+    for done in range(1, iterations + 1):
+        optimiser.zero_grad()
+        now = candidate()
+        costs = cost(now, t)
+        better = costs.detach() < lowest
+        lowest = torch.where(better, costs.detach(), lowest)
+        best = _merge(better, now, best)
+        costs.sum().backward()
+        optimiser.step()
+        schedule.step()
+        if progress is not None:
+            progress(done, iterations)
+    return best
+
+
+def _merge(
+    chosen: Tensor, first: FourierTrajectory, second: FourierTrajectory
+) -> FourierTrajectory:
+    """`first` where chosen (restarts,), else `second`."""
+    wide = chosen[:, None, None]
+    return FourierTrajectory(
+        torch.where(wide, first.a, second.a).detach(),
+        torch.where(wide, first.b, second.b).detach(),
+        torch.where(chosen[:, None], first.q0, second.q0).detach(),
+        first.w_f,
+        first.duration,
+        first.ramp,
+        first.warnings,
+    )

@@ -1,0 +1,148 @@
+"""What a motion may use: position, velocity and acceleration limits of every joint."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchid.effects.base import Motion
+from torchid.errors import RobotError
+from torchid.identification.fourier import FourierTrajectory
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float
+
+_ROUNDING = 1e-9  # what a scale stays below the exact one, relative
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits that every joint has, for the design of motions.
+
+    Attributes:
+        position, velocity, acceleration: (n, 2) lower and upper [rad or m, per s, per s^2]; the
+            last two contain 0.
+        warnings: what was assumed, one sentence each.
+    """
+
+    position: Float[Tensor, "n 2"]
+    velocity: Float[Tensor, "n 2"]
+    acceleration: Float[Tensor, "n 2"]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def all(self) -> Float[Tensor, "3 n 2"]:
+        """Position, velocity, acceleration, stacked (3, n, 2)."""
+        return torch.stack([self.position, self.velocity, self.acceleration])
+
+    @property
+    def middle(self) -> Float[Tensor, " n"]:
+        """Middle of the position range (n,)."""
+        return self.position.mean(-1)
+
+    @property
+    def half_range(self) -> Float[Tensor, " n"]:
+        """Half of the position range (n,)."""
+        return (self.position[:, 1] - self.position[:, 0]) / 2
+
+
+def motion_limits(robot: Robot, *, usage: float = 1.0) -> MotionLimits:
+    """The robot's limits, complete.
+
+    A revolute joint without position limits is given one turn, +-pi, with a warning.
+
+    Args:
+        robot: its limits.
+        usage: share of every limit that may be used, in (0, 1]; of positions about the middle.
+
+    Raises:
+        RobotError: velocity or acceleration limits are missing or do not contain 0, a prismatic
+            joint has no position limits, or `usage` is out of range.
+    """
+    if not 0 < usage <= 1:
+        raise RobotError(
+            "the share of the limits to use is out of range.",
+            got=usage,
+            expected="above 0, at most 1",
+        )
+    limits = robot.limits
+    limits.require("velocity", "acceleration", robot=robot.name, purpose="excitation")
+    assert limits.velocity is not None
+    assert limits.acceleration is not None
+    for name, bounds in (("velocity", limits.velocity), ("acceleration", limits.acceleration)):
+        if bool(((bounds[:, 0] >= 0) | (bounds[:, 1] <= 0)).any()):
+            raise RobotError(
+                f"robot '{robot.name}': {name} limits that do not contain 0 let no joint rest.",
+                got=bounds.tolist(),
+            )
+    position, warnings = _position(robot)
+    middle = position.mean(-1, keepdim=True)
+    return MotionLimits(
+        middle + usage * (position - middle),
+        usage * limits.velocity,
+        usage * limits.acceleration,
+        warnings,
+    )
+
+
+def _position(robot: Robot) -> tuple[Tensor, tuple[str, ...]]:
+    given = robot.limits.position
+    if given is None:
+        given = torch.tensor([[-math.inf, math.inf]] * robot.n, dtype=torch.float64)
+    free = ~torch.isfinite(given).all(-1)
+    slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
+    if bool((free.cpu() & slides).any()):
+        robot.limits.require("position", robot=robot.name, purpose="excitation of a sliding joint")
+    if not bool(free.any()):
+        return given, ()
+    lower, upper = given.unbind(-1)
+    # With one of the two given, the turn starts or ends there.
+    low = torch.where(torch.isfinite(upper), upper - 2 * math.pi, torch.full_like(upper, -math.pi))
+    high = torch.where(torch.isfinite(lower), lower + 2 * math.pi, torch.full_like(lower, math.pi))
+    closed = torch.where(torch.isfinite(lower), lower, low)
+    opened = torch.where(torch.isfinite(upper), upper, high)
+    joints = ", ".join(str(i + 1) for i in free.nonzero().flatten().tolist())
+    warning = (
+        f"robot '{robot.name}' has no position limits for joint {joints}: motions stay within "
+        "one turn, +-pi where neither limit is given."
+    )
+    return torch.stack([closed, opened], -1), (warning,)
+
+
+def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[Tensor, "*batch n"]:
+    """The largest factor (..., n) that keeps each joint inside its limits at every instant.
+
+    Differentiable in the coefficients; infinite (1e12) for a joint that does not move. q0 must lie
+    inside the position limits.
+    """
+    q, dq, ddq = trajectory.extremes()
+    swing = q - trajectory.q0.unsqueeze(-1)
+    room = limits.position.to(q) - trajectory.q0.unsqueeze(-1)
+    scale = torch.full_like(trajectory.q0, 1e12)
+    for extremes, bounds in (
+        (swing, room),
+        (dq, limits.velocity.to(q)),
+        (ddq, limits.acceleration.to(q)),
+    ):
+        # A motion that never goes up is not held by the upper limit.
+        up = bounds[..., 1] / extremes[..., 1].clamp(min=1e-12)
+        down = bounds[..., 0] / extremes[..., 0].clamp(max=-1e-12)
+        scale = torch.minimum(scale, torch.minimum(up, down))
+    return scale * (1 - _ROUNDING)
+
+
+def limit_usage(extremes: Motion, limits: MotionLimits) -> Float[Tensor, "3 *batch n"]:
+    """Share of the limits used (3, ..., n): position, velocity, acceleration; above 1 is too much.
+
+    Args:
+        extremes: lower and upper values, each (..., n, 2), as `FourierTrajectory.extremes`.
+        limits: of the robot; positions are measured from the middle of their range.
+    """
+    bounds = limits.all.to(extremes.q)
+    middle = torch.zeros_like(bounds[..., :1])
+    middle[0] = bounds[0].mean(-1, keepdim=True)
+    shares = [
+        ((value - centre) / (bound - centre)).amax(-1)
+        for value, bound, centre in zip(extremes, bounds, middle, strict=True)
+    ]
+    return torch.stack(shares)

@@ -1,0 +1,209 @@
+"""Trajectories to run on a robot: random, the report's own, sinusoids; and their files."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import yaml
+from torch import Tensor
+
+from torchid.effects.base import Motion
+from torchid.identification.fourier import (
+    BASE_PULSATION,
+    HARMONICS,
+    FourierTrajectory,
+    SampledMotion,
+    sample_times,
+)
+from torchid.identification.motion_limits import largest_scale, motion_limits
+from torchid.log.model import Log
+from torchid.log.readers import write_log
+from torchid.robot.config_files import config_folder
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+LARGEST_COEFFICIENT = 0.5
+"""Random a and b lie within +-0.5 rad/s, as in table 5.1."""
+
+_CENTRE_SHARE = 0.2  # of the half range; table 5.1 has q0 within +-0.5 of +-2.9 rad
+_SHORTEST_PERIOD_SHARE = 0.2  # of a sinusoid's duration
+_SMALLEST_SPEED_SHARE = 0.3  # of the fastest that the limits allow
+
+
+def paper_trajectories_3r() -> FourierTrajectory:
+    """The three trajectories of table 5.1, a batch (3,), with the coefficients as printed.
+
+    They keep the 3R's limits (table 3.3), so no scaling is applied.
+    """
+    path = config_folder("trajectories") / "3r_table_5_1.yaml"
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    a, b, q0 = (
+        torch.tensor([entry[key] for entry in data["trajectories"]], dtype=torch.float64)
+        for key in ("a", "b", "q0")
+    )
+    w_f = math.pi * data["w_f_over_pi"]
+    return FourierTrajectory(a, b, q0, w_f, data["duration"], data["ramp"])
+
+
+def random_trajectory(
+    robot: Robot,
+    seed: int,
+    *,
+    count: int | None = None,
+    fill: bool = False,
+    usage: float = 1.0,
+    harmonics: int = HARMONICS,
+    w_f: float = BASE_PULSATION,
+    duration: float = 20.0,
+    ramp: float = 1.0,
+) -> FourierTrajectory:
+    """Fourier series with random coefficients that keeps the robot's limits at every instant.
+
+    Coefficients are uniform in +-0.5 rad/s (m/s), centres in the inner fifth of the position range,
+    as in table 5.1. A joint that would leave a limit is scaled down until it touches it.
+
+    Args:
+        robot: its limits.
+        seed: of the coefficients.
+        count: how many; a leading batch axis of this length, or none if None.
+        fill: scale every joint, up too, until it touches a limit.
+        usage: share of the limits that may be used.
+        harmonics, w_f, duration, ramp: see FourierTrajectory.
+
+    Raises:
+        RobotError: the limits are incomplete, see `motion_limits`.
+    """
+    limits = motion_limits(robot, usage=usage)
+    generator = torch.Generator().manual_seed(seed)
+    shape = (1 if count is None else count, robot.n)
+
+    def uniform(*size: int) -> Tensor:
+        return 2 * torch.rand(size, generator=generator, dtype=torch.float64) - 1
+
+    a, b = (LARGEST_COEFFICIENT * uniform(*shape, harmonics) for _ in range(2))
+    q0 = limits.middle + _CENTRE_SHARE * limits.half_range * uniform(*shape)
+    raw = FourierTrajectory(a, b, q0, w_f, duration, ramp, limits.warnings)
+    scale = largest_scale(raw, limits)
+    found = raw.scaled(scale if fill else scale.clamp(max=1.0))
+    return found if count is not None else found.select(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sinusoid:
+    """dq_i(t) = A_i sin(2 pi t / T_i) (eq. 5.2), at rest at t = 0, for validation.
+
+    Attributes:
+        amplitude: A (n,) [rad/s or m/s], of either sign.
+        period: T (n,) [s].
+        start: q(0) (n,) [rad or m].
+        duration: [s].
+        warnings: what the user should know.
+    """
+
+    amplitude: Float[Tensor, " n"]
+    period: Float[Tensor, " n"]
+    start: Float[Tensor, " n"]
+    duration: float = 10.0
+    warnings: tuple[str, ...] = ()
+
+    def at(self, t: Float[Tensor, " T"]) -> Motion:
+        """q, dq, ddq at times t (T,): (T, n) each."""
+        w = 2 * math.pi / self.period
+        angle = t.to(w).unsqueeze(-1) * w
+        sin, cos = torch.sin(angle), torch.cos(angle)
+        return Motion(
+            self.start + self.amplitude / w * (1 - cos),
+            self.amplitude * sin,
+            self.amplitude * w * cos,
+        )
+
+    def sample(self, rate: float) -> SampledMotion:
+        """The motion at 0, 1/rate, ... up to the duration; rate [Hz]."""
+        t = sample_times(self.duration, rate)
+        return SampledMotion(t, *self.at(t))
+
+    def extremes(self) -> Motion:
+        """Bounds on q, dq, ddq at any instant: (n, 2) each, lower and upper."""
+        w = 2 * math.pi / self.period
+        size = self.amplitude.abs()
+        ends = torch.stack([self.start, self.start + 2 * self.amplitude / w], -1)
+        both = torch.tensor([-1.0, 1.0]).to(size)
+        return Motion(
+            torch.sort(ends, -1).values,
+            size.unsqueeze(-1) * both,
+            (size * w).unsqueeze(-1) * both,
+        )
+
+
+def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 1.0) -> Sinusoid:
+    """A random validation motion (eq. 5.2) that keeps the robot's limits at every instant.
+
+    Periods are uniform between a fifth of the duration and the whole of it. Given the period T, the
+    three limits allow |A| up to min(v, a T / 2 pi, range pi / T); |A| is uniform between 0.3 and 1
+    of that, the sign random, the start uniform where the stroke A T / pi fits.
+
+    Raises:
+        RobotError: the limits are incomplete, see `motion_limits`.
+    """
+    limits = motion_limits(robot, usage=usage)
+    generator = torch.Generator().manual_seed(seed)
+    period, size, sign, place = torch.rand(
+        4, robot.n, generator=generator, dtype=torch.float64
+    ).unbind()
+    period = duration * (_SHORTEST_PERIOD_SHARE + (1 - _SHORTEST_PERIOD_SHARE) * period)
+    speed, acceleration = (_symmetric(x) for x in (limits.velocity, limits.acceleration))
+    largest = torch.minimum(
+        torch.minimum(speed, acceleration * period / (2 * math.pi)),
+        2 * limits.half_range * math.pi / period,
+    ) * (1 - 1e-9)
+    amplitude = largest * (_SMALLEST_SPEED_SHARE + (1 - _SMALLEST_SPEED_SHARE) * size)
+    amplitude = torch.where(sign < 0.5, -amplitude, amplitude)
+    stroke = amplitude * period / math.pi
+    lowest = limits.position[:, 0] - stroke.clamp(max=0)
+    highest = limits.position[:, 1] - stroke.clamp(min=0)
+    start = lowest + place * (highest - lowest)
+    return Sinusoid(amplitude, period, start, duration, limits.warnings)
+
+
+def _symmetric(bounds: Float[Tensor, "n 2"]) -> Tensor:
+    """The smaller of both limits' sizes: a sinusoid goes as far up as down."""
+    return bounds.abs().amin(-1)
+
+
+def trajectory_log(
+    trajectory: FourierTrajectory | Sinusoid, rate: float, names: Sequence[str] = ()
+) -> Log:
+    """The planned motion as a log without torque: t, q, dq, ddq.
+
+    Args:
+        trajectory: a batch of any shape becomes as many trajectories, in order.
+        rate: samples per second [Hz].
+        names: one a trajectory.
+    """
+    motion = trajectory.sample(rate)
+    samples, n = motion.q.shape[-2:]
+    count = motion.q.numel() // (samples * n)
+    return Log(
+        t=motion.t.repeat(count),
+        q=motion.q.reshape(-1, n),
+        dq=motion.dq.reshape(-1, n),
+        ddq=motion.ddq.reshape(-1, n),
+        trajectory=torch.arange(count).repeat_interleave(samples),
+        names=tuple(names),
+        source="trajectory",
+        warnings=trajectory.warnings,
+    )
+
+
+def write_trajectory(
+    trajectory: FourierTrajectory | Sinusoid, path: str | Path, *, rate: float = 100.0
+) -> None:
+    """Write t, q1.., dq1.., ddq1.. and, for several trajectories, traj, as .csv, .parquet, .npz.
+
+    Raises:
+        LogError: unknown suffix.
+        TorchidError: the file cannot be written, or the rate is too low.
+    """
+    write_log(trajectory_log(trajectory, rate), path)
