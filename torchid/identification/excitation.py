@@ -110,7 +110,9 @@ def base_regressor(
 
     Arguments as for `condition_number`. Differentiable in the motion.
     """
-    flat = Motion(*(x.reshape(-1, robot.n) for x in motion))
+    flat = Motion(*(x.reshape(-1, robot.n) for x in motion.state))
+    if motion.direction is not None:
+        flat = flat._replace(direction=motion.direction.reshape(-1, robot.n))
     y = stacked_regressor(robot, effects, flat)
     if y.shape[1] != len(base.parameter_names):
         raise ValueError(

@@ -26,6 +26,14 @@ _SERIES_STEP = 0.01  # [s], of the grid on which extremes are looked for
 _RAMP_POINTS = 200
 
 
+class Extremes(NamedTuple):
+    """Lower and upper values of q, dq and ddq, each (..., n, 2)."""
+
+    q: Tensor
+    dq: Tensor
+    ddq: Tensor
+
+
 class SampledMotion(NamedTuple):
     """Time stamps (T,) [s] and the motion at them, each (..., T, n) [rad or m, per s, per s^2]."""
 
@@ -115,9 +123,9 @@ class FourierTrajectory:
     def sample(self, rate: float) -> SampledMotion:
         """The motion at 0, 1/rate, ... up to the duration; rate [Hz]."""
         t = sample_times(self.duration, rate).to(self.q0)
-        return SampledMotion(t, *self.at(t))
+        return SampledMotion(t, *self.at(t).state)
 
-    def extremes(self) -> Motion:
+    def extremes(self) -> Extremes:
         """Bounds that q, dq and ddq cannot leave at any instant: each (..., n, 2), lower and upper.
 
         On a grid that contains the ends of the blends, between two grid points h apart a function
@@ -130,7 +138,7 @@ class FourierTrajectory:
         for phi, slack in zip(self._basis(self._grid().to(c)), self._slack(), strict=True):
             values = c @ phi.T
             out.append(torch.stack([values.amin(-1) - slack, values.amax(-1) + slack], -1))
-        return Motion(out[0] + self.q0.unsqueeze(-1), out[1], out[2])
+        return Extremes(out[0] + self.q0.unsqueeze(-1), out[1], out[2])
 
     def scaled(self, factor: Float[Tensor, "*batch n"]) -> "FourierTrajectory":
         """The motion about q0 times a factor a joint (..., n); q0 stays."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Motion
 from torchid.errors import RobotError
-from torchid.identification.fourier import FourierTrajectory
+from torchid.identification.fourier import Extremes, FourierTrajectory
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
@@ -131,7 +130,7 @@ def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[
     return scale * (1 - _ROUNDING)
 
 
-def limit_usage(extremes: Motion, limits: MotionLimits) -> Float[Tensor, "3 *batch n"]:
+def limit_usage(extremes: Extremes, limits: MotionLimits) -> Float[Tensor, "3 *batch n"]:
     """Share of the limits used (3, ..., n): position, velocity, acceleration; above 1 is too much.
 
     Args:

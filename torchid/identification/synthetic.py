@@ -110,7 +110,7 @@ def nominal_torque(robot: Robot, motion: Motion) -> Float[Tensor, "*batch n"]:
     Raises:
         RobotError: the robot has no nominal parameters.
     """
-    return inverse_dynamics(robot, *motion) + nominal_effect_torque(robot, motion)
+    return inverse_dynamics(robot, *motion.state) + nominal_effect_torque(robot, motion)
 
 
 def _check(robot: Robot, motion: Log) -> None:
@@ -143,7 +143,12 @@ def _one(
     """The signals of one trajectory that a log has, (T, n) each."""
     if noise is None or isinstance(noise, PaperNoise):
         moved = true if noise is None else _noisy_motion(true, noise, generator)
-        return {**moved._asdict(), "tau": nominal_torque(robot, moved)}
+        return {
+            "q": moved.q,
+            "dq": moved.dq,
+            "ddq": moved.ddq,
+            "tau": nominal_torque(robot, moved),
+        }
     tau = nominal_torque(robot, true)
     tau = tau + noise.torque_relative * _rms(tau) * _standard(tau, noise.colour_hz, rate, generator)
     measured = {"q": _counted(true.q, noise, robot), "tau": tau}
@@ -155,7 +160,7 @@ def _one(
 
 def _noisy_motion(true: Motion, noise: PaperNoise, generator: torch.Generator) -> Motion:
     size = 10 ** (-noise.snr_db / 20)
-    return Motion(*(x + size * _rms(x) * _standard(x, None, 0.0, generator) for x in true))
+    return Motion(*(x + size * _rms(x) * _standard(x, None, 0.0, generator) for x in true.state))
 
 
 def _counted(q: Tensor, noise: HonestNoise, robot: Robot) -> Tensor:

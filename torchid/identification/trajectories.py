@@ -13,6 +13,7 @@ from torchid.effects.base import Motion
 from torchid.identification.fourier import (
     BASE_PULSATION,
     HARMONICS,
+    Extremes,
     FourierTrajectory,
     SampledMotion,
     sample_times,
@@ -122,15 +123,15 @@ class Sinusoid:
     def sample(self, rate: float) -> SampledMotion:
         """The motion at 0, 1/rate, ... up to the duration; rate [Hz]."""
         t = sample_times(self.duration, rate)
-        return SampledMotion(t, *self.at(t))
+        return SampledMotion(t, *self.at(t).state)
 
-    def extremes(self) -> Motion:
+    def extremes(self) -> Extremes:
         """Bounds on q, dq, ddq at any instant: (n, 2) each, lower and upper."""
         w = 2 * math.pi / self.period
         size = self.amplitude.abs()
         ends = torch.stack([self.start, self.start + 2 * self.amplitude / w], -1)
         both = torch.tensor([-1.0, 1.0]).to(size)
-        return Motion(
+        return Extremes(
             torch.sort(ends, -1).values,
             size.unsqueeze(-1) * both,
             (size * w).unsqueeze(-1) * both,
