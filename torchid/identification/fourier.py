@@ -130,8 +130,8 @@ class FourierTrajectory:
 
         On a grid that contains the ends of the blends, between two grid points h apart a function
         exceeds both by at most h^2/8 times the largest value of its second derivative, which has
-        an analytic bound here. For 20 s and the default ramp the bounds are within 1e-4 of the
-        limits' size of the true extremes.
+        an analytic bound here. For 20 s and the default ramp the bounds are within 2e-4 of the
+        motion's size of the true extremes.
         """
         c = self.coefficients
         out = []
