@@ -64,8 +64,8 @@ class Limits:
                 f"robot '{robot}' has no finite {' and '.join(missing)} limits, "
                 f"which {purpose} needs.",
                 expected="limits: {position: [...], velocity: [...], acceleration: [...]}",
-                hint="add a `limits` entry to the robot's yaml, "
-                "or save one with `torchid robot ROBOT --yaml FILE` and complete it",
+                hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
+                "--max-acceleration on the command line",
             )
 
 

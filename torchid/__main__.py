@@ -1,0 +1,5 @@
+"""`python -m torchid`."""
+
+from torchid.app import main
+
+main()

@@ -1,0 +1,45 @@
+"""The command line: parse, call one function, print, save. No physics.
+
+This module is imported before numpy and torch, and sets their thread counts: two BLAS or OpenMP
+threads can be many times slower than one on a small or shared machine.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+_ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def set_threads(arguments: Sequence[str]) -> None:
+    """Set the thread variables from `--threads N` in the arguments, one thread if absent.
+
+    Variables the user has set stay, unless `--threads` is given.
+    """
+    asked = _threads_asked(arguments)
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    for name in _ONE_EACH:
+        if asked is not None:
+            os.environ[name] = asked
+        else:
+            os.environ.setdefault(name, "1")
+
+
+def _threads_asked(arguments: Sequence[str]) -> str | None:
+    for k, argument in enumerate(arguments):
+        if argument.startswith("--threads="):
+            value = argument.partition("=")[2]
+        elif argument == "--threads" and k + 1 < len(arguments):
+            value = arguments[k + 1]
+        else:
+            continue
+        return value if value.isdigit() and int(value) > 0 else None
+    return None
+
+
+def main() -> None:
+    """Entry point of `torchid` and of cli.py."""
+    set_threads(sys.argv[1:])
+    from torchid.app.commands import run
+
+    run()

@@ -1,0 +1,50 @@
+"""All commands, and what happens when one fails."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from torchid import __version__
+from torchid.app.identify import identify_command
+from torchid.app.robot import robot_command
+from torchid.errors import TorchidError
+
+app = typer.Typer(
+    name="torchid",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="What a robot arm's dynamics really are, and why the simulator disagrees with the arm.",
+)
+app.command("robot")(robot_command)
+app.command("identify")(identify_command)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"torchid {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """What a robot arm's dynamics really are, and why the simulator disagrees with the arm."""
+
+
+def run() -> None:
+    """Run the command line; a TorchidError is one message on stderr and exit code 1."""
+    try:
+        app()
+    except TorchidError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(0)

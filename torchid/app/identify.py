@@ -1,0 +1,232 @@
+"""`torchid identify`: base parameters from logs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from torchid.app.options import (
+    Device,
+    Json,
+    LogArguments,
+    Out,
+    Output,
+    Quiet,
+    RobotArgument,
+    Seed,
+    Threads,
+    Tip,
+    device,
+    open_output,
+    progress_bar,
+)
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.identification.identify import Identification
+    from torchid.log.model import Log
+    from torchid.robot.model import Robot
+
+EFFECTS = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
+
+
+def identify_command(
+    robot: RobotArgument,
+    logs: LogArguments,
+    effects: Annotated[
+        str,
+        typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
+    ] = EFFECTS,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--held-out",
+            metavar="LOG",
+            help="Whole trajectories that take part in no choice. May be given several times.",
+        ),
+    ] = None,
+    held_out_fraction: Annotated[
+        float,
+        typer.Option(
+            help="Without --held-out: the last part of each trajectory kept for validation."
+        ),
+    ] = 0.0,
+    cutoff: Annotated[
+        str, typer.Option(metavar="HZ|auto|none", help="Cut-off of the zero-phase filter.")
+    ] = "auto",
+    reversal: Annotated[
+        str,
+        typer.Option(
+            metavar="FRACTION|auto",
+            help="Speed at which a joint's direction counts as reversed, as a fraction of its "
+            "99 % speed.",
+        ),
+    ] = "auto",
+    rows: Annotated[
+        str,
+        typer.Option(metavar="all|moving", help="Rows fitted: all, or while the own joint moves."),
+    ] = "all",
+    gain: Annotated[
+        str | None,
+        typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar="ols|wls|huber", help="Least squares: plain, weighted, robust.")
+    ] = "huber",
+    covariance: Annotated[
+        str,
+        typer.Option(metavar="diagonal|full", help="Noise between joints, for wls and huber."),
+    ] = "diagonal",
+    signs: Annotated[
+        str,
+        typer.Option(
+            metavar="bounded|free",
+            help="Coefficients physics forbids to be negative: hold at zero or above, or only "
+            "report them.",
+        ),
+    ] = "bounded",
+    essential: Annotated[
+        bool, typer.Option("--essential", help="Drop parameters that cannot be told from zero.")
+    ] = False,
+    error_cutoff: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Report errors under this filter, not the fit's."),
+    ] = None,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    device_name: Device = "cpu",
+) -> None:
+    """Identify base parameters and friction from logs, with standard deviations and validation.
+
+    Example: `torchid identify panda.yaml run1.parquet run2.parquet --held-out run3.parquet
+    --out result`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.identification.identify import Settings, identify
+    from torchid.identification.record import record
+    from torchid.robot.library import load_robot
+
+    settings = Settings(
+        effects=_effect_names(effects),
+        cutoff=_cutoff(cutoff),
+        reversal=_reversal(reversal),
+        rows=_choice("--rows", rows, ("all", "moving")),
+        method=_choice("--method", method, ("ols", "wls", "huber")),
+        covariance=_choice("--covariance", covariance, ("diagonal", "full")),
+        signs=_choice("--signs", signs, ("bounded", "free")),
+        essential=essential,
+        held_out_fraction=held_out_fraction,
+        error_cutoff=error_cutoff,
+    )
+    found = load_robot(robot, tip=tip)
+    gains = None if gain is None else _gains(gain, found)
+    log = _read(logs, gains)
+    apart = None if not held_out else _read(held_out, gains)
+    with progress_bar(output) as progress:
+        result = identify(
+            found,
+            log,
+            held_out=apart,
+            settings=settings,
+            device=device(device_name),
+            progress=progress,
+        )
+    _show(result, output)
+    output.write_json({**record(result), "seed": seed}, "identification.json")
+    _draw(result, output)
+
+
+def _read(paths: list[Path], gains: list[float] | None) -> "Log":
+    import torch
+
+    from torchid.log.readers import read_log
+
+    log = read_log(paths)
+    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
+
+
+def _show(result: "Identification", output: Output) -> None:
+    from torchid.report.identification import headline, tables
+
+    for table in tables(result):
+        output.say(table)
+    output.warn(result.warnings)
+    output.say(f"\n{headline(result)}")
+
+
+def _draw(result: "Identification", output: Output) -> None:
+    """Figures for --out: torques of every trajectory, and how well each parameter is known."""
+    if output.folder is None:
+        return
+    from torchid.report.figures import parameter_figure, save, torque_figure
+    from torchid.robot.model import JointType
+
+    units = ["N" if t is JointType.PRISMATIC else "N m" for t in result.robot.joint_types]
+    drawn = [save(parameter_figure(result), output.folder / "parameters.png")]
+    sets: tuple[tuple[str, Any], ...] = (
+        ("fit", result.fit_predictions),
+        ("held_out", result.held_out_predictions),
+    )
+    for kind, predictions in sets:
+        for prediction in predictions:
+            words = "held-out data" if kind == "held_out" else "fitted data"
+            figure = torque_figure(prediction, units, f"{prediction.name} ({words})")
+            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
+            drawn.append(save(figure, output.folder / f"{kind}_{name}.png"))
+    output.say(f"written to {output.folder}: identification.json, " + ", ".join(
+        path.name for path in drawn
+    ))  # fmt: skip
+
+
+def _effect_names(text: str) -> tuple[str, ...]:
+    from torchid.effects.registry import effect_kind
+
+    if text.strip() in ("", "none"):
+        return ()
+    return tuple(effect_kind(name.strip()).name for name in text.split(","))
+
+
+def _cutoff(text: str) -> float | Literal["auto"] | None:
+    if text == "auto":
+        return "auto"
+    if text == "none":
+        return None
+    value = _float("--cutoff", text, "a frequency in Hz, `auto` or `none`")
+    if value <= 0:
+        raise TorchidError("--cutoff must be positive.", got=text)
+    return value
+
+
+def _reversal(text: str) -> float | Literal["auto"]:
+    if text == "auto":
+        return "auto"
+    value = _float("--reversal", text, "a fraction of the 99 % speed, or `auto`")
+    if not 0 <= value < 1:
+        raise TorchidError("--reversal is a fraction of the 99 % speed.", got=text, expected="0..1")
+    return value
+
+
+def _gains(text: str, robot: "Robot") -> list[float]:
+    values = [_float("--gain", part, "numbers separated by commas") for part in text.split(",")]
+    if len(values) != robot.n:
+        raise TorchidError(
+            "--gain needs one drive gain a joint.", got=len(values), expected=robot.n
+        )
+    return values
+
+
+def _choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
+    if value not in allowed:
+        raise TorchidError(f"{option} has no choice '{value}'.", available=allowed)
+    return value
+
+
+def _float(option: str, text: str, expected: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise TorchidError(f"{option} is not a number.", got=text, expected=expected) from None

@@ -1,0 +1,181 @@
+"""Options that every computing command takes, and what they do."""
+
+import json
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from torchid.errors import TorchidError
+from torchid.log.files import atomic_write
+
+RobotArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT", help="Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file."
+    ),
+]
+LogArguments = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...",
+        help="Logs (.parquet, .csv, .npz): t, q1.., and dq1.., tau1.. or i1.. . "
+        "Several files are several trajectories.",
+    ),
+]
+Tip = Annotated[
+    str | None,
+    typer.Option("--tip", metavar="LINK", help="URDF, MJCF: last link of the chain."),
+]
+Json = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for JSON, tables and figures.")
+]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        "--threads",
+        min=1,
+        help="Threads of torch and BLAS (default 1: fastest on shared machines).",
+    ),
+]
+Device = Annotated[str, typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ...")]
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command's results go.
+
+    Attributes:
+        json_file: from --json.
+        folder: from --out.
+        quiet: from --quiet.
+        console: for people, on standard output.
+    """
+
+    json_file: Path | None
+    folder: Path | None
+    quiet: bool
+    console: Console
+
+    def write_json(self, data: dict[str, Any], name: str) -> None:
+        """To --json and to DIR/name, whichever were given."""
+        text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+        targets = [self.json_file, None if self.folder is None else self.folder / name]
+        for target in targets:
+            if target is not None:
+                with atomic_write(target, "w") as stream:
+                    stream.write(text)
+
+    def say(self, *objects: Any) -> None:
+        """Print for people, unless quiet."""
+        if not self.quiet:
+            self.console.print(*objects)
+
+    def warn(self, warnings: tuple[str, ...]) -> None:
+        """Print warnings, one a line."""
+        for warning in warnings:
+            self.say(f"[yellow]![/] {_plain(warning)}")
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", r"\[")
+
+
+def open_output(
+    json_file: Path | None, folder: Path | None, quiet: bool, threads: int | None = None
+) -> Output:
+    """Check that results can be written before any work is done, and set torch's threads.
+
+    Raises:
+        TorchidError: a folder that does not exist or cannot be written.
+    """
+    if folder is not None:
+        _make_folder(folder)
+    if json_file is not None:
+        if json_file.is_dir():
+            raise TorchidError(f"--json needs a file, and '{json_file}' is a folder.")
+        if not json_file.parent.is_dir():
+            raise TorchidError(f"the folder of '{json_file}' does not exist.")
+        _probe(json_file.parent)
+    _set_torch_threads(threads)
+    logging.basicConfig(level=logging.ERROR if quiet else logging.WARNING, format="%(message)s")
+    return Output(json_file, folder, quiet, _console())
+
+
+def _console() -> Console:
+    """As wide as the terminal; wide enough for the tables where there is none."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=120)
+
+
+def _set_torch_threads(threads: int | None) -> None:
+    import torch
+
+    torch.set_num_threads(threads or 1)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TorchidError(
+            f"the output folder '{folder}' cannot be made: {error.strerror or error}."
+        ) from error
+    _probe(folder)
+
+
+def _probe(folder: Path) -> None:
+    """A file really written and removed: permission bits say nothing to root or of a full disk."""
+    probe = folder / ".torchid-write-test"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise TorchidError(
+            f"the folder '{folder}' cannot be written: {error.strerror or error}."
+        ) from error
+
+
+def device(name: str) -> str:
+    """A device that exists, or a TorchidError."""
+    import torch
+
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as error:
+        raise TorchidError(
+            f"device '{name}' cannot be used.",
+            got=str(error).splitlines()[0],
+            available=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))],
+        ) from error
+    return name
+
+
+@contextmanager
+def progress_bar(output: Output) -> Iterator[Callable[[str, int, int], None] | None]:
+    """A callback (stage, done, total) that draws one bar; None when there is no terminal."""
+    if output.quiet or not output.console.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, TimeElapsedColumn(), console=output.console, transient=True
+    ) as progress:
+        task = progress.add_task("", total=None)
+
+        def report(stage: str, done: int, total: int) -> None:
+            progress.update(task, description=stage, completed=done, total=total)
+
+        yield report
