@@ -2,11 +2,15 @@
 
 Filtered residuals are strongly autocorrelated, and partly model error, so the textbook covariance
 s^2 (A'A)^-1 is far too small. The data are cut into contiguous blocks several correlation times
-long, the weighted problem is solved again without each block, and the spread of the solutions
+long, the problem is solved again without each block, and the spread of the solutions
 
     V = (K - 1)/K sum_k (x_(k) - mean)(x_(k) - mean)'
 
-estimates the covariance without assuming white, Gaussian or equal residuals (Kuensch 1989).
+estimates the covariance without assuming white, Gaussian or equal residuals (Kuensch 1989). For
+Huber's estimate each solution is one Newton step from the whole one, x_(k) = x - (H - H_k)^-1 g_k:
+g sums psi(r) a over the block's rows and H sums a a' over its rows that are not clipped. Repeating
+the fit with the weights held would take clipped rows for informative ones, and give standard
+deviations that are a sixth too small.
 """
 
 import itertools
@@ -64,8 +68,7 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
             f"the log holds only {source.instants / max(correlation, 1):.0f} correlation times of "
             "the residual: standard deviations are rough, and more likely too small than too large"
         )
-    grams = _block_grams(source, fit, block, count)
-    covariance = _delete_one(grams, fit)
+    covariance = _spread_without_blocks(source, fit, block, count)
     return Uncertainty(
         covariance, count, length * interval, correlation * interval, tuple(warnings)
     )
@@ -104,37 +107,42 @@ def block_numbers(source: RowSource, correlation: float) -> tuple[Int[Tensor, " 
     return torch.cat(numbers), count, length
 
 
-def _block_grams(source: RowSource, fit: Fit, block: Tensor, count: int) -> Tensor:
-    """(K, F + 1, F + 1) Gram matrices of the weighted rows in coordinates where the whole has
-    unit Gram, F the free columns: well conditioned whatever the units."""
+def _spread_without_blocks(
+    source: RowSource, fit: Fit, block: Tensor, count: int
+) -> Float[Tensor, "B B"]:
+    """Jackknife covariance, computed in coordinates where the whole problem has unit Gram."""
     free = fit.free.nonzero().flatten()
-    f = len(free)
-    columns = torch.cat([free, torch.tensor([source.layout.size])])
     basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(basis, torch.eye(f, dtype=basis.dtype), upper=True)
-    grams = torch.zeros(count, f + 1, f + 1, dtype=torch.float64)
-    for piece in source:
-        owner = block[piece.instant]
-        for rows in whitened_rows(source, piece, fit.robust, fit.whitening):
-            used = rows[:, columns]
-            z = torch.cat([used[:, :-1] @ inverse, used[:, -1:]], 1)
-            for k in owner.unique().tolist():
-                own = z[owner == k]
-                grams[k] += own.T @ own
-    return grams
-
-
-def _delete_one(grams: Tensor, fit: Fit) -> Float[Tensor, "B B"]:
-    count = grams.shape[0]
-    left = grams.sum(0) - grams
-    estimates = torch.linalg.lstsq(left[:, :-1, :-1], left[:, :-1, -1:]).solution.squeeze(-1)
-    spread = estimates - estimates.mean(0)
+    eye = torch.eye(len(free), dtype=basis.dtype)
+    inverse = torch.linalg.solve_triangular(basis, eye, upper=True)
+    hessians, gradients = _block_sums(source, fit, inverse, block, count)
+    left = hessians.sum(0) - hessians
+    steps = torch.linalg.lstsq(left, gradients.unsqueeze(-1)).solution.squeeze(-1)
+    spread = steps - steps.mean(0)
     inner = (count - 1) / count * spread.T @ spread
-    free = fit.free.nonzero().flatten()
-    basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(
-        basis, torch.eye(len(free), dtype=basis.dtype), upper=True
-    )
     covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
     covariance[free.unsqueeze(-1), free] = inverse @ inner @ inverse.T
     return covariance
+
+
+def _block_sums(
+    source: RowSource, fit: Fit, inverse: Tensor, block: Tensor, count: int
+) -> tuple[Float[Tensor, "K F F"], Float[Tensor, "K F"]]:
+    """H_k and g_k of every block."""
+    free = fit.free.nonzero().flatten()
+    hessians = torch.zeros(count, len(free), len(free), dtype=torch.float64)
+    gradients = torch.zeros(count, len(free), dtype=torch.float64)
+    unit = (fit.robust > 0).to(torch.float64)
+    for piece in source:
+        owner = block[piece.instant]
+        weight = fit.robust[piece.instant].square()
+        for i, rows in enumerate(whitened_rows(source, piece, unit, fit.whitening)):
+            residual = rows[:, -1] - rows[:, :-1] @ fit.x
+            z = rows[:, free] @ inverse
+            informative = z * (weight[:, i] == 1).unsqueeze(-1)
+            pull = z * (weight[:, i] * residual).unsqueeze(-1)
+            for k in owner.unique().tolist():
+                own = owner == k
+                hessians[k] += informative[own].T @ z[own]
+                gradients[k] += pull[own].sum(0)
+    return hessians, gradients
