@@ -34,9 +34,7 @@ def bias_torque(
     return _torques(robot, chain_geometry(robot), q, rates, [0.0] * robot.n, parameters)
 
 
-def gravity_torque(
-    robot: Robot, q: Joints, parameters: InertialParameters | None = None
-) -> Joints:
+def gravity_torque(robot: Robot, q: Joints, parameters: InertialParameters | None = None) -> Joints:
     """g(q) (..., n) [N m]."""
     still = [0.0] * robot.n
     return _torques(robot, chain_geometry(robot), q, still, still, parameters)

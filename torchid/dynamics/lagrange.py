@@ -47,9 +47,7 @@ def mass_matrix(
     return _over_batch(one, q)
 
 
-def gravity_torque(
-    robot: Robot, q: Joints, parameters: InertialParameters | None = None
-) -> Joints:
+def gravity_torque(robot: Robot, q: Joints, parameters: InertialParameters | None = None) -> Joints:
     """g(q) (..., n): the gradient of U (eq. 2.11)."""
     return _over_batch(grad(lambda x: potential_energy(robot, x, parameters)), q)
 
@@ -80,7 +78,16 @@ def inverse_dynamics(
     ddq: Joints,
     parameters: InertialParameters | None = None,
 ) -> Joints:
-    """tau = M(q) ddq + S(q, dq) dq + g(q) (..., n) [N m] (eq. 2.15)."""
+    """tau = M(q) ddq + S(q, dq) dq + g(q) (..., n) [N m; N for prismatic joints] (eq. 2.15).
+
+    Args:
+        robot: kinematics and gravity.
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        parameters: one set (n, 10); the robot's nominal ones if None.
+
+    Raises:
+        RobotError: no parameters given and none in the robot.
+    """
     inertial = mass_matrix(robot, q, parameters) @ ddq.unsqueeze(-1)
     coriolis = coriolis_matrix(robot, q, dq, parameters) @ dq.unsqueeze(-1)
     return (inertial + coriolis).squeeze(-1) + gravity_torque(robot, q, parameters)
@@ -94,5 +101,8 @@ def _over_batch(function, *inputs: Tensor) -> Tensor:  # type: ignore[no-untyped
     batch, n = inputs[0].shape[:-1], inputs[0].shape[-1]
     if not batch:
         return function(*inputs)
+    if 0 in batch:
+        one = function(*(x.new_zeros(n) for x in inputs))
+        return one.new_zeros(*batch, *one.shape)
     out = vmap(function, chunk_size=512)(*(x.reshape(-1, n) for x in inputs))
     return out.reshape(*batch, *out.shape[1:])

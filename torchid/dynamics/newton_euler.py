@@ -1,6 +1,7 @@
 """Newton-Euler inverse dynamics (eqs. 2.12-2.14) and the wrench at every joint (eq. 2.32)."""
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -11,9 +12,11 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Joints, Wrenches
 
-CHUNK = 8184
+CHUNK = 12280
 """Samples at a time: long enough to hide the cost of a kernel call, short enough for the cache, and
 not a power of two, whose strides share cache lines (benchmarks/dynamics.py)."""
+
+_KEEP_FREED_BYTES = 31 * 2**20
 
 
 def inverse_dynamics(
@@ -102,13 +105,27 @@ def _stack(values: Sequence[Scalar], like: Tensor) -> Tensor:
     return torch.stack(full, -1)
 
 
-def column_chunks(
-    *signals: Float[Tensor, "M n"], size: int
-) -> Iterator[list[tuple[Tensor, ...]]]:
-    """Pieces of at most `size` samples, each signal as n contiguous columns."""
-    total = signals[0].shape[0]
-    for start in range(0, total, size):
-        yield [x[start : start + size].T.contiguous().unbind(0) for x in signals]
+@cache
+def _keep_freed_memory() -> None:
+    """Have the C library keep freed memory instead of giving every chunk's back to the system.
+
+    glibc raises its threshold for that to the largest mapped block (up to 32 MB) it has seen freed.
+    Without this, each chunk asks for its pages again, which doubles the time of a regressor.
+    """
+    torch.empty(_KEEP_FREED_BYTES, dtype=torch.uint8)
+
+
+def transposed_chunks(*signals: Float[Tensor, "M n"], size: int) -> Iterator[list[Tensor]]:
+    """Pieces of at most `size` samples, each signal as a contiguous (n, m)."""
+    _keep_freed_memory()
+    for start in range(0, signals[0].shape[0], size):
+        yield [x[start : start + size].T.contiguous() for x in signals]
+
+
+def column_chunks(*signals: Float[Tensor, "M n"], size: int) -> Iterator[list[tuple[Tensor, ...]]]:
+    """Pieces of at most `size` samples, each signal as n contiguous columns (m,)."""
+    for piece in transposed_chunks(*signals, size=size):
+        yield [x.unbind(0) for x in piece]
 
 
 def _in_chunks(function, q: Tensor, dq: Tensor, ddq: Tensor) -> Tensor:  # type: ignore[no-untyped-def]

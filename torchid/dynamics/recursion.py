@@ -217,78 +217,62 @@ def _half_sum(a: Scalar, b: Scalar, minus: Scalar) -> Scalar:
     return mul(fma(add(a, b), minus, -1.0), 0.5)
 
 
-def screw_rows(geometry: ChainGeometry, links: Sequence[Link]) -> list[tuple[Vec3, Vec3]]:
-    """For every link l, what unit rates of joints 0..l move it: (v, w) as Vec3 of (l+1, M).
-
-    v is the velocity of link frame l's origin, w its angular velocity, in link axes. Joint torque
-    i is then v . f + w . n summed over links l >= i (virtual work).
-    """
-    out: list[tuple[Vec3, Vec3]] = []
-    v = w = None
-    for joint, link in zip(geometry.joints, links, strict=True):
-        like = _like(link)
-        own_w = joint.axis if joint.revolute else ZERO
-        own_v = cross(joint.axis, link.offset) if joint.revolute else joint.axis
-        if v is not None and w is not None:
-            v = _transposed(link.rotation, add_cross(v, w, joint.previous_offset))
-            w = _transposed(link.rotation, w)
-            v = add_cross(v, w, link.offset)
-        v, w = _append(v, own_v, like), _append(w, own_w, like)
-        out.append((v, w))
-    return out
-
-
-def _like(link: Link) -> Tensor:
-    """Any tensor of the batch's shape."""
-    for row in (*link.rotation, link.offset):
-        for entry in row:
-            if isinstance(entry, Tensor):
-                return entry
-    raise AssertionError("a joint's motion is a tensor, so its rotation or offset is one")
-
-
-def _append(rows: Vec3 | None, own: Vec3, like: Tensor) -> Vec3:
-    def one(k: int) -> Tensor:
-        entry = own[k]
-        last = entry if isinstance(entry, Tensor) else torch.full_like(like, entry)
-        if rows is None:
-            return last.unsqueeze(0)
-        first = rows[k]
-        assert isinstance(first, Tensor)
-        return torch.cat([first, last.unsqueeze(0)])
-
-    return Vec3(one(0), one(1), one(2))
-
-
-def regressor_columns(
+def regressor_rows(
     geometry: ChainGeometry, links: Sequence[Link]
-) -> list[tuple[Tensor, ...]]:
-    """Closed form of the regressor: for every link l ten tensors (l+1, M), its columns for the
-    torque rows 0..l (rows below are zero: joint i does not feel links before it).
+) -> list[list[tuple[Scalar, ...]]]:
+    """Closed form of the regressor: for every torque i, for every link l >= i, ten entries.
 
-    Row i of a column is v . f + w . n for the unit parameter, see `screw_rows`.
+    Torque i feels link l by virtual work: a unit rate of joint i gives link l the angular velocity
+    w and its frame's origin the velocity v, and the torque is v . f + w . n. Links before the joint
+    do not move and are left out.
+
+    Args:
+        geometry: of the robot.
+        links: from `kinematics`.
+
+    Returns:
+        rows[i][l - i][k]: derivative of torque i with respect to parameter k of link l, in
+        torchid's order; a float where it does not depend on the motion (mostly 0.0).
     """
-    columns = []
-    for link, (v, w) in zip(links, screw_rows(geometry, links), strict=True):
-        mass = dot(v, link.a)
-        moment = add_cross(_transposed(link.s, v), link.a, w)
-        d = cross(w, link.w)
-        inertia = [
-            fma(mul(w[i], link.wd[i]), link.w[i], d[i])
-            if i == j
-            else fma(
-                fma(fma(mul(w[i], link.wd[j]), w[j], link.wd[i]), link.w[j], d[i]), link.w[i], d[j]
-            )
-            for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-        ]
-        shape_of = v.x
-        assert isinstance(shape_of, Tensor)
-        columns.append(tuple(_full(c, shape_of) for c in (mass, *moment, *inertia)))
-    return columns
+    rows = []
+    for i, joint in enumerate(geometry.joints):
+        v, w = _own_screw(joint, links[i])
+        row = [_parameter_columns(links[i], v, w)]
+        for next_joint, link in zip(geometry.joints[i + 1 :], links[i + 1 :], strict=True):
+            v, w = _carried(next_joint, link, v, w)
+            row.append(_parameter_columns(link, v, w))
+        rows.append(row)
+    return rows
 
 
-def _full(x: Scalar, like: Tensor) -> Tensor:
-    return x if isinstance(x, Tensor) else torch.full_like(like, x)
+def _own_screw(joint: JointGeometry, link: Link) -> tuple[Vec3, Vec3]:
+    """(v, w) of the link that a unit rate of its own joint gives."""
+    if joint.revolute:
+        return cross(joint.axis, link.offset), joint.axis
+    return joint.axis, ZERO
+
+
+def _carried(joint: JointGeometry, link: Link, v: Vec3, w: Vec3) -> tuple[Vec3, Vec3]:
+    """(v, w) of a link from those of the link before it, its own joint at rest."""
+    v = _transposed(link.rotation, add_cross(v, w, joint.previous_offset))
+    w = _transposed(link.rotation, w)
+    return add_cross(v, w, link.offset), w
+
+
+def _parameter_columns(link: Link, v: Vec3, w: Vec3) -> tuple[Scalar, ...]:
+    """v . f + w . n of the link for unit values of its ten parameters."""
+    mass = dot(v, link.a)
+    moment = add_cross(_transposed(link.s, v), link.a, w)
+    d = cross(w, link.w)
+    inertia = [
+        fma(mul(w[i], link.wd[i]), link.w[i], d[i])
+        if i == j
+        else fma(
+            fma(fma(mul(w[i], link.wd[j]), w[j], link.wd[i]), link.w[j], d[i]), link.w[i], d[j]
+        )
+        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    ]
+    return (mass, *moment, *inertia)
 
 
 def _rotation(joint: JointGeometry, q: Tensor) -> Matrix:

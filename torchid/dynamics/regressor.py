@@ -20,31 +20,55 @@ from torchid.dynamics.recursion import (
     chain_geometry,
     forces,
     kinematics,
-    regressor_columns,
+    regressor_rows,
 )
-from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.typing import Float, Joints
 
 Method = Literal["closed", "autograd"]
-CHUNK = 3064
+CHUNK = 12280
 """Samples at a time; see newton_euler.CHUNK."""
+
+_KINDS = ((0, 1), (1, 4), (4, 10))
+"""Where mass, first moment and inertia are among a link's ten parameters."""
+
+_TILE = 1000
+"""Samples transposed at a time, so that source and destination stay in the cache."""
+
+
+Rows = Sequence[Sequence[Sequence[Tensor | float | int]]]
 
 
 @dataclass(frozen=True)
-class LinkColumns:
-    """Non-zero part of the regressor for one chunk of M samples.
+class RegressorChunk:
+    """Non-zero part of the regressor for M samples.
 
     Attributes:
-        columns: for link l (from 0) ten tensors (l + 1, M): the columns of its ten parameters in
-            torchid's order for the torque rows 0..l. Rows below l are zero.
+        rows: rows[i][l - i][k] is the entry of torque i for parameter k (torchid's order) of link
+            l >= i, from 0: a tensor (M,), a float where it is the same in all samples, or an int
+            for that row of `stacked`. Links before i do not enter torque i.
+        like: (M,), any tensor of the samples' dtype and device.
+        stacked: (E, M) entries in one piece, or None.
     """
 
-    columns: tuple[tuple[Tensor, ...], ...]
+    rows: Rows
+    like: Float[Tensor, " M"]
+    stacked: Float[Tensor, "E M"] | None = None
+
+    def entry(self, i: int, link: int, k: int) -> Float[Tensor, " M"]:
+        """Column of parameter k of a link (from 0) in torque row i (M,)."""
+        value = 0.0 if link < i else self.rows[i][link - i][k]
+        if isinstance(value, Tensor):
+            return value
+        if isinstance(value, int):
+            assert self.stacked is not None
+            return self.stacked[value]
+        return self.like.new_full((), value).expand_as(self.like)
 
     def row(self, i: int, parameters: Sequence[tuple[int, int]]) -> Float[Tensor, "P M"]:
-        """Torque row i, for the given (link, parameter) pairs, all of links >= i."""
-        return torch.stack([self.columns[link][k][i] for link, k in parameters])
+        """Torque row i (P, M), for the given (link, parameter) pairs, both from 0."""
+        return torch.stack([self.entry(i, link, k) for link, k in parameters])
 
 
 def regressor_chunks(
@@ -54,13 +78,20 @@ def regressor_chunks(
     ddq: Float[Tensor, "M n"],
     *,
     method: Method = "closed",
-    size: int = CHUNK,
-) -> Iterator[LinkColumns]:
-    """The regressor of M samples in chunks, non-zeros only."""
+    size: int | None = None,
+) -> Iterator[RegressorChunk]:
+    """The regressor of M samples in chunks of at most `size`, non-zeros only.
+
+    Args:
+        robot: kinematics and gravity.
+        q, dq, ddq: (M, n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        method: `closed` or `autograd`.
+        size: samples a chunk.
+    """
     geometry = chain_geometry(robot)
     make = _closed if method == "closed" else _by_autograd
-    for motion in column_chunks(q, dq, ddq, size=size):
-        yield LinkColumns(make(geometry, *motion))
+    for motion in column_chunks(q, dq, ddq, size=size or CHUNK):
+        yield RegressorChunk(make(geometry, *motion), motion[0][0])
 
 
 def regressor(
@@ -76,52 +107,54 @@ def regressor(
     Returns:
         (..., n, 10 n), dense. For long logs prefer `regressor_chunks`, which keeps the non-zeros.
     """
+    q, dq, ddq = torch.broadcast_tensors(q, dq, ddq)
     batch, n = q.shape[:-1], q.shape[-1]
     flat = [x.reshape(-1, n) for x in (q, dq, ddq)]
-    pieces = [_dense(chunk, n) for chunk in regressor_chunks(robot, *flat, method=method)]
-    dense = torch.cat(pieces) if pieces else q.new_zeros(0, n, PARAMETERS_PER_LINK * n)
-    return dense[..., paper_order(n).to(q.device)].reshape(*batch, n, -1)
+    dense = q.new_zeros(flat[0].shape[0], n, PARAMETERS_PER_LINK * n)
+    start = 0
+    for chunk in regressor_chunks(robot, *flat, method=method):
+        stop = start + chunk.like.shape[0]
+        _write_dense(dense[start:stop], chunk)
+        start = stop
+    return dense.reshape(*batch, n, PARAMETERS_PER_LINK * n)
 
 
-def _dense(chunk: LinkColumns, n: int) -> Float[Tensor, "M n P"]:
-    blocks = []
-    for link, columns in enumerate(chunk.columns):
-        block = torch.stack(columns, -1).transpose(0, 1)
-        blocks.append(torch.nn.functional.pad(block, (0, 0, 0, n - 1 - link)))
-    return torch.cat(blocks, -1)
+def _write_dense(out: Float[Tensor, "M n P"], chunk: RegressorChunk) -> None:
+    """Write a chunk's non-zeros into zeros (M, n, 10 n), columns in the paper's order: all masses,
+    then all first moments, then all inertias."""
+    n = out.shape[1]
+    for i in range(n):
+        for first, last in _KINDS:
+            wanted = [(link, k) for link in range(i, n) for k in range(first, last)]
+            block = chunk.row(i, wanted)
+            own = out[:, i, first * n + (last - first) * i : last * n]
+            for start in range(0, out.shape[0], _TILE):
+                own[start : start + _TILE] = block[:, start : start + _TILE].T
 
 
 def _closed(
     geometry: ChainGeometry, q: Sequence[Tensor], dq: Sequence[Tensor], ddq: Sequence[Tensor]
-) -> tuple[tuple[Tensor, ...], ...]:
-    return tuple(regressor_columns(geometry, kinematics(geometry, q, dq, ddq)))
+) -> Rows:
+    return regressor_rows(geometry, kinematics(geometry, q, dq, ddq))
 
 
 def _by_autograd(
     geometry: ChainGeometry, q: Sequence[Tensor], dq: Sequence[Tensor], ddq: Sequence[Tensor]
-) -> tuple[tuple[Tensor, ...], ...]:
-    n = len(q)
+) -> Rows:
     links = kinematics(geometry, q, dq, ddq)
     with torch.enable_grad():
         leaves = [
-            [torch.zeros_like(q[0]).requires_grad_() for _ in range(PARAMETERS_PER_LINK)]
-            for _ in range(n)
+            [torch.zeros_like(q[0]).requires_grad_() for _ in range(PARAMETERS_PER_LINK)] for _ in q
         ]
         torques, _ = forces(geometry, links, leaves)
-    rows: list[list[tuple[Tensor, ...]]] = []
+    rows = []
     one = torch.ones_like(q[0])
     for i, torque in enumerate(torques):
         felt = [leaf for link in leaves[i:] for leaf in link]
         gradient = _gradient(torque, felt, one)
         k = PARAMETERS_PER_LINK
         rows.append([gradient[j : j + k] for j in range(0, len(gradient), k)])
-    return tuple(
-        tuple(
-            torch.stack([rows[i][link - i][k] for i in range(link + 1)])
-            for k in range(PARAMETERS_PER_LINK)
-        )
-        for link in range(n)
-    )
+    return rows
 
 
 def _gradient(torque: object, leaves: list[Tensor], one: Tensor) -> tuple[Tensor, ...]:

@@ -68,9 +68,7 @@ def add3(a: Vec3, b: Vec3) -> Vec3:
 
 def add_scaled(acc: Vec3, a: Vec3, k: Scalar, scale: float = 1.0) -> Vec3:
     """acc + scale * k * a."""
-    return Vec3(
-        fma(acc.x, a.x, k, scale), fma(acc.y, a.y, k, scale), fma(acc.z, a.z, k, scale)
-    )
+    return Vec3(fma(acc.x, a.x, k, scale), fma(acc.y, a.y, k, scale), fma(acc.z, a.z, k, scale))
 
 
 def dot(a: Vec3, b: Vec3) -> Scalar:

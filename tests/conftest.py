@@ -1,0 +1,70 @@
+"""Tests' surroundings: one thread, float64, fixed seeds, and the robots the oracles check."""
+
+import os
+
+# Before torch or numpy is imported: their thread pools read these once.
+for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import random
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from tests.arms import ARMS, arm
+from tests.oracles import MujocoOracle, PinocchioOracle
+from torchid.robot.model import Robot
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--device", type=str, default="cpu", help="where the tests' tensors live")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True)
+def fixed_seeds() -> None:
+    random.seed(0)
+    np.random.seed(0)
+    torch.manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
+def double_precision() -> Iterator[None]:
+    previous = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(previous)
+
+
+@pytest.fixture(scope="session")
+def device(pytestconfig: pytest.Config) -> torch.device:
+    """For tests whose subject is device-agnostic; `pytest --device cuda` runs them on a GPU."""
+    return torch.device(pytestconfig.getoption("device"))
+
+
+@pytest.fixture(scope="session", params=ARMS)
+def robot(request: pytest.FixtureRequest) -> Robot:
+    """Every arm of tests/arms.py in turn, each with inertial parameters."""
+    return arm(request.param)
+
+
+@pytest.fixture(scope="session")
+def lwr() -> Robot:
+    return arm("kuka_lwr4")
+
+
+@pytest.fixture(scope="session")
+def pinocchio(robot: Robot) -> PinocchioOracle:
+    return PinocchioOracle(robot)
+
+
+@pytest.fixture(scope="session")
+def mujoco(robot: Robot) -> MujocoOracle:
+    return MujocoOracle(robot)
