@@ -6,8 +6,11 @@ from typing import Annotated
 import typer
 
 from torchid import __version__
+from torchid.app.demo import demo_command
+from torchid.app.excite import excite_command
 from torchid.app.identify import identify_command
 from torchid.app.robot import robot_command
+from torchid.app.simulate import simulate_command
 from torchid.errors import TorchidError
 
 app = typer.Typer(
@@ -18,7 +21,10 @@ app = typer.Typer(
     help="What a robot arm's dynamics really are, and why the simulator disagrees with the arm.",
 )
 app.command("robot")(robot_command)
+app.command("excite")(excite_command)
+app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
+app.command("demo")(demo_command)
 
 
 def _version(asked: bool) -> None:

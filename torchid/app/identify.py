@@ -16,7 +16,11 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    choice,
     device,
+    effect_names,
+    number,
+    numbers,
     open_output,
     progress_bar,
 )
@@ -25,7 +29,6 @@ from torchid.errors import TorchidError
 if TYPE_CHECKING:
     from torchid.identification.identify import Identification
     from torchid.log.model import Log
-    from torchid.robot.model import Robot
 
 EFFECTS = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
 
@@ -111,19 +114,19 @@ def identify_command(
     from torchid.robot.library import load_robot
 
     settings = Settings(
-        effects=_effect_names(effects),
+        effects=effect_names(effects),
         cutoff=_cutoff(cutoff),
         reversal=_reversal(reversal),
-        rows=_choice("--rows", rows, ("all", "moving")),
-        method=_choice("--method", method, ("ols", "wls", "huber")),
-        covariance=_choice("--covariance", covariance, ("diagonal", "full")),
-        signs=_choice("--signs", signs, ("bounded", "free")),
+        rows=choice("--rows", rows, ("all", "moving")),
+        method=choice("--method", method, ("ols", "wls", "huber")),
+        covariance=choice("--covariance", covariance, ("diagonal", "full")),
+        signs=choice("--signs", signs, ("bounded", "free")),
         essential=essential,
         held_out_fraction=held_out_fraction,
         error_cutoff=error_cutoff,
     )
     found = load_robot(robot, tip=tip)
-    gains = None if gain is None else _gains(gain, found)
+    gains = None if gain is None else numbers("--gain", gain, found.n)
     log = _read(logs, gains)
     apart = None if not held_out else _read(held_out, gains)
     with progress_bar(output) as progress:
@@ -182,20 +185,12 @@ def _draw(result: "Identification", output: Output) -> None:
     ))  # fmt: skip
 
 
-def _effect_names(text: str) -> tuple[str, ...]:
-    from torchid.effects.registry import effect_kind
-
-    if text.strip() in ("", "none"):
-        return ()
-    return tuple(effect_kind(name.strip()).name for name in text.split(","))
-
-
 def _cutoff(text: str) -> float | Literal["auto"] | None:
     if text == "auto":
         return "auto"
     if text == "none":
         return None
-    value = _float("--cutoff", text, "a frequency in Hz, `auto` or `none`")
+    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
     if value <= 0:
         raise TorchidError("--cutoff must be positive.", got=text)
     return value
@@ -204,29 +199,7 @@ def _cutoff(text: str) -> float | Literal["auto"] | None:
 def _reversal(text: str) -> float | Literal["auto"]:
     if text == "auto":
         return "auto"
-    value = _float("--reversal", text, "a fraction of the 99 % speed, or `auto`")
+    value = number("--reversal", text, "a fraction of the 99 % speed, or `auto`")
     if not 0 <= value < 1:
         raise TorchidError("--reversal is a fraction of the 99 % speed.", got=text, expected="0..1")
     return value
-
-
-def _gains(text: str, robot: "Robot") -> list[float]:
-    values = [_float("--gain", part, "numbers separated by commas") for part in text.split(",")]
-    if len(values) != robot.n:
-        raise TorchidError(
-            "--gain needs one drive gain a joint.", got=len(values), expected=robot.n
-        )
-    return values
-
-
-def _choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
-    if value not in allowed:
-        raise TorchidError(f"{option} has no choice '{value}'.", available=allowed)
-    return value
-
-
-def _float(option: str, text: str, expected: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise TorchidError(f"{option} is not a number.", got=text, expected=expected) from None

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -179,3 +180,40 @@ def progress_bar(output: Output) -> Iterator[Callable[[str, int, int], None] | N
             progress.update(task, description=stage, completed=done, total=total)
 
         yield report
+
+
+def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
+    """`value` if it is allowed, else a TorchidError that lists what is."""
+    if value not in allowed:
+        raise TorchidError(f"{option} has no choice '{value}'.", available=allowed)
+    return value
+
+
+def number(option: str, text: str, expected: str) -> float:
+    """A finite number from the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not math.isfinite(value):
+        raise TorchidError(f"{option} is not a number.", got=text, expected=expected)
+    return value
+
+
+def numbers(option: str, text: str, n: int) -> list[float]:
+    """n numbers separated by commas, or one for all n joints."""
+    values = [number(option, part, "numbers separated by commas") for part in text.split(",")]
+    if len(values) == 1:
+        values = values * n
+    if len(values) != n:
+        raise TorchidError(f"{option} needs one number a joint.", got=len(values), expected=n)
+    return values
+
+
+def effect_names(text: str) -> tuple[str, ...]:
+    """Names of effects separated by commas; `none` for none."""
+    from torchid.effects.registry import effect_kind
+
+    if text.strip() in ("", "none"):
+        return ()
+    return tuple(effect_kind(name.strip()).name for name in text.split(","))

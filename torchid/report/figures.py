@@ -9,6 +9,7 @@ import numpy as np
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Prediction
 from torchid.log.files import atomic_write
+from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,6 +112,29 @@ def parameter_figure(result: Identification) -> "Figure":
     )
     figure.suptitle(
         f"{result.robot.name}: how well each parameter is known", fontsize=11, color=INK,
+        x=0.01, ha="left",
+    )  # fmt: skip
+    return figure
+
+
+def truth_figure(result: Identification, truth: Tensor) -> "Figure":
+    """Errors against known true values, in units of each parameter's 95 % interval."""
+    half = result.uncertainty.quantile() * result.std
+    shown = [k for k in range(len(result.base)) if bool(result.free[k])]
+    error = ((result.values - truth) / half)[shown].numpy()
+    figure = new_figure(9, 1.4 + 0.19 * len(shown))
+    axes = styled(figure.subplots())
+    axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    colours = [BLUE if abs(e) <= 1 else RED for e in error]
+    axes.scatter(error, range(len(shown)), color=colours, s=18)
+    axes.set_yticks(range(len(shown)), [_short(result.base.names[k]) for k in shown], fontsize=7)
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    limit = max(2.0, 1.1 * float(np.abs(error).max()))
+    axes.set_xlim(-limit, limit)
+    axes.set_xlabel("(identified - true) / half-width of the 95 % interval", fontsize=8, color=INK)
+    figure.suptitle(
+        f"{result.robot.name}: identified against true values", fontsize=11, color=INK,
         x=0.01, ha="left",
     )  # fmt: skip
     return figure

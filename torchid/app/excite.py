@@ -1,0 +1,264 @@
+"""`torchid excite`: trajectories that make the parameters visible."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torchid.app.options import (
+    Json,
+    Out,
+    Output,
+    Quiet,
+    RobotArgument,
+    Seed,
+    Threads,
+    Tip,
+    choice,
+    effect_names,
+    numbers,
+    open_output,
+    progress_bar,
+)
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.identification.fourier import FourierTrajectory
+    from torchid.identification.trajectories import Sinusoid
+    from torchid.log.model import Log
+    from torchid.robot.model import Robot
+
+KINDS = ("optimised", "random", "sinusoid", "paper")
+
+
+def excite_command(
+    robot: RobotArgument,
+    kind: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(KINDS),
+            help="Optimised Fourier series, random ones, sinusoids for validation, or the "
+            "report's table 5.1 (3R only).",
+        ),
+    ] = "optimised",
+    to: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Trajectory file (.csv, .parquet, .npz)."),
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, help="How many trajectories.")] = 1,
+    criterion: Annotated[
+        str, typer.Option(metavar="condition|d_optimal", help="What to improve.")
+    ] = "condition",
+    effects: Annotated[
+        str,
+        typer.Option(help="Effects to be identified with it, comma-separated; `none`."),
+    ] = "viscous_friction,coulomb_friction,torque_offset",
+    duration: Annotated[float, typer.Option(help="Seconds.")] = 20.0,
+    rate: Annotated[float, typer.Option(help="Samples per second in the file [Hz].")] = 100.0,
+    harmonics: Annotated[int, typer.Option(min=1, help="Harmonics of the series.")] = 5,
+    restarts: Annotated[int, typer.Option(min=1, help="Random starts of the design.")] = 8,
+    usage: Annotated[float, typer.Option(help="Share of the limits that may be used.")] = 1.0,
+    max_velocity: Annotated[
+        str | None,
+        typer.Option(metavar="V|V1,V2,..", help="Velocity limits, in place of the robot's."),
+    ] = None,
+    max_acceleration: Annotated[
+        str | None,
+        typer.Option(metavar="A|A1,A2,..", help="Acceleration limits, in place of the robot's."),
+    ] = None,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+) -> None:
+    """Design an exciting trajectory within the robot's limits, at rest at both ends.
+
+    Example: `torchid excite kuka_lwr4 --out motion`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.identification.trajectories import trajectory_log
+    from torchid.robot.library import load_robot
+
+    target = _target(to, output)
+    found = _limited(load_robot(robot, tip=tip), max_velocity, max_acceleration)
+    _checked(count=count, duration=duration, rate=rate, usage=usage)
+    kind = choice("--kind", kind, KINDS)
+    settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
+    if kind == "optimised":
+        trajectories, record = _optimised(
+            found, effect_names(effects), seed, count, restarts, criterion, settings, output
+        )
+    else:
+        trajectories, record = _given(found, kind, seed, count, settings)
+    logs = [trajectory_log(t, rate) for t in trajectories]
+    _finish(found, kind, logs, record, target, output)
+
+
+def _given(
+    robot: "Robot", kind: str, seed: int, count: int, settings: dict[str, Any]
+) -> tuple[list[Any], dict[str, Any]]:
+    from torchid.identification.trajectories import (
+        paper_trajectories_3r,
+        random_trajectory,
+        sinusoid,
+    )
+
+    if kind == "sinusoid":
+        made: list[FourierTrajectory | Sinusoid] = [
+            sinusoid(robot, seed + k, duration=settings["duration"], usage=settings["usage"])
+            for k in range(count)
+        ]
+        return made, {}
+    if kind == "paper":
+        if not robot.name.startswith("3r"):
+            raise TorchidError(
+                "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
+            )
+        series = paper_trajectories_3r()
+        return [series], {"trajectories": _coefficients([series.select(k) for k in range(3)])}
+    series_list = [random_trajectory(robot, seed + k, fill=True, **settings) for k in range(count)]
+    return list(series_list), {"trajectories": _coefficients(series_list)}
+
+
+def _optimised(
+    robot: "Robot",
+    effects: tuple[str, ...],
+    seed: int,
+    count: int,
+    restarts: int,
+    criterion: str,
+    settings: dict[str, Any],
+    output: Output,
+) -> tuple[list[Any], dict[str, Any]]:
+    from torchid.effects.registry import on_every_joint
+    from torchid.identification.excitation import optimise_trajectory
+
+    found = []
+    with progress_bar(output) as progress:
+        for k in range(count):
+
+            def report(done: int, total: int, k: int = k) -> None:
+                if progress is not None:
+                    progress(f"trajectory {k + 1} of {count}", done, total)
+
+            found.append(
+                optimise_trajectory(
+                    robot,
+                    on_every_joint(effects, robot.n),
+                    seed=seed + k,
+                    restarts=restarts,
+                    criterion=choice("--criterion", criterion, ("condition", "d_optimal")),
+                    progress=report,
+                    **settings,
+                )
+            )
+    for k, design in enumerate(found, start=1):
+        output.say(
+            f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
+            f"-> {design.condition_after:.0f}"
+        )
+    return [f.trajectory for f in found], {
+        "criterion": criterion,
+        "condition_number_before": [f.start_condition for f in found],
+        "condition_number_after": [f.condition_after for f in found],
+        "trajectories": _coefficients([f.trajectory for f in found]),
+    }
+
+
+def _coefficients(series: "list[FourierTrajectory]") -> list[dict[str, Any]]:
+    return [
+        {
+            "a": s.a.tolist(),
+            "b": s.b.tolist(),
+            "q0": s.q0.tolist(),
+            "w_f": s.w_f,
+            "duration": s.duration,
+            "ramp": s.ramp,
+        }
+        for s in series
+    ]
+
+
+def _finish(
+    robot: "Robot",
+    kind: str,
+    logs: "list[Log]",
+    record: dict[str, Any],
+    target: Path | None,
+    output: Output,
+) -> None:
+    from torchid.log.model import Log
+    from torchid.log.readers import write_log
+
+    log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
+    output.warn(log.warnings)
+    written = []
+    if target is not None:
+        write_log(log, target)
+        written.append(target)
+    if output.folder is not None:
+        from torchid.report.excitation import trajectory_figure
+        from torchid.report.figures import save
+
+        for k, part in enumerate(log.trajectories(), start=1):
+            path = output.folder / f"trajectory_{k}.png"
+            title = f"{robot.name}: {kind} trajectory {k}"
+            written.append(save(trajectory_figure(robot, part, title), path))
+    output.write_json(
+        {
+            "schema": "torchid.excitation/1",
+            "robot": robot.name,
+            "kind": kind,
+            "file": None if target is None else target.name,
+            **record,
+            "warnings": list(log.warnings),
+        },
+        "excitation.json",
+    )
+    if written:
+        output.say("written: " + ", ".join(str(path) for path in written))
+
+
+def _target(to: Path | None, output: Output) -> Path | None:
+    """Where the trajectory goes: --to, else DIR/trajectory.csv, else nowhere, which is an error."""
+    if to is not None:
+        return to
+    if output.folder is not None:
+        return output.folder / "trajectory.csv"
+    if output.json_file is None:
+        raise TorchidError(
+            "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
+        )
+    return None
+
+
+def _limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
+    """The robot with velocity or acceleration limits from the command line."""
+    import torch
+
+    changed = {}
+    for name, text in (("velocity", velocity), ("acceleration", acceleration)):
+        if text is None:
+            continue
+        values = numbers(f"--max-{name}", text, robot.n)
+        upper = torch.tensor(values, dtype=torch.float64)
+        if not bool((upper > 0).all()):
+            raise TorchidError(f"--max-{name} must be positive.", got=text)
+        changed[name] = torch.stack([-upper, upper], -1)
+    return replace(robot, limits=replace(robot.limits, **changed)) if changed else robot
+
+
+def _checked(*, count: int, duration: float, rate: float, usage: float) -> None:
+    for name, value in (("--duration", duration), ("--rate", rate), ("--usage", usage)):
+        if not value > 0:
+            raise TorchidError(f"{name} must be positive.", got=value)
+    if usage > 1:
+        raise TorchidError("--usage is a share of the limits.", got=usage, expected="0..1")
+    if duration * rate > 1e7:
+        raise TorchidError(
+            "the trajectory would have more than ten million samples.",
+            got=f"{duration:g} s at {rate:g} Hz",
+        )
