@@ -171,7 +171,8 @@ def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, T
 
 
 def _lag(reference: Tensor, signal: Tensor, rate: float, cutoff: float) -> tuple[float, float]:
-    """Median lag [s] of `signal` behind `reference` (n, T), and their relative difference.
+    """Median lag [s] of `signal` behind `reference` (n, T), and their relative difference, the
+    largest over joints (relative to 1 % of the fastest joint's reference, at least).
 
     reference(t) = signal(t + lag) to first order; both low-passed, edges left out.
     """
@@ -181,9 +182,11 @@ def _lag(reference: Tensor, signal: Tensor, rate: float, cutoff: float) -> tuple
     a, b = low_pass.apply(reference), low_pass.apply(signal)
     slope = central_difference(b, rate)[..., middle]
     gap = (a - b)[..., middle]
+    size = a[..., middle].norm(dim=-1)
+    difference = gap.norm(dim=-1) / size.clamp(min=max(1e-300, 0.01 * float(size.max())))
     energy = (slope * slope).sum(-1)
     active = energy > 1e-6 * energy.max()
-    if not bool(active.any()) or float(energy.max()) == 0.0:
-        return 0.0, 0.0
+    if not bool(active.any()):
+        return 0.0, float(difference.max())
     lag = (gap * slope).sum(-1)[active] / energy[active]
-    return float(lag.median()), float(gap.norm() / a[..., middle].norm())
+    return float(lag.median()), float(difference.max())

@@ -12,20 +12,22 @@ def independent_columns(
 
     Plain QR decides by the diagonal of R, but the entries behind a dependent column cannot be
     trusted: what rounding (or a twist of 1.5708) leaves of that column takes up a direction that a
-    later column needs. So the first dependent column is removed and the rest factorised again.
+    later column needs. So the first dependent column is removed and the rest factorised again. A
+    column that is itself no more than such a residue must not be scaled up to a column of its own.
 
     Args:
         matrix: (R, C); columns are scaled to length one here.
-        tolerance: distance, relative to a column's length, below which it counts as dependent.
+        tolerance: distance, relative to a column's length, below which it counts as dependent; and
+            length, relative to the longest column, below which it counts as zero.
 
     Returns:
         mask: (C,) independent columns.
-        distance: (C,) relative distance of each column from the span of those kept before it; 0
-            for a zero column.
+        distance: (C,) relative distance of each column from the span of those kept before it; the
+            relative length of one that counts as zero.
     """
     length = torch.linalg.vector_norm(matrix, dim=0)
-    mask = length > 1e-12 * length.max().clamp(min=1e-300)
-    distance = torch.zeros_like(length)
+    distance = length / length.max().clamp(min=1e-300)
+    mask = distance > tolerance
     columns = mask.nonzero().flatten()
     rest = torch.linalg.qr(matrix[:, columns] / length[columns], mode="r").R
     while len(columns):

@@ -17,7 +17,7 @@ from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.motion import Measurement
-from torchid.log.filtering import ZeroPhaseFilter, reflect
+from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -210,12 +210,9 @@ def _blocks(
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
         signals = _columns(m, layout, lo, hi)
         if low_pass is not None:
-            short = hi - lo - 1
-            before = min(tail - (start - lo), short)
-            after = min(tail - (hi - stop), short)
-            extended = reflect(signals, before, after)
-            origin = start - lo + before
-            signals = low_pass.decimated(extended, step, origin, origin + stop - start)
+            before, after = tail - (start - lo), tail - (hi - stop)
+            signals = extended(signals, before, after)
+            signals = low_pass.decimated(signals, step, tail, tail + stop - start)
         widths = [len(c) for c in layout.columns]
         *matrices, tau = signals.split([*widths, layout.robot.n])
         keep = moving[start:stop:step] if moving_only else torch.ones_like(tau.T, dtype=torch.bool)

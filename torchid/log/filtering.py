@@ -58,8 +58,8 @@ class ZeroPhaseFilter:
 
     def apply(self, x: Signals) -> Signals:
         """Filtered signals (..., T), ends extended by odd reflection."""
-        pad = min(self.tail, x.shape[-1] - 1)
-        return self.decimated(reflect(x, pad, pad), 1, pad, pad + x.shape[-1])
+        pad = self.tail
+        return self.decimated(extended(x, pad, pad), 1, pad, pad + x.shape[-1])
 
     def decimated(self, x: Signals, step: int, start: int, stop: int) -> Signals:
         """Every `step`-th filtered sample in start..stop of signals (..., T) that already carry
@@ -89,6 +89,16 @@ class ZeroPhaseFilter:
         """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
         amplitude has fallen below 3e-6."""
         return max(1, int(self.rate / (10 * self.cutoff)))
+
+
+def extended(x: Signals, before: int, after: int) -> Signals:
+    """Signals (..., T) extended by odd reflection, and where they are too short for that, further
+    by their last value: a filter's tail always has something to settle on."""
+    longest = x.shape[-1] - 1
+    inner = reflect(x, min(before, longest), min(after, longest))
+    first = inner[..., :1].expand(*x.shape[:-1], max(0, before - longest))
+    last = inner[..., -1:].expand(*x.shape[:-1], max(0, after - longest))
+    return torch.cat([first, inner, last], -1)
 
 
 def reflect(x: Signals, before: int, after: int) -> Signals:

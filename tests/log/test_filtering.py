@@ -1,0 +1,168 @@
+"""The zero-phase filter against scipy's, decimated or not, whole or in chunks."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
+
+from torchid.errors import LogError
+from torchid.log.filtering import (
+    ORDER,
+    ZeroPhaseFilter,
+    central_difference,
+    extended,
+    reflect,
+)
+
+
+def noise(*shape: int, seed: int = 0) -> torch.Tensor:
+    """Smooth motion with an offset, and white noise."""
+    generator = torch.Generator().manual_seed(seed)
+    t = torch.linspace(0, 7, shape[-1], dtype=torch.float64)
+    white = torch.randn(shape, generator=generator, dtype=torch.float64)
+    return 3 + 2 * torch.sin(t) + 0.3 * white
+
+
+def scipy_filtered(x: torch.Tensor, rate: float, cutoff: float, pad: int) -> torch.Tensor:
+    """A one-way filter whose amplitude at `cutoff` is 1/sqrt(2), run both ways."""
+    sos = butter(ORDER, cutoff, fs=rate, output="sos")
+    return torch.from_numpy(sosfiltfilt(sos, x.numpy(), padlen=pad).copy())
+
+
+def relative(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float((a - b).abs().max() / b.abs().max())
+
+
+CASES = [(1000.0, 8.0, 9000), (1000.0, 20.0, 4001), (100.0, 2.0, 2753), (50.0, 8.0, 1001)]
+
+
+@pytest.mark.parametrize(("rate", "cutoff", "samples"), CASES)
+def test_it_is_scipys_filter(rate, cutoff, samples):
+    x = noise(2, samples)
+    low_pass = ZeroPhaseFilter(rate, cutoff)
+    got = low_pass.apply(x)
+    expected = scipy_filtered(x, rate, cutoff, min(low_pass.tail, samples - 1))
+    assert got.shape == x.shape
+    assert relative(got, expected) < 1e-6
+    inner = slice(low_pass.tail // 2, samples - low_pass.tail // 2)
+    assert relative(got[:, inner], expected[:, inner]) < 1e-9
+
+
+@pytest.mark.parametrize("samples", [2, 5, 23, 50, 51, 150])
+def test_signals_shorter_than_the_tail(samples):
+    """Nothing to settle on but the ends: no drift of a constant, and scipy's answer from two
+    periods on (shorter, its backward pass starts from the forward pass's transient)."""
+    low_pass = ZeroPhaseFilter(100.0, 5.0)
+    assert samples < low_pass.tail
+    x = noise(3, samples)
+    if samples > 40:
+        assert relative(low_pass.apply(x), scipy_filtered(x, 100.0, 5.0, samples - 1)) < 1e-3
+    constant = torch.full((samples,), 7.0, dtype=torch.float64)
+    assert torch.allclose(low_pass.apply(constant), constant, rtol=1e-8)
+
+
+def test_gains_at_zero_the_cutoff_and_beyond():
+    rate, cutoff = 400.0, 10.0
+    low_pass = ZeroPhaseFilter(rate, cutoff)
+    f = torch.tensor([0.0, cutoff, rate / 2], dtype=torch.float64)
+    assert torch.allclose(low_pass.response(f), torch.tensor([1.0, 0.5, 0.0], dtype=torch.float64))
+    t = torch.arange(8000, dtype=torch.float64) / rate
+    middle = slice(2000, 6000)
+    for frequency, gain in ((0.5, 1.0), (cutoff, 0.5), (5 * cutoff, 0.0)):
+        x = torch.sin(2 * math.pi * frequency * t)
+        y = low_pass.apply(x)
+        assert torch.allclose(y[middle], gain * x[middle], atol=2e-6), "zero phase, known gain"
+
+
+@given(
+    rate=st.sampled_from([50.0, 100.0, 997.0]),
+    ratio=st.floats(12.0, 120.0),
+    step_share=st.floats(0.0, 1.0),
+    start=st.integers(0, 400),
+    samples=st.integers(1, 600),
+    extra=st.integers(0, 40),
+)
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_decimated_is_filtered_then_sliced(rate, ratio, step_share, start, samples, extra):
+    low_pass = ZeroPhaseFilter(rate, rate / ratio)
+    step = 1 + round(step_share * (low_pass.largest_step - 1))
+    before, after = low_pass.tail + start, low_pass.tail + extra
+    x = noise(2, before + samples + after, seed=samples)
+    got = low_pass.decimated(x, step, before, before + samples)
+    whole = low_pass.apply(x)[:, before : before + samples : step]
+    assert got.shape == whole.shape
+    assert relative(got, whole) < 5e-6
+
+
+@pytest.mark.parametrize("offset", range(6))
+@pytest.mark.parametrize("samples", [998, 999, 1000, 1001, 1013])
+def test_the_phase_of_a_decimated_sine(offset, samples):
+    """An error of one sample in the offset would show as 2 pi 3 / 500 = 0.04."""
+    rate, step = 500.0, 6
+    low_pass = ZeroPhaseFilter(rate, 8.3)
+    assert low_pass.largest_step == step
+    start = low_pass.tail + offset
+    t = torch.arange(start + samples + low_pass.tail, dtype=torch.float64) / rate
+    x = torch.sin(2 * math.pi * 1.0 * t)
+    got = low_pass.decimated(x, step, start, start + samples)
+    gain = float(low_pass.response(torch.tensor([1.0], dtype=torch.float64)))
+    assert torch.allclose(got, gain * x[start : start + samples : step], atol=1e-5)
+
+
+@pytest.mark.parametrize("piece", [96, 250, 1000, 5000])
+def test_chunks_with_tails_agree_with_the_whole(piece):
+    low_pass = ZeroPhaseFilter(200.0, 6.0)
+    x = noise(2, 2500)
+    tail = low_pass.tail
+    chunks = []
+    for start in range(0, x.shape[-1], piece):
+        stop = min(start + piece, x.shape[-1])
+        lo, hi = max(0, start - tail), min(x.shape[-1], stop + tail)
+        wide = extended(x[:, lo:hi], tail - (start - lo), tail - (hi - stop))
+        chunks.append(low_pass.decimated(wide, 1, tail, tail + stop - start))
+    assert relative(torch.cat(chunks, -1), low_pass.apply(x)) < 1e-7
+
+
+@pytest.mark.parametrize("cutoff", [0.0, -3.0, 50.0, 51.0, math.nan])
+def test_a_cutoff_out_of_band_is_refused(cutoff):
+    with pytest.raises(LogError, match="outside the log's band"):
+        ZeroPhaseFilter(100.0, cutoff)
+
+
+def test_reflection_is_odd_and_refuses_short_signals():
+    x = torch.tensor([[1.0, 2.0, 4.0, 8.0]], dtype=torch.float64)
+    assert reflect(x, 2, 3).tolist() == [[-2.0, 0.0, 1.0, 2.0, 4.0, 8.0, 12.0, 14.0, 15.0]]
+    assert torch.equal(reflect(x, 0, 0), x)
+    with pytest.raises(LogError, match="too short"):
+        reflect(x, 4, 0)
+    with pytest.raises(LogError, match="too short"):
+        reflect(x, 0, 4)
+    assert extended(x, 5, 1).tolist() == [[-6.0, -6.0, -6.0, -2.0, 0.0, 1.0, 2.0, 4.0, 8.0, 12.0]]
+
+
+@given(samples=st.integers(2, 60), rate=st.floats(1.0, 1000.0), seed=st.integers(0, 99))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_central_difference_is_numpys_gradient(samples, rate, seed):
+    x = noise(2, samples, seed=seed)
+    expected = np.gradient(x.numpy(), 1 / rate, axis=-1)
+    assert torch.allclose(central_difference(x, rate), torch.from_numpy(expected), rtol=1e-9)
+
+
+@given(a=st.floats(-3, 3), b=st.floats(-3, 3), seed=st.integers(0, 99))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_it_is_linear_and_the_same_backwards(a, b, seed):
+    low_pass = ZeroPhaseFilter(100.0, 4.0)
+    x, y = noise(700, seed=seed), noise(700, seed=seed + 1)
+    mixed = low_pass.apply(a * x + b * y)
+    assert torch.allclose(mixed, a * low_pass.apply(x) + b * low_pass.apply(y), atol=1e-10)
+    assert torch.allclose(low_pass.apply(x.flip(-1)).flip(-1), low_pass.apply(x), atol=1e-7)
+
+
+def test_gradients_pass_through():
+    x = noise(200).requires_grad_()
+    ZeroPhaseFilter(100.0, 4.0).apply(x).square().sum().backward()
+    assert bool(torch.isfinite(x.grad).all())
