@@ -44,7 +44,7 @@ class PinocchioOracle:
         return self._each(lambda *x: self.pin.rnea(self.model, self.data, *x), q, dq, ddq)
 
     def wrenches(self, q: Tensor, dq: Tensor, ddq: Tensor) -> Tensor:
-        """data.f: force and moment about the moved joint frame's origin, in its axes (..., n, 6)."""
+        """data.f (..., n, 6): force, moment about the moved joint frame's origin, in its axes."""
 
         def one(*x: np.ndarray) -> np.ndarray:
             self.pin.rnea(self.model, self.data, *x)

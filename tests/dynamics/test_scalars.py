@@ -63,7 +63,7 @@ def test_known_products_cost_nothing() -> None:
 @given(a=vectors, b=vectors, c=vectors, k=mixed)
 def test_vectors_as_in_torch(a: Vec3, b: Vec3, c: Vec3, k: Scalar) -> None:
     x, y, z = array(a), array(b), array(c)
-    close = dict(rtol=1e-12, atol=1e-9)
+    close = {"rtol": 1e-12, "atol": 1e-9}
     torch.testing.assert_close(array(cross(a, b)), torch.linalg.cross(x, y), **close)
     torch.testing.assert_close(array(add_cross(c, a, b)), z + torch.linalg.cross(x, y), **close)
     torch.testing.assert_close(array(add3(a, b)), x + y, **close)

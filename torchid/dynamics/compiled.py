@@ -13,8 +13,9 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -32,7 +33,7 @@ CHUNK = 4120
 """Samples the compiled loop handles at a time; a shorter tail is padded. Not a power of two, whose
 strides share cache lines (benchmarks/dynamics.py prints other sizes)."""
 
-_OPTIONS = {
+_OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
     # One loop over the samples, with no intermediate written to memory.
     "max_fusion_size": 5000,
     # a * b + c in one instruction.
@@ -128,9 +129,8 @@ class CompiledDynamics:
         for motion in transposed_chunks(*signals, size=self.chunk):
             count = motion[0].shape[1]
             missing = self.chunk - count
-            if missing:
-                motion = [torch.nn.functional.pad(x, (0, missing)) for x in motion]
-            yield motion, count
+            full = [torch.nn.functional.pad(x, (0, missing)) if missing else x for x in motion]
+            yield full, count
 
     def _kernel(self, name: str, like: Tensor) -> Kernel:
         key = (name, like.dtype, like.device)
@@ -174,7 +174,8 @@ def _compile(function: Callable[..., Tensor], *examples: Tensor) -> Kernel:
     the geometry stay constants.
     """
     _choose_cache_folder()
-    graph = make_fx(lambda *inputs: function(*inputs), tracing_mode="fake")(*examples)
+    # make_fx counts the `self` of a bound method as an input; a partial has none.
+    graph = make_fx(partial(function), tracing_mode="fake")(*examples)
     options = _OPTIONS if examples[0].device.type == "cpu" else {}
     return torch.compile(graph, dynamic=False, fullgraph=True, options=options)
 

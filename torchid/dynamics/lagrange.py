@@ -23,7 +23,7 @@ def kinetic_energy(
 ) -> Float[Tensor, "*batch"]:
     """T(q, dq) (...) [J] (eq. 2.8)."""
     p = _given(robot, parameters).pseudo_inertia.to(q)
-    _, velocity = jvp(lambda x: link_poses(robot, x), (q,), (dq,))
+    velocity = jvp(lambda x: link_poses(robot, x), (q,), (dq,))[1]
     return 0.5 * torch.einsum("...iab,ibc,...iac->...", velocity, p, velocity)
 
 
@@ -49,7 +49,11 @@ def mass_matrix(
 
 def gravity_torque(robot: Robot, q: Joints, parameters: InertialParameters | None = None) -> Joints:
     """g(q) (..., n): the gradient of U (eq. 2.11)."""
-    return _over_batch(grad(lambda x: potential_energy(robot, x, parameters)), q)
+
+    def energy(x: Tensor) -> Tensor:
+        return potential_energy(robot, x, parameters)
+
+    return _over_batch(grad(energy), q)
 
 
 def coriolis_matrix(

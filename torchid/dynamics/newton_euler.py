@@ -123,8 +123,11 @@ def transposed_chunks(*signals: Float[Tensor, "M n"], size: int) -> Iterator[lis
 
 
 def column_chunks(*signals: Float[Tensor, "M n"], size: int) -> Iterator[list[tuple[Tensor, ...]]]:
-    """Pieces of at most `size` samples, each signal as n contiguous columns (m,)."""
-    for piece in transposed_chunks(*signals, size=size):
+    """Equal pieces of about `size` samples (at most 1.5 times), each signal as n contiguous columns
+    (m,). Equal, because a short tail costs as many kernel calls as a full piece."""
+    total = signals[0].shape[0]
+    pieces = max(1, round(total / size))
+    for piece in transposed_chunks(*signals, size=max(1, -(-total // pieces))):
         yield [x.unbind(0) for x in piece]
 
 

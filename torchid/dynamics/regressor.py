@@ -80,13 +80,13 @@ def regressor_chunks(
     method: Method = "closed",
     size: int | None = None,
 ) -> Iterator[RegressorChunk]:
-    """The regressor of M samples in chunks of at most `size`, non-zeros only.
+    """The regressor of M samples in equal chunks of about `size`, non-zeros only.
 
     Args:
         robot: kinematics and gravity.
         q, dq, ddq: (M, n) [rad, rad/s, rad/s^2; m for prismatic joints].
         method: `closed` or `autograd`.
-        size: samples a chunk.
+        size: samples a chunk; by default CHUNK.
     """
     geometry = chain_geometry(robot)
     make = _closed if method == "closed" else _by_autograd

@@ -38,7 +38,7 @@ def fma(acc: Scalar, a: Scalar, b: Scalar, scale: float = 1.0) -> Scalar:
     if type(acc) is float:
         product = a * b
         return product if scale == 1.0 and acc == 0.0 else product * scale + acc
-    return torch.addcmul(acc, a, b, value=scale)
+    return torch.addcmul(acc, a, b, value=scale)  # type: ignore[arg-type]  # b is no float here
 
 
 def _axpy(acc: Scalar, a: Scalar, scale: float) -> Scalar:

@@ -13,7 +13,12 @@ from torch import Tensor
 from torchid.typing import Float
 
 _RENEW_AT = 1e3
+"""Mean square of a preconditioned column (1 if rows are like those of the guess) that calls for a
+new guess."""
 _FLOOR = 1e-6
+"""Diagonal entry of the guess, relative to its column, below which the direction is unseen."""
+_ENOUGH = 4
+"""Rows a column before the first guess: fewer make one that the rest does not resemble."""
 
 
 class TriangularFactor:
@@ -28,16 +33,21 @@ class TriangularFactor:
         self._gram = torch.zeros(columns, columns, dtype=torch.float64, device=device)
         self._rows = 0
         self._columns = columns
+        self._waiting: list[Tensor] = []
 
     def add(self, rows: Float[Tensor, "m c"]) -> None:
         """Take in m rows."""
         if rows.shape[0] == 0:
             return
-        if self._inverse is None:
+        if self._guess is None:
+            self._waiting = [torch.cat([*self._waiting, rows])]
+            if self._waiting[0].shape[0] < _ENOUGH * self._columns:
+                return
+            rows = self._waiting.pop()
             self._precondition(_householder(rows))
         assert self._inverse is not None
         z = rows @ self._inverse
-        self._gram += z.T @ z
+        self._gram.addmm_(z.T, z)
         self._rows += rows.shape[0]
         spread = self._gram.diagonal() / self._rows
         if float(spread.max()) > _RENEW_AT * float(spread.mean().clamp(max=1.0)):
@@ -46,19 +56,21 @@ class TriangularFactor:
     def factor(self) -> Float[Tensor, "c c"]:
         """R with a non-negative diagonal; zero if no row came."""
         if self._guess is None:
-            return torch.zeros_like(self._gram)
-        # A second Cholesky QR on the accumulated factor removes what the first guess cost.
+            return _householder(torch.cat([torch.zeros_like(self._gram), *self._waiting]))
+        # Both are upper triangular already; this makes the diagonal non-negative.
         return _householder(_root(self._gram) @ self._guess)
 
     def _precondition(self, guess: Tensor) -> None:
-        """Use R0 = `guess`, with directions it has not seen given a small size instead of none."""
+        """Use R0 = `guess`. A direction it has not seen gets its column's size: a small size there
+        would make the inverse large, and its rounding would spoil the columns that were seen."""
         size = torch.linalg.vector_norm(guess, dim=0)
         size = torch.where(size > 0, size, size.max().clamp(min=1.0))
         diagonal = guess.diagonal()
-        lifted = torch.where(diagonal.abs() > _FLOOR * size, diagonal, _FLOOR * size)
+        lifted = torch.where(diagonal.abs() > _FLOOR * size, diagonal, size)
         self._guess = guess - torch.diag(diagonal) + torch.diag(lifted)
         eye = torch.eye(self._columns, dtype=guess.dtype, device=guess.device)
-        self._inverse = torch.linalg.solve_triangular(self._guess, eye, upper=True)
+        # Solved from the right: what must hold to rounding is inverse x R0 = 1, the way it is used.
+        self._inverse = torch.linalg.solve_triangular(self._guess, eye, upper=True, left=False)
 
     def _renew(self) -> None:
         assert self._guess is not None
@@ -84,9 +96,17 @@ def _householder(rows: Tensor) -> Tensor:
 
 
 def _root(gram: Tensor) -> Tensor:
-    """Upper triangular U with U'U = G, also for a singular G."""
-    upper, info = torch.linalg.cholesky_ex(gram, upper=True)
-    if int(info) == 0:
-        return upper
-    values, vectors = torch.linalg.eigh(gram)
-    return _householder(values.clamp(min=0).sqrt().unsqueeze(-1) * vectors.T)
+    """Upper triangular U with U'U = G, also for a singular G.
+
+    G is scaled to a unit diagonal first: a direction the guess got wrong by a factor of a million
+    then loses nothing.
+    """
+    size = gram.diagonal().sqrt()
+    safe = torch.where(size > 0, size, torch.ones_like(size))
+    scaled = gram / safe / safe.unsqueeze(-1)
+    scaled.diagonal().fill_(1.0)
+    upper, info = torch.linalg.cholesky_ex(scaled, upper=True)
+    if int(info) != 0:
+        values, vectors = torch.linalg.eigh(scaled)
+        upper = _householder(values.clamp(min=0).sqrt().unsqueeze(-1) * vectors.T)
+    return upper * size

@@ -1,0 +1,219 @@
+"""The streamed triangular factor against Householder QR of the whole matrix."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from tests.arms import arm, relative, states
+from torchid.dynamics.compiled import compiled_dynamics
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.dynamics.regressor import regressor, regressor_chunks
+from torchid.effects.registry import on_every_joint
+from torchid.errors import IdentificationError
+from torchid.identification import streaming
+from torchid.identification.base_parameters import base_parameters
+from torchid.identification.factor import TriangularFactor, stacked_factor
+from torchid.identification.streaming import reduce_to_factor
+
+
+def streamed(a: Tensor, size: int) -> Tensor:
+    factor = TriangularFactor(a.shape[1])
+    for start in range(0, a.shape[0], size):
+        factor.add(a[start : start + size])
+    return factor.factor()
+
+
+def householder(a: Tensor) -> Tensor:
+    r = torch.linalg.qr(a, mode="r").R
+    return r * torch.where(r.diagonal() < 0, -1.0, 1.0).unsqueeze(-1)
+
+
+def with_condition(rows: int, columns: int, condition: float) -> Tensor:
+    u = torch.linalg.qr(torch.randn(rows, columns)).Q
+    v = torch.linalg.qr(torch.randn(columns, columns)).Q
+    return u * torch.logspace(0, -torch.tensor(condition).log10(), columns) @ v
+
+
+def assert_gram_kept(r: Tensor, a: Tensor, tolerance: float = 1e-13) -> None:
+    """R'R = A'A, with every column judged by its own size."""
+    size = torch.linalg.vector_norm(a, dim=0)
+    size = torch.where(size > 0, size, torch.ones_like(size))
+    difference = (r.T @ r - a.T @ a) / size / size.unsqueeze(-1)
+    assert float(difference.abs().max()) < tolerance
+    assert torch.equal(r, r.triu())
+    assert bool((r.diagonal() >= 0).all())
+
+
+@pytest.mark.parametrize("size", [1, 3, 10, 41, 64, 1000])
+def test_pieces_of_any_size(size: int) -> None:
+    a = torch.randn(500, 10)
+    r = streamed(a, size)
+    assert_gram_kept(r, a)
+    assert relative(r, householder(a)) < 1e-13
+
+
+def test_accuracy_of_householder_at_condition_1e6() -> None:
+    a = with_condition(5000, 20, 1e6)
+    r = streamed(a, 700)
+    assert_gram_kept(r, a)
+    # Both are backward stable, so they agree to about condition x rounding in the worst entry;
+    # the Gram matrix's Cholesky factor would lose condition^2 x rounding = 1e-4.
+    x, expected = (f[:, -1] / f[-1, -1] for f in (r, householder(a)))
+    assert relative(x, expected) < 1e-8
+    singular = torch.linalg.svdvals(r)
+    torch.testing.assert_close(singular, torch.linalg.svdvals(a), rtol=1e-9, atol=0)
+
+
+def test_columns_of_very_different_size() -> None:
+    a = torch.randn(3000, 12) * torch.logspace(-6, 6, 12)[torch.randperm(12)]
+    r = streamed(a, 500)
+    assert_gram_kept(r, a)
+    size = torch.linalg.vector_norm(a, dim=0)
+    assert relative(r / size, householder(a) / size) < 1e-12
+
+
+def test_first_piece_that_lacks_rank() -> None:
+    a = torch.randn(2000, 8)
+    a[:300, 4:] = a[:300, :4] @ torch.randn(4, 4)
+    r = streamed(a, 100)
+    assert_gram_kept(r, a)
+    assert relative(r, householder(a)) < 1e-12
+
+
+def test_first_piece_at_rest() -> None:
+    """A log that starts at standstill: most columns are zero, then everything moves."""
+    a = torch.randn(2000, 8)
+    a[:300, 1:] = 0.0
+    assert_gram_kept(streamed(a, 100), a)
+
+
+def test_rows_that_grow() -> None:
+    a = torch.randn(2000, 8) * torch.logspace(-6, 6, 2000).unsqueeze(-1)
+    r = streamed(a, 100)
+    assert_gram_kept(r, a)
+    assert relative(r, householder(a)) < 1e-12
+
+
+def test_matrix_without_full_rank() -> None:
+    a = torch.randn(1000, 4) @ torch.randn(4, 7)
+    r = streamed(a, 100)
+    assert_gram_kept(r, a)
+    assert float(r.diagonal()[4:].max()) < 1e-6 * float(r.diagonal().max())
+
+
+def test_fewer_rows_than_columns() -> None:
+    a = torch.randn(3, 7)
+    assert_gram_kept(streamed(a, 2), a)
+
+
+def test_zero_rows_and_no_rows() -> None:
+    assert torch.equal(TriangularFactor(4).factor(), torch.zeros(4, 4))
+    factor = TriangularFactor(4)
+    factor.add(torch.zeros(0, 4))
+    factor.add(torch.zeros(5, 4))
+    assert torch.equal(factor.factor(), torch.zeros(4, 4))
+    a = torch.randn(50, 4)
+    for rows in (a[:20], torch.zeros(7, 4), a[20:]):
+        factor.add(rows)
+    assert_gram_kept(factor.factor(), a)
+
+
+def test_a_column_that_stays_zero() -> None:
+    a = torch.randn(300, 5)
+    a[:, 2] = 0.0
+    r = streamed(a, 50)
+    assert_gram_kept(r, a)
+    assert float(r[:, 2].abs().max()) < 1e-14
+
+
+def test_residual_and_solution_of_least_squares() -> None:
+    a, x = with_condition(4000, 10, 1e4), torch.randn(10)
+    b = a @ x + 1e-3 * torch.randn(4000)
+    r = streamed(torch.cat([a, b.unsqueeze(-1)], 1), 300)
+    found = torch.linalg.solve_triangular(r[:-1, :-1], r[:-1, -1:], upper=True).squeeze(-1)
+    expected = torch.linalg.lstsq(a, b.unsqueeze(-1)).solution.squeeze(-1)
+    assert relative(found, expected) < 1e-10
+    residual = torch.linalg.vector_norm(b - a @ expected)
+    torch.testing.assert_close(r[-1, -1], residual, rtol=1e-10, atol=0)
+
+
+def test_factors_on_top_of_each_other() -> None:
+    a = torch.randn(900, 6)
+    r = stacked_factor([streamed(part, 100) for part in a.split(300)])
+    assert relative(r, householder(a)) < 1e-13
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    rows=st.integers(1, 200),
+    columns=st.integers(1, 8),
+    size=st.integers(1, 60),
+    spread=st.floats(0, 6),
+)
+def test_gram_is_kept_for_any_split(
+    seed: int, rows: int, columns: int, size: int, spread: float
+) -> None:
+    g = torch.Generator().manual_seed(seed)
+    a = torch.randn(rows, columns, generator=g, dtype=torch.float64)
+    scales = 10 ** (spread * (2 * torch.rand(columns, generator=g, dtype=torch.float64) - 1))
+    assert_gram_kept(streamed(a * scales, size), a * scales, 1e-12)
+
+
+def dense_factor(name: str, samples: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+    robot = arm(name)
+    base = base_parameters(robot)
+    motion = states(robot, samples)
+    tau = inverse_dynamics(robot, *motion) + 0.1 * torch.randn(samples, robot.n)
+    y = regressor(robot, *motion)[..., list(base.independent)]
+    return householder(torch.cat([y, tau.unsqueeze(-1)], -1).flatten(0, 1)), (*motion, tau)
+
+
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "mixed"])
+def test_streamed_log_equals_dense_qr(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected, signals = dense_factor(name, 2500)
+    monkeypatch.setattr(streaming, "SEGMENT", 400)
+    r = reduce_to_factor(arm(name), base_parameters(arm(name)), *signals)
+    assert r.shape == expected.shape
+    assert relative(r, expected) < 1e-12
+
+
+def test_streamed_log_takes_other_chunks() -> None:
+    expected, signals = dense_factor("3r", 300)
+    robot = arm("3r")
+
+    def chunks(*motion: Tensor):  # type: ignore[no-untyped-def]
+        return regressor_chunks(robot, *motion, method="autograd", size=77)
+
+    r = reduce_to_factor(robot, base_parameters(robot), *signals, chunks=chunks)
+    assert relative(r, expected) < 1e-12
+
+
+@pytest.mark.slow
+def test_streamed_log_takes_compiled_chunks() -> None:
+    expected, signals = dense_factor("3r", 300)
+    robot = arm("3r")
+    make: Callable = compiled_dynamics(robot, 128).regressor_chunks
+    r = reduce_to_factor(robot, base_parameters(robot), *signals, chunks=make)
+    assert relative(r, expected) < 1e-12
+
+
+def test_empty_log_has_a_zero_factor() -> None:
+    robot = arm("3r")
+    base = base_parameters(robot)
+    r = reduce_to_factor(robot, base, *(torch.zeros(0, 3) for _ in range(4)))
+    assert torch.equal(r, torch.zeros(len(base) + 1, len(base) + 1))
+
+
+def test_bad_input_is_refused() -> None:
+    robot = arm("3r")
+    motion = states(robot, 5)
+    with_friction = base_parameters(robot, on_every_joint(["viscous_friction"], 3))
+    with pytest.raises(IdentificationError, match="without effects"):
+        reduce_to_factor(robot, with_friction, *motion, motion[0])
+    with pytest.raises(IdentificationError, match="do not match"):
+        reduce_to_factor(robot, base_parameters(robot), *motion, torch.zeros(4, 3))

@@ -1,0 +1,116 @@
+"""A long log reduced to the triangular factor of its base columns, in constant memory.
+
+Torque i feels links >= i only, so each torque row has a factor of its own columns; the factors are
+put on top of each other at the end. Columns go by ascending link while the rows stream, which makes
+a row's columns the last ones and the whole a staircase.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
+from torchid.errors import IdentificationError
+from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.factor import TriangularFactor, stacked_factor
+from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.robot.model import Robot
+from torchid.typing import Float, Samples
+
+SEGMENT = 12280
+"""Samples taken at a time."""
+
+
+class _ChunkMaker(Protocol):
+    def __call__(self, q: Tensor, dq: Tensor, ddq: Tensor) -> Iterable[RegressorChunk]: ...
+
+
+def reduce_to_factor(
+    robot: Robot,
+    base: BaseParameters,
+    q: Samples,
+    dq: Samples,
+    ddq: Samples,
+    tau: Samples,
+    *,
+    chunks: _ChunkMaker | None = None,
+) -> Float[Tensor, "C C"]:
+    """R of [Y_base tau] over all samples and joints, by one pass.
+
+    Args:
+        robot: kinematics and gravity.
+        base: its base parameters, of the rigid body alone.
+        q, dq, ddq: (T, n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        tau: (T, n) [N m; N].
+        chunks: makes the regressor's chunks; `compiled_dynamics(robot).regressor_chunks` for long
+            logs, the eager ones by default.
+
+    Returns:
+        (B + 1, B + 1) upper triangular with non-negative diagonal: the first B columns in the order
+        of `base.independent`, the last the torque; R'R = [Y tau]'[Y tau]. Its last entry is the
+        norm of the least-squares residual. Working memory does not depend on T.
+
+    Raises:
+        IdentificationError: base parameters with coefficients of effects, signals of different
+            shapes.
+    """
+    _check(robot, base, q, dq, ddq, tau)
+    pairs = _link_and_parameter(robot, base)
+    # Sorted by link: torque row i uses the columns from `first[i]` on.
+    order = sorted(range(len(pairs)), key=lambda k: pairs[k])
+    by_link = [pairs[k] for k in order]
+    rows = [[p for p in by_link if p[0] >= i] for i in range(robot.n)]
+    factors = [TriangularFactor(len(own) + 1, device=q.device) for own in rows]
+    for chunk, torque in _with_torque(chunks or _eager(robot), q, dq, ddq, tau):
+        for i, (own, factor) in enumerate(zip(rows, factors, strict=True)):
+            columns = [*(chunk.entry(i, *p) for p in own), torque[i]]
+            factor.add(torch.stack(columns).T)
+    wide = [_widened(f.factor(), len(order) + 1) for f in factors]
+    back = torch.tensor(order, device=q.device).argsort().tolist()
+    return stacked_factor([torch.cat(wide)[:, [*back, len(order)]]])
+
+
+def _eager(robot: Robot) -> _ChunkMaker:
+    def make(q: Tensor, dq: Tensor, ddq: Tensor) -> Iterator[RegressorChunk]:
+        return regressor_chunks(robot, q, dq, ddq, size=SEGMENT)
+
+    return make
+
+
+def _with_torque(
+    make: _ChunkMaker, q: Tensor, dq: Tensor, ddq: Tensor, tau: Tensor
+) -> Iterator[tuple[RegressorChunk, Tensor]]:
+    """Chunks of the regressor, each with its torque (n, m)."""
+    start = 0
+    for chunk in make(q, dq, ddq):
+        stop = start + chunk.like.shape[0]
+        yield chunk, tau[start:stop].T
+        start = stop
+
+
+def _widened(factor: Tensor, width: int) -> Tensor:
+    """A factor of the last columns as one of all columns."""
+    return torch.nn.functional.pad(factor, (width - factor.shape[1], 0))
+
+
+def _link_and_parameter(robot: Robot, base: BaseParameters) -> list[tuple[int, int]]:
+    flat = paper_order(robot.n).tolist()
+    return [divmod(flat[k], PARAMETERS_PER_LINK) for k in base.independent]
+
+
+def _check(robot: Robot, base: BaseParameters, *signals: Tensor) -> None:
+    if any(k >= PARAMETERS_PER_LINK * robot.n for k in base.independent):
+        raise IdentificationError(
+            "reduce_to_factor takes the rigid body's base parameters, without effects.",
+            got=f"{len(base)} base parameters, {base.n_rigid} of the rigid body",
+            hint="for a fit with effects use torchid.identification.identify",
+        )
+    shapes = {tuple(x.shape) for x in signals}
+    if len(shapes) > 1 or signals[0].shape[-1] != robot.n:
+        raise IdentificationError(
+            "q, dq, ddq and tau do not match each other or the robot.",
+            got=[tuple(x.shape) for x in signals],
+            expected=f"(T, {robot.n}) each",
+        )
