@@ -1,4 +1,4 @@
-"""Figure 3 of the issue: held-out errors on logs of real arms, which are not part of the project."""
+"""Held-out errors on logs of real arms, which are not part of the project (issue 2, figure 3)."""
 
 import os
 from dataclasses import dataclass, replace

@@ -52,6 +52,13 @@ def test_it_is_scipys_filter(rate, cutoff, samples):
     assert relative(got[:, inner], expected[:, inner]) < 1e-9
 
 
+def test_rounding_of_the_rate_changes_no_step():
+    """Or trajectories of one log would weigh differently."""
+    for rate, cutoff in ((100.0, 5.0), (1000.0, 20.0), (500.0, 10.0)):
+        steps = {ZeroPhaseFilter(r, cutoff).largest_step for r in (rate, rate * (1 - 1e-12))}
+        assert steps == {int(rate / (10 * cutoff))}
+
+
 @pytest.mark.parametrize("samples", [2, 5, 23, 50, 51, 150])
 def test_signals_shorter_than_the_tail(samples):
     """Nothing to settle on but the ends: no drift of a constant, and scipy's answer from two

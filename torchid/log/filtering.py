@@ -87,8 +87,8 @@ class ZeroPhaseFilter:
     @property
     def largest_step(self) -> int:
         """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
-        amplitude has fallen below 3e-6."""
-        return max(1, int(self.rate / (10 * self.cutoff)))
+        amplitude has fallen below 3e-6; the same for rates that differ by rounding."""
+        return max(1, int(self.rate / (10 * self.cutoff) * (1 + 1e-6)))
 
 
 def extended(x: Signals, before: int, after: int) -> Signals:
