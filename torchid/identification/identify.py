@@ -215,13 +215,14 @@ def identify(
     found, uncertainty, dropped = _fit(source, settings, signs)
     values, order = _in_base_order(found.x, columns)
     named = _Names(base.names, order)
+    del source
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     fitted, checked = (
-        [
-            predict(m, robot, base, effects, values)
-            for m in ([] if part is None else measurements(_on(part, device), shown, reversal))
-        ]
-        for part in (log, kept_back)
+        [predict(m, robot, base, effects, values) for m in part]
+        for part in (
+            measured if shown == cutoff else measurements(training.log, shown, reversal),
+            [] if kept_back is None else measurements(_on(kept_back, device), shown, reversal),
+        )
     )
     wrong = _non_negative(columns) & (found.x < 0)
     covariance = uncertainty.covariance[order][:, order]

@@ -33,7 +33,8 @@ HUBER = 1.345
 MAD_TO_SIGMA = 1.4826
 
 _MAX_ITERATIONS = 30
-_CONVERGED = 1e-4
+_CONVERGED = 0.05
+"""Step of the reweighting, in standard deviations under white residuals, that counts as settled."""
 _UNDETERMINED = 1e-7
 
 
@@ -131,7 +132,7 @@ def fit(
         x, bounded = solve(weighted, signs, held)
         residual = residuals(source, x)
         change = torch.linalg.vector_norm(weighted[:-1, :-1] @ (x - previous))
-        if float(change) <= _CONVERGED * float(weighted[-1, -1].abs() + 1e-300):
+        if float(change) <= _CONVERGED:
             break
     return Fit(
         x, ~(held | bounded), bounded, undetermined, weighted, plain, whitening, robust,

@@ -9,15 +9,15 @@ from torchid.errors import LogError
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Float, Signals, Tensor
 
 MOVING = 0.02
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
 any torque and the sign of dq is noise."""
 
 WIDE = 5.0
-"""Columns that jump (the sign of a velocity) are computed from motion filtered at this multiple of
-the cut-off, so that a reversal stays sharp until the common filter smooths it like the torque."""
+"""The direction of motion is taken from velocity filtered at this multiple of the cut-off, so that
+a reversal stays sharp until the common filter smooths it like the torque."""
 
 _AGREE = 0.02
 _LAG_WORTH_SAYING = 2e-3
@@ -32,8 +32,7 @@ class Measurement:
         rate: sampling rate [Hz].
         cutoff: of the motion's filter [Hz], or None for the log as it is.
         t: (T,) [s].
-        motion: q, dq, ddq, each (T, n), filtered at the cut-off.
-        wide: the same, filtered at `WIDE` times the cut-off, with the direction of each joint.
+        motion: q, dq, ddq, each (T, n), filtered at the cut-off, and the direction of each joint.
         tau: (T, n) measured torque, unfiltered.
         warnings: sentences for the user.
     """
@@ -43,7 +42,6 @@ class Measurement:
     cutoff: float | None
     t: Float[Tensor, " T"]
     motion: Motion
-    wide: Motion
     tau: Float[Tensor, "T n"]
     warnings: tuple[str, ...] = ()
 
@@ -119,13 +117,12 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     name = log.names[0]
     q = log.q.T
     dq, ddq, warnings = _derivatives(log, rate, cutoff)
-    if cutoff is None:
-        motion = wide = Motion(log.q, dq.T.contiguous(), ddq.T.contiguous())
-    else:
-        motion = _filtered((q, dq, ddq), rate, cutoff)
-        wide = _filtered((q, dq, ddq), rate, WIDE * cutoff)
-    wide = wide._replace(direction=direction(wide.dq, threshold))
-    out = Measurement(name, rate, cutoff, log.t, motion, wide, log.tau, tuple(warnings))
+    sharp = dq
+    if cutoff is not None:
+        sharp = _low_passed(dq, rate, WIDE * cutoff)
+        q, dq, ddq = (_low_passed(x, rate, cutoff) for x in (q, dq, ddq))
+    motion = Motion(*(x.T.contiguous() for x in (q, dq, ddq)), direction(sharp.T, threshold))
+    out = Measurement(name, rate, cutoff, log.t, motion, log.tau, tuple(warnings))
     if out.samples - 2 * out.edge < 10:
         raise LogError(
             f"trajectory '{name}' is too short to be filtered at {cutoff:g} Hz.",
@@ -135,12 +132,9 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     return out
 
 
-def _filtered(signals: tuple[Tensor, ...], rate: float, cutoff: float) -> Motion:
-    """(T, n) signals from (n, T) ones; unfiltered where the cut-off is beyond the log's band."""
-    if cutoff < 0.45 * rate:
-        low_pass = ZeroPhaseFilter(rate, cutoff)
-        signals = tuple(low_pass.apply(x) for x in signals)
-    return Motion(*(x.T.contiguous() for x in signals))
+def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
+    """Unfiltered where the cut-off is beyond the log's band."""
+    return ZeroPhaseFilter(rate, cutoff).apply(x) if cutoff < 0.45 * rate else x
 
 
 def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, Tensor, list[str]]:

@@ -224,8 +224,8 @@ def _blocks(
 
 def _columns(m: Measurement, layout: Layout, lo: int, hi: int) -> Float[Tensor, "C M"]:
     """Unfiltered columns of all torque rows, then the torques, for samples lo..hi."""
-    motion, wide = m.motion.part(slice(lo, hi)), m.wide.part(slice(lo, hi))
-    effect_columns = [e.columns(wide if e.jumps else motion) for e in layout.effects]
+    motion = m.motion.part(slice(lo, hi))
+    effect_columns = [e.columns(motion) for e in layout.effects]
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
     for chunk in regressor_chunks(layout.robot, *motion.state):
         for i, pairs in enumerate(layout.rigid):

@@ -31,12 +31,12 @@ REVERSALS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.04)
 """Reversal speeds, as fractions of each joint's 99 % speed."""
 
 WORTH_IT = 1.01
-"""A higher reversal speed must lower the error by more than 1 % to be preferred to a lower one."""
+"""A higher reversal speed must lower the error by more than 1 % to be preferred."""
 
 FOLDS = 5
 LEFT_OUT = 0.1
-"""Weight that rows of the stretch left out keep, squared 1 %: what no other stretch excites (a joint
-that moves once) is determined by it, instead of by rounding."""
+"""Factor on the rows of the stretch left out: with 1 % of their weight they determine what no other
+stretch excites (a joint that moves once), instead of rounding."""
 
 LONGEST = 60_000
 """Samples of the training data that take part in a choice."""
@@ -124,13 +124,20 @@ def choose_reversal(
 
 
 def _shortened(log: Log) -> Log:
-    """The first part of every trajectory, `LONGEST` samples in all."""
+    """Whole trajectories, evenly spread, `LONGEST` samples in all; the first part of a single one
+    that is longer."""
     if log.samples <= LONGEST:
         return log
-    share = LONGEST / log.samples
+    rows = log.slices()
     keep = torch.zeros(log.samples, dtype=torch.bool)
-    for rows in log.slices():
-        keep[rows.start : rows.start + max(1, round((rows.stop - rows.start) * share))] = True
+    step = max(1, round(log.samples / LONGEST))
+    budget = LONGEST
+    for part in rows[:: min(step, len(rows))]:
+        length = min(part.stop - part.start, LONGEST)
+        if length > budget:
+            break
+        keep[part.start : part.start + length] = True
+        budget -= length
     return log.select(keep)
 
 
@@ -173,9 +180,7 @@ def _left_out(
     inside = m.samples - 2 * m.edge
     start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
     part = slice(start - tail, stop + tail)
-    predicted = model_torque(
-        layout.robot, layout.base, layout.effects, values, m.motion.part(part), m.wide.part(part)
-    )
+    predicted = model_torque(layout.robot, layout.base, layout.effects, values, m.motion.part(part))
     measured, moving = m.tau[part], m.moving[start:stop]
     if filtered and m.cutoff is not None:
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)

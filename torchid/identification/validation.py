@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import torch
 
@@ -12,7 +14,7 @@ from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float, Samples, Tensor
+from torchid.typing import Bool, Float, Samples, Tensor
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,30 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class Sums:
+    """Sums of squares over the instants of a trajectory, (n,) each.
+
+    Attributes:
+        instants: how many, the same for all joints.
+        error, torque: filtered; `moving_...` over rows whose own joint moves; `raw_...` unfiltered.
+        moving: number of moving rows.
+    """
+
+    instants: Tensor
+    error: Tensor
+    torque: Tensor
+    moving_error: Tensor
+    moving_torque: Tensor
+    raw_error: Tensor
+    raw_torque: Tensor
+    moving: Tensor
+
+    def __add__(self, other: "Sums") -> "Sums":
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Sums(*(a + b for a, b in pairs))
+
+
+@dataclass(frozen=True)
 class Prediction:
     """Measured and predicted torque of one trajectory, edges left out.
 
@@ -46,20 +72,16 @@ class Prediction:
         name: of the trajectory.
         t: (T,) [s].
         measured, predicted: (T, n) filtered torque [N m; N].
-        measured_raw: (T, n) unfiltered.
-        predicted_raw: (T, n) unfiltered.
-        dq: (T, n) velocity.
         moving: (T, n) whether each joint moves.
+        sums: of squares, for the errors.
     """
 
     name: str
     t: Float[Tensor, " T"]
     measured: Samples
     predicted: Samples
-    measured_raw: Samples
-    predicted_raw: Samples
-    dq: Samples
-    moving: Tensor
+    moving: Bool[Tensor, "T n"]
+    sums: Sums
 
 
 def model_torque(
@@ -68,14 +90,9 @@ def model_torque(
     effects: Sequence[Effect],
     values: Float[Tensor, " B"],
     motion: Motion,
-    wide: Motion | None = None,
 ) -> Float[Tensor, "*batch n"]:
     """Torque (..., n) of base parameters: the independent parameters carry the base values and the
-    dependent ones are zero, which is one of the full sets with these base parameters.
-
-    Args:
-        wide: motion for columns that jump, if another than `motion`.
-    """
+    dependent ones are zero, which is one of the full sets with these base parameters."""
     full = values.new_zeros(len(base.parameter_names))
     full[list(base.independent)] = values
     rigid = PARAMETERS_PER_LINK * robot.n
@@ -84,8 +101,7 @@ def model_torque(
     start = rigid
     for effect in effects:
         stop = start + len(effect.coefficients)
-        used = wide if wide is not None and effect.jumps else motion
-        tau[..., effect.joint] += effect.torque(used, full[start:stop])
+        tau[..., effect.joint] += effect.torque(motion, full[start:stop])
         start = stop
     return tau
 
@@ -99,35 +115,42 @@ def predict(
 ) -> Prediction:
     """Measured and predicted torque, both through the measurement's filter."""
     m = measurement
-    raw = model_torque(robot, base, effects, values.to(m.tau), m.motion, m.wide)
+    middle = slice(m.edge, m.samples - m.edge)
+    raw = model_torque(robot, base, effects, values.to(m.tau), m.motion)
     measured, predicted = m.tau, raw
     if m.cutoff is not None:
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
         measured, predicted = (low_pass.apply(x.T).T for x in (m.tau, raw))
-    middle = slice(m.edge, m.samples - m.edge)
-    return Prediction(
-        m.name,
-        *(x[middle].cpu() for x in (m.t, measured, predicted, m.tau, raw, m.motion.dq, m.moving)),
+    measured, predicted, moving = (x[middle].cpu() for x in (measured, predicted, m.moving))
+    raw_error = (m.tau - raw)[middle].cpu()
+    error = measured - predicted
+    sums = Sums(
+        torch.full((robot.n,), float(len(error))),
+        _squares(error),
+        _squares(measured),
+        _squares(error * moving),
+        _squares(measured * moving),
+        _squares(raw_error),
+        _squares(m.tau[middle].cpu()),
+        moving.double().sum(0),
     )
+    return Prediction(m.name, m.t[middle].cpu(), measured, predicted, moving, sums)
 
 
 def errors(predictions: Sequence[Prediction]) -> Errors:
     """Errors over whole trajectories together."""
-    measured = torch.cat([p.measured for p in predictions])
-    error = measured - torch.cat([p.predicted for p in predictions])
-    raw = torch.cat([p.measured_raw for p in predictions])
-    raw_error = raw - torch.cat([p.predicted_raw for p in predictions])
-    moving = torch.cat([p.moving for p in predictions])
+    total = reduce(add, (p.sums for p in predictions))
+    standing_error = total.error - total.moving_error
     return Errors(
         tuple(p.name for p in predictions),
-        error.square().mean(0).sqrt(),
-        _relative(error, measured),
-        _relative(error * moving, measured * moving),
-        _relative(raw_error, raw),
-        1 - moving.double().mean(0),
-        1 - (error * moving).square().sum(0) / error.square().sum(0).clamp(min=1e-300),
+        (total.error / total.instants).sqrt(),
+        100 * (total.error / total.torque).sqrt(),
+        100 * (total.moving_error / total.moving_torque).sqrt(),
+        100 * (total.raw_error / total.raw_torque).sqrt(),
+        1 - total.moving / total.instants,
+        standing_error / total.error.clamp(min=1e-300),
     )
 
 
-def _relative(error: Tensor, reference: Tensor) -> Tensor:
-    return 100 * torch.linalg.vector_norm(error, dim=0) / torch.linalg.vector_norm(reference, dim=0)
+def _squares(x: Samples) -> Float[Tensor, " n"]:
+    return x.square().sum(0)

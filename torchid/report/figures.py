@@ -73,7 +73,9 @@ def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "
             label="joint at rest",
         )  # fmt: skip
         right.set_ylim(low, high)
-        share = 100 * np.linalg.norm(error) / max(np.linalg.norm(measured[:, j]), 1e-300)
+        share = (
+            100 * float(np.linalg.norm(error)) / max(float(np.linalg.norm(measured[:, j])), 1e-300)
+        )
         right.text(
             0.995, 0.97, f"{share:.1f} %", transform=right.transAxes, ha="right", va="top",
             fontsize=8, color=INK,
