@@ -41,7 +41,7 @@ class CoulombFriction(Effect):
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
         """Direction of the joint's motion: as given, else sign(dq), sharp or smooth."""
         if motion.direction is not None and self.smoothing == 0:
-            return motion.direction[..., self.joint, None]
+            return motion.direction[..., self.joint, None].to(motion.dq.dtype)
         dq = motion.dq[..., self.joint, None]
         return torch.tanh(dq / self.smoothing) if self.smoothing > 0 else torch.sign(dq)
 

@@ -233,10 +233,13 @@ def _scales(residual: Tensor, kept: Tensor, method: Method) -> Float[Tensor, " n
             levels.append(MAD_TO_SIGMA * own.abs().median())
         else:
             levels.append((own * own).mean().sqrt())
-    sigma = torch.stack(levels)
-    positive = sigma[sigma > 0]
-    floor = positive.min() if len(positive) else torch.ones((), dtype=sigma.dtype)
-    return torch.where(sigma > 0, sigma, floor)
+    return _positive(torch.stack(levels))
+
+
+def _positive(sigma: Tensor) -> Tensor:
+    """Zeros replaced by the smallest other value, or 1."""
+    others = sigma[sigma > 0]
+    return torch.where(sigma > 0, sigma, others.min() if len(others) else torch.ones_like(sigma))
 
 
 def _whitening(residual: Tensor, robust: Tensor) -> Float[Tensor, "n n"]:
@@ -245,8 +248,11 @@ def _whitening(residual: Tensor, robust: Tensor) -> Float[Tensor, "n n"]:
     weighted = residual * robust
     pairs = (robust.T @ robust).clamp(min=1.0)
     s = weighted.T @ weighted / pairs
-    s = s + 1e-12 * s.diagonal().max() * torch.eye(len(s), dtype=s.dtype)
-    return torch.linalg.cholesky(torch.linalg.inv(s)).T
+    sigma = _positive(s.diagonal().sqrt())
+    # What is added keeps residuals that are combinations of each other (rounding) apart.
+    correlation = s / (sigma * sigma.unsqueeze(-1)) + 1e-9 * torch.eye(len(s), dtype=s.dtype)
+    upper = torch.linalg.cholesky(correlation.flip(0, 1)).flip(0, 1)
+    return torch.linalg.solve_triangular(upper, torch.diag(1 / sigma), upper=True)
 
 
 def solve(

@@ -9,7 +9,7 @@ from torchid.errors import LogError
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
-from torchid.typing import Bool, Float, Signals, Tensor
+from torchid.typing import Bool, Float, Int, Signals, Tensor
 
 MOVING = 0.02
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
@@ -98,17 +98,21 @@ def fast_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     return torch.quantile(speeds[:: max(1, len(speeds) // 100_000)], 0.99, dim=0)
 
 
-def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Float[Tensor, "T n"]:
-    """Direction of motion with hysteresis: the sign of the last velocity above the threshold, so
+def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[Tensor, "T n"]:
+    """Direction of motion, -1, 0 or 1, with hysteresis: the sign of the last velocity above the threshold, so
     that a joint at rest keeps the direction it came from; 0 before the first such velocity.
 
     Friction does not reverse at the instant the velocity does: asperities and gear teeth first
     spring back (presliding), and velocity noise at standstill is no motion at all.
     """
-    sure = dq.abs() > threshold.to(dq)
-    index = torch.arange(len(dq), device=dq.device).unsqueeze(-1).expand_as(dq)
-    last = torch.cummax(torch.where(sure, index, -torch.ones_like(index)), 0).values
-    sign = torch.sign(dq).gather(0, last.clamp(min=0))
+    columns = zip(dq.unbind(-1), threshold.to(dq).unbind(), strict=True)
+    return torch.stack([_held_sign(x, limit) for x, limit in columns], -1)
+
+
+def _held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
+    index = torch.arange(len(dq), device=dq.device)
+    last = torch.cummax(torch.where(dq.abs() > threshold, index, -1), 0).values
+    sign = torch.sign(dq).to(torch.int8)[last.clamp(min=0)]
     return torch.where(last >= 0, sign, torch.zeros_like(sign))
 
 
@@ -121,7 +125,8 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     if cutoff is not None:
         sharp = _low_passed(dq, rate, WIDE * cutoff)
         q, dq, ddq = (_low_passed(x, rate, cutoff) for x in (q, dq, ddq))
-    motion = Motion(*(x.T.contiguous() for x in (q, dq, ddq)), direction(sharp.T, threshold))
+    q, dq, ddq = (x.T.contiguous() for x in (q, dq, ddq))
+    motion = Motion(q, dq, ddq, direction(sharp.T, threshold))
     out = Measurement(name, rate, cutoff, log.t, motion, log.tau, tuple(warnings))
     if out.samples - 2 * out.edge < 10:
         raise LogError(

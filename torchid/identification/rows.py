@@ -25,7 +25,7 @@ from torchid.typing import Bool, Float, Tensor
 PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
 
-MEMORY = 400e6
+MEMORY = 300e6
 """Bytes of rows that are kept rather than made again."""
 
 

@@ -108,10 +108,10 @@ def choose_reversal(
 ) -> Float[Tensor, " n"]:
     """Each joint's reversal speed (n,) [rad/s or m/s]: the lowest whose error of the joint's own
     torque is within 1 % of the best. Zero where no effect jumps."""
-    speed = fast_speed(measurements(training.log, cutoff))
+    log = _shortened(training.log)
+    speed = fast_speed(measurements(log, cutoff))
     if not any(effect.jumps for effect in training.layout.effects):
         return torch.zeros_like(speed)
-    log = _shortened(training.log)
     errors = []
     for k, fraction in enumerate(REVERSALS):
         measured = measurements(log, cutoff, fraction * speed)

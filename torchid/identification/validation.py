@@ -101,7 +101,7 @@ def model_torque(
     start = rigid
     for effect in effects:
         stop = start + len(effect.coefficients)
-        tau[..., effect.joint] += effect.torque(motion, full[start:stop])
+        tau[..., effect.joint] += effect.torque(motion, full[start:stop].tolist())
         start = stop
     return tau
 
@@ -120,9 +120,13 @@ def predict(
     measured, predicted = m.tau, raw
     if m.cutoff is not None:
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
-        measured, predicted = (low_pass.apply(x.T).T for x in (m.tau, raw))
+        # Joint by joint: the spectra of a long log need not all be in memory at once.
+        measured, predicted = (
+            torch.stack([low_pass.apply(x) for x in signal.unbind(-1)], -1) for signal in (m.tau, raw)
+        )
     measured, predicted, moving = (x[middle].cpu() for x in (measured, predicted, m.moving))
     raw_error = (m.tau - raw)[middle].cpu()
+    del raw
     error = measured - predicted
     sums = Sums(
         torch.full((robot.n,), float(len(error))),

@@ -280,9 +280,13 @@ def _read_parquet(path: Path) -> Log:
         wanted = [name for name in names if _wanted(name)]
         table = file.read(columns=wanted)
         columns = {name: _from_arrow(table.column(name)) for name in table.column_names}
+        del table
     if "t" not in columns or "q1" not in columns:
         _joint_columns(names, path)  # an error that lists all columns, not only the wanted
-    return log_from_columns(columns, path)
+    log = log_from_columns(columns, path)
+    del columns
+    pa.default_memory_pool().release_unused()
+    return log
 
 
 def _read_csv(path: Path) -> Log:
