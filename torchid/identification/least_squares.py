@@ -36,6 +36,8 @@ _MAX_ITERATIONS = 30
 _CONVERGED = 0.05
 """Step of the reweighting, in standard deviations under white residuals, that counts as settled."""
 _UNDETERMINED = 1e-7
+_ROUNDING = 1e-10
+_LEAST_LEVEL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -123,10 +125,11 @@ def fit(
     x, bounded = solve(plain, signs, held)
     whitening, robust, weighted = torch.eye(n, dtype=torch.float64), unit, plain
     residual = residuals(source, x)
+    rounding = _ROUNDING * float(torch.linalg.vector_norm(plain[:, -1])) / int(kept.sum()) ** 0.5
     iterations = 0
     while method != "ols" and iterations < _MAX_ITERATIONS:
         iterations += 1
-        whitening, robust = _weights(residual, kept, robust, method, covariance)
+        whitening, robust = _weights(residual, kept, robust, method, covariance, rounding)
         weighted = factor(source, robust, whitening)
         previous = x
         x, bounded = solve(weighted, signs, held)
@@ -163,9 +166,8 @@ def _per_joint(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
     scale = whitening.diagonal()
     for block in source:
         weight = robust[block.instant] * scale
-        for i, matrix in enumerate(block.matrices):
-            rows = torch.cat([matrix, block.tau[:, i : i + 1]], 1) * weight[:, i : i + 1]
-            factors[i].add(rows)
+        for i, rows in enumerate(block.augmented):
+            factors[i].add(rows * weight[:, i : i + 1])
     b = source.layout.size
     wide = []
     for f, c in zip(factors, columns, strict=True):
@@ -190,10 +192,9 @@ def whitened_rows(
     rows; rows left out are zero before they are mixed."""
     b = source.layout.size
     dense = []
-    for i, (matrix, c) in enumerate(zip(block.matrices, source.layout.columns, strict=True)):
-        rows = matrix.new_zeros(matrix.shape[0], b + 1)
-        rows[:, list(c)] = matrix
-        rows[:, b] = block.tau[:, i]
+    for i, (own, c) in enumerate(zip(block.augmented, source.layout.columns, strict=True)):
+        rows = own.new_zeros(own.shape[0], b + 1)
+        rows[:, [*c, b]] = own
         dense.append(rows * block.keep[:, i : i + 1])
     weight = robust[block.instant]
     mixed = []
@@ -204,17 +205,22 @@ def whitened_rows(
 
 
 def _weights(
-    residual: Tensor, kept: Tensor, robust: Tensor, method: Method, covariance: Covariance
+    residual: Tensor,
+    kept: Tensor,
+    robust: Tensor,
+    method: Method,
+    covariance: Covariance,
+    rounding: float,
 ) -> tuple[Tensor, Tensor]:
     """Whitening matrix, and square roots of the robust weights, from residuals (I, n)."""
-    sigma = _scales(residual, kept, method)
     if covariance == "full":
-        whitening = _whitening(residual * kept, robust)
+        whitening = _whitening(residual * kept, robust, rounding)
         white = (residual * kept) @ whitening.T
-        white_scale = _scales(white, kept, method)
-        whitening = whitening / white_scale.unsqueeze(-1)
-        white = white / white_scale
+        scale = _at_least(_scales(white, kept, method), 0.01)
+        whitening = whitening / scale.unsqueeze(-1)
+        white = white / scale
     else:
+        sigma = _at_least(_scales(residual, kept, method), rounding)
         whitening = torch.diag(1 / sigma)
         white = residual / sigma
     size = white.abs().clamp(min=1e-300)
@@ -223,7 +229,7 @@ def _weights(
 
 
 def _scales(residual: Tensor, kept: Tensor, method: Method) -> Float[Tensor, " n"]:
-    """Noise level per joint; a joint whose rows fit exactly gets the smallest other level."""
+    """Noise level per joint; 0 for one without rows."""
     levels = []
     for r, k in zip(residual.unbind(-1), kept.unbind(-1), strict=True):
         own = r[k]
@@ -233,24 +239,23 @@ def _scales(residual: Tensor, kept: Tensor, method: Method) -> Float[Tensor, " n
             levels.append(MAD_TO_SIGMA * own.abs().median())
         else:
             levels.append((own * own).mean().sqrt())
-    return _positive(torch.stack(levels))
+    return torch.stack(levels)
 
 
-def _positive(sigma: Tensor) -> Tensor:
-    """Zeros replaced by the smallest other value, or 1."""
-    others = sigma[sigma > 0]
-    return torch.where(sigma > 0, sigma, others.min() if len(others) else torch.ones_like(sigma))
+def _at_least(sigma: Tensor, floor: float) -> Tensor:
+    """Levels no smaller than `floor` and a millionth of the largest: a joint that can be fitted
+    exactly must not gain weight without end."""
+    return sigma.clamp(min=max(floor, _LEAST_LEVEL * float(sigma.max()), 1e-300))
 
 
-def _whitening(residual: Tensor, robust: Tensor) -> Float[Tensor, "n n"]:
+def _whitening(residual: Tensor, robust: Tensor, rounding: float) -> Float[Tensor, "n n"]:
     """Upper triangular W with W S W' = 1. Upper, so that row i mixes only rows j >= i and keeps
     its zeros for the links before i."""
-    weighted = residual * robust
-    pairs = (robust.T @ robust).clamp(min=1.0)
-    s = weighted.T @ weighted / pairs
-    sigma = _positive(s.diagonal().sqrt())
-    # What is added keeps residuals that are combinations of each other (rounding) apart.
-    correlation = s / (sigma * sigma.unsqueeze(-1)) + 1e-9 * torch.eye(len(s), dtype=s.dtype)
+    weighted = residual * robust / torch.linalg.vector_norm(robust, dim=0).clamp(min=1e-300)
+    sigma = _at_least(torch.linalg.vector_norm(weighted, dim=0), rounding)
+    weighted = weighted / sigma
+    # What is added keeps apart residuals that are combinations of each other.
+    correlation = weighted.T @ weighted + 1e-9 * torch.eye(len(sigma), dtype=sigma.dtype)
     upper = torch.linalg.cholesky(correlation.flip(0, 1)).flip(0, 1)
     return torch.linalg.solve_triangular(upper, torch.diag(1 / sigma), upper=True)
 
