@@ -1,3 +1,4 @@
+# ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """Tests' surroundings: one thread, float64, fixed seeds, and the robots the oracles check."""
 
 import os
@@ -7,16 +8,16 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import random  # noqa: E402
-from collections.abc import Iterator  # noqa: E402
+import random
+from collections.abc import Iterator
 
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-import torch  # noqa: E402
+import numpy as np
+import pytest
+import torch
 
-from tests.arms import ARMS, arm  # noqa: E402
-from tests.oracles import MujocoOracle, PinocchioOracle  # noqa: E402
-from torchid.robot.model import Robot  # noqa: E402
+from tests.arms import ARMS, arm
+from tests.oracles import MujocoOracle, PinocchioOracle
+from torchid.robot.model import Robot
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -29,15 +29,18 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Joints
 
-CHUNK = 4120
-"""Samples the compiled loop handles at a time; a shorter tail is padded. Not a power of two, whose
-strides share cache lines (benchmarks/dynamics.py prints other sizes)."""
+TORQUE_CHUNK = 12360
+REGRESSOR_CHUNK = 2056
+"""Samples a compiled loop handles at a time; a shorter tail is padded. The regressor's 250 outputs
+want to stay in the cache, torques are few. Not powers of two, whose strides share cache lines."""
 
 _OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
     # One loop over the samples, with no intermediate written to memory.
     "max_fusion_size": 5000,
     # a * b + c in one instruction.
     "cpp.enable_floating_point_contract_flag": "fast",
+    # The regressor's outputs are set up in C++, not in Python: a fifth of its time.
+    "cpp_wrapper": True,
 }
 _COMPILERS = ("cl", "icx-cl") if sys.platform == "win32" else ("g++", "clang++", "c++")
 
@@ -45,12 +48,12 @@ Kernel = Callable[..., Tensor]
 
 
 @lru_cache(maxsize=16)
-def compiled_dynamics(robot: Robot, chunk: int = CHUNK) -> "CompiledDynamics":
+def compiled_dynamics(robot: Robot, chunk: int | None = None) -> "CompiledDynamics":
     """The robot's compiled dynamics, made once per robot and chunk size.
 
     Args:
         robot: kinematics and gravity.
-        chunk: samples the compiled loop handles at a time.
+        chunk: samples the compiled loops handle at a time; by default the sizes that are fastest.
 
     Raises:
         TorchidError: no C++ compiler on this machine.
@@ -66,13 +69,12 @@ class CompiledDynamics:
 
     Attributes:
         robot: whose dynamics it is.
-        chunk: samples at a time.
     """
 
-    def __init__(self, robot: Robot, chunk: int = CHUNK):
+    def __init__(self, robot: Robot, chunk: int | None = None):
         _require_compiler()
         self.robot = robot
-        self.chunk = chunk
+        self._sizes = {"torques": chunk or TORQUE_CHUNK, "regressor": chunk or REGRESSOR_CHUNK}
         self._geometry = chain_geometry(robot)
         self._kernels: dict[tuple[str, torch.dtype, torch.device], Kernel] = {}
         self._layout: list[list[tuple[int | float, ...]]] = []
@@ -104,7 +106,7 @@ class CompiledDynamics:
         batch, n = q.shape[:-1], q.shape[-1]
         pieces = [
             self._kernel("torques", q)(*motion, pi)[:, :count].T
-            for motion, count in self._padded(*(x.reshape(-1, n) for x in (q, dq, ddq)))
+            for motion, count in self._padded("torques", *(x.reshape(-1, n) for x in (q, dq, ddq)))
         ]
         return torch.cat(pieces).reshape(*batch, n) if pieces else torch.zeros_like(q)
 
@@ -120,15 +122,16 @@ class CompiledDynamics:
         Yields:
             What `torchid.dynamics.regressor.regressor_chunks` yields.
         """
-        for motion, count in self._padded(q, dq, ddq):
+        for motion, count in self._padded("regressor", q, dq, ddq):
             entries = self._kernel("regressor", q)(*motion)[:, :count]
             yield RegressorChunk(self._layout, entries[0], entries)
 
-    def _padded(self, *signals: Tensor) -> Iterator[tuple[list[Tensor], int]]:
+    def _padded(self, name: str, *signals: Tensor) -> Iterator[tuple[list[Tensor], int]]:
         """Chunks as contiguous (n, chunk) tensors, each with its number of true samples."""
-        for motion in transposed_chunks(*signals, size=self.chunk):
+        size = self._sizes[name]
+        for motion in transposed_chunks(*signals, size=size):
             count = motion[0].shape[1]
-            missing = self.chunk - count
+            missing = size - count
             full = [torch.nn.functional.pad(x, (0, missing)) if missing else x for x in motion]
             yield full, count
 
@@ -136,7 +139,7 @@ class CompiledDynamics:
         key = (name, like.dtype, like.device)
         if key not in self._kernels:
             n = self.robot.n
-            motion = [like.new_zeros(n, self.chunk) for _ in range(3)]
+            motion = [like.new_zeros(n, self._sizes[name]) for _ in range(3)]
             if name == "torques":
                 pi = like.new_zeros(n, PARAMETERS_PER_LINK)
                 self._kernels[key] = _compile(self._torques, *motion, pi)
