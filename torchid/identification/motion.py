@@ -99,8 +99,8 @@ def fast_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
 
 
 def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[Tensor, "T n"]:
-    """Direction of motion, -1, 0 or 1, with hysteresis: the sign of the last velocity above the threshold, so
-    that a joint at rest keeps the direction it came from; 0 before the first such velocity.
+    """Direction of motion, -1, 0 or 1, with hysteresis: the sign of the last velocity above the
+    threshold, so that a joint at rest keeps the direction it came from; 0 before the first one.
 
     Friction does not reverse at the instant the velocity does: asperities and gear teeth first
     spring back (presliding), and velocity noise at standstill is no motion at all.

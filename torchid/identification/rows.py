@@ -20,7 +20,7 @@ from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 PIECE = 16384
 """Samples filtered at a time, besides the filter's tails."""
@@ -98,16 +98,24 @@ class RowBlock:
     """Rows of m instants.
 
     Attributes:
-        matrices: per joint (m, columns of its row).
-        tau: (m, n) filtered torque.
+        augmented: per joint (m, columns of its row + 1), the filtered torque behind the columns.
         keep: (m, n) rows that take part in the fit.
         instant: (m,) running number of the instant over all trajectories.
     """
 
-    matrices: tuple[Float[Tensor, "m c"], ...]
-    tau: Float[Tensor, "m n"]
+    augmented: tuple[Float[Tensor, "m c"], ...]
     keep: Bool[Tensor, "m n"]
-    instant: Tensor
+    instant: Int[Tensor, " m"]
+
+    @property
+    def matrices(self) -> tuple[Float[Tensor, "m c"], ...]:
+        """Per joint (m, columns of its row)."""
+        return tuple(a[:, :-1] for a in self.augmented)
+
+    @property
+    def tau(self) -> Float[Tensor, "m n"]:
+        """Filtered torque."""
+        return torch.stack([a[:, -1] for a in self.augmented], -1)
 
     def residual(self, layout: Layout, x: Float[Tensor, " B"]) -> Float[Tensor, "m n"]:
         """tau minus the rows times x, x in the layout's order."""
@@ -213,17 +221,17 @@ def _blocks(
             before, after = tail - (start - lo), tail - (hi - stop)
             signals = extended(signals, before, after)
             signals = low_pass.decimated(signals, step, tail, tail + stop - start)
-        widths = [len(c) for c in layout.columns]
-        *matrices, tau = signals.split([*widths, layout.robot.n])
-        keep = moving[start:stop:step] if moving_only else torch.ones_like(tau.T, dtype=torch.bool)
-        count = tau.shape[-1]
-        instant = torch.arange(count, device=tau.device) + first_instant
+        augmented = signals.split([len(c) + 1 for c in layout.columns])
+        count = signals.shape[-1]
+        keep = moving[start:stop:step]
+        keep = keep if moving_only else torch.ones_like(keep)
+        instant = torch.arange(count, device=signals.device) + first_instant
         first_instant += count
-        yield RowBlock(tuple(a.T for a in matrices), tau.T, keep, instant)
+        yield RowBlock(tuple(a.T for a in augmented), keep, instant)
 
 
 def _columns(m: Measurement, layout: Layout, lo: int, hi: int) -> Float[Tensor, "C M"]:
-    """Unfiltered columns of all torque rows, then the torques, for samples lo..hi."""
+    """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
     motion = m.motion.part(slice(lo, hi))
     effect_columns = [e.columns(motion) for e in layout.effects]
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
@@ -237,4 +245,5 @@ def _columns(m: Measurement, layout: Layout, lo: int, hi: int) -> Float[Tensor, 
             parts.append(torch.cat(rows[i], -1))
         if own:
             parts.append(torch.stack([effect_columns[e][:, c] for e, c in own]))
-    return torch.cat([*parts, m.tau[lo:hi].T])
+        parts.append(m.tau[lo:hi, i : i + 1].T)
+    return torch.cat(parts)

@@ -38,7 +38,7 @@ LEFT_OUT = 0.1
 """Factor on the rows of the stretch left out: with 1 % of their weight they determine what no other
 stretch excites (a joint that moves once), instead of rounding."""
 
-LONGEST = 60_000
+LONGEST = 40_000
 """Samples of the training data that take part in a choice."""
 
 Report = Callable[[int, int], None] | None
@@ -51,7 +51,8 @@ class CutoffChoice:
     Attributes:
         cutoff: [Hz], or None for no filter.
         candidates: [Hz] (None: no filter).
-        scores: cross-validated relative error of unfiltered torque, mean over joints [%].
+        scores: cross-validated relative error of unfiltered torque, mean over joints [%]; inf for
+            those not tried because lower ones had already become worse.
     """
 
     cutoff: float | None
@@ -89,11 +90,14 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
         tried.append(None)
     if not tried:
         tried = [rate / 5]
-    scores = []
+    speed = fast_speed(measurements(log, tried[len(tried) // 2]))
+    scores: list[float] = []
     for k, cutoff in enumerate(tried):
+        if _hopeless(scores) and cutoff is not None:
+            scores.append(float("inf"))
+            continue
         try:
-            measured = measurements(log, cutoff)
-            measured = measurements(log, cutoff, REVERSALS[2] * fast_speed(measured))
+            measured = measurements(log, cutoff, REVERSALS[2] * speed)
             scores.append(float(_cross_validated(training, measured, filtered=False).mean()))
         except LogError:
             scores.append(float("inf"))
@@ -101,6 +105,11 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
             report(k + 1, len(tried))
     best = min(range(len(tried)), key=scores.__getitem__)
     return CutoffChoice(tried[best], tuple(tried), tuple(scores))
+
+
+def _hopeless(scores: list[float]) -> bool:
+    """Twice in a row a tenth worse than the best: noise has taken over, higher is worse still."""
+    return len(scores) > 2 and min(scores[-2:]) > 1.1 * min(scores)
 
 
 def choose_reversal(

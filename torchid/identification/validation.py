@@ -122,7 +122,8 @@ def predict(
         low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
         # Joint by joint: the spectra of a long log need not all be in memory at once.
         measured, predicted = (
-            torch.stack([low_pass.apply(x) for x in signal.unbind(-1)], -1) for signal in (m.tau, raw)
+            torch.stack([low_pass.apply(x) for x in signal.unbind(-1)], -1)
+            for signal in (m.tau, raw)
         )
     measured, predicted, moving = (x[middle].cpu() for x in (measured, predicted, m.moving))
     raw_error = (m.tau - raw)[middle].cpu()
