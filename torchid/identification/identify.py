@@ -82,6 +82,12 @@ class Settings:
                 raise TorchidError(
                     f"unknown choice for {name}.", got=getattr(self, name), available=allowed
                 )
+        for name, unit in (("cutoff", "Hz"), ("reversal", "share of the 99 % speed")):
+            value = getattr(self, name)
+            if value not in ("auto", None) and not (isinstance(value, int | float) and value >= 0):
+                raise TorchidError(
+                    f"{name} is `auto` or a number that is not negative [{unit}].", got=value
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +144,7 @@ class Identification:
 
     @property
     def relative_std_percent(self) -> Float[Tensor, " B"]:
-        """100 std / |value| (B,); inf for a value of 0."""
+        """100 std / |value| (B,); nan for parameters that are not free."""
         return 100 * self.std / self.values.abs()
 
     def interval(self, level: float = 0.95) -> Float[Tensor, "B 2"]:
@@ -162,11 +168,15 @@ class Identification:
             weights: (P,) over `base.parameter_names`.
 
         Raises:
-            TorchidError: the torque does not determine this combination.
+            TorchidError: the torque, or this log, does not determine this combination.
         """
         row = weights[list(self.base.independent)]
         if not torch.allclose(row @ self.base.grouping, weights, atol=1e-8):
             raise TorchidError("the torque does not determine this combination of parameters.")
+        used = [name for name, w in zip(self.base.names, row.tolist(), strict=True) if w != 0]
+        unknown = sorted(set(used) & set(self.undetermined))
+        if unknown:
+            raise TorchidError("this log does not determine this combination.", got=unknown)
         return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
 
 

@@ -1,0 +1,450 @@
+"""From a robot and its logs to base parameters: the whole job."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import pytest
+import torch
+
+from tests.identification.test_paper_tables import plan, true_parameters
+from tests.identification.test_rows import a_log, arm
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import Motion
+from torchid.effects.registry import nominal_effects
+from torchid.errors import IdentificationError, LogError, TorchidError
+from torchid.identification.identify import Identification, Settings, identify
+from torchid.identification.synthetic import HonestNoise, nominal_torque, synthetic_log
+from torchid.identification.trajectories import random_trajectory, trajectory_log
+from torchid.log.model import Log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import Limits, Robot
+
+FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+# The report's LWR has a negative Fv6.
+EXACT = Settings(cutoff=None, reversal=0.0, method="ols", signs="free", effects=FRICTION)
+QUICK = Settings(cutoff=5.0, reversal=0.0)
+ROBOT = load_robot("3r_friction")
+
+
+def effects_of(robot: Robot, names=FRICTION) -> tuple[str, ...]:
+    return names if robot.effects else ()
+
+
+@lru_cache
+def honest(name: str = "3r_friction", seed: int = 0, rate: float = 200.0) -> Log:
+    robot = load_robot(name)
+    trajectory = trajectory_log(random_trajectory(robot, seed, count=3, fill=True), rate)
+    return synthetic_log(robot, trajectory, HonestNoise(), seed)
+
+
+def truth(found: Identification) -> torch.Tensor:
+    """The robot's nominal parameters in the base parameters of an identification."""
+    robot = found.robot
+    nominal = dict(nominal_effects(robot))
+    values = [v for e in found.effects for v in nominal.get(e, [0.0])]
+    rigid = robot.parameters.to_paper_order()
+    return found.base.project(torch.cat([rigid, torch.tensor(values, dtype=torch.float64)]))
+
+
+@pytest.mark.parametrize("name", ["3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction"])
+def test_without_noise_the_parameters_are_recovered_to_rounding(name):
+    robot = load_robot(name)
+    log = synthetic_log(robot, plan(robot))
+    # Where a joint is exactly at rest, the log has no Coulomb friction, while a joint at rest
+    # keeps the direction it came from: those instants are left out.
+    moving = torch.ones(log.samples, dtype=torch.bool)
+    for rows in log.slices():
+        moving[rows.start] = moving[rows.stop - 1] = False
+    log = log.select(moving)
+    found = identify(robot, log, settings=replace(EXACT, effects=effects_of(robot)))
+    expected = found.base.project(true_parameters(robot))
+    assert float((found.values - expected).abs().max()) <= 1e-11
+    assert bool(found.free.all())
+    assert float(found.fit.relative_percent.max()) < 1e-9
+    assert found.cutoff is None
+
+
+def test_the_paper_s_instants_at_rest_are_recovered_too():
+    """The whole log of the rigid robot, both ends at rest."""
+    robot = load_robot("3r")
+    found = identify(robot, synthetic_log(robot, plan(robot)), settings=replace(EXACT, effects=()))
+    assert float((found.values - truth(found)).abs().max()) <= 1e-11
+
+
+@lru_cache
+def by_default(name: str, seed: int) -> Identification:
+    settings = Settings(signs="free" if name == "kuka_lwr4_friction" else "bounded")
+    rate = 100.0 if name == "kuka_lwr4_friction" else 200.0
+    return identify(load_robot(name), honest(name, seed, rate), settings=settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"), [("3r", 0), ("3r", 1), ("3r_friction", 0), ("kuka_lwr4_friction", 0)]
+)
+def test_with_honest_noise_and_default_settings_the_truth_is_near(name, seed):
+    """Of the rigid body and the effects that the robot has; what it has not is 0. The report's LWR
+    has a negative Fv6, so there the signs are free."""
+    found = by_default(name, seed)
+    known = found.free
+    error = ((found.values - truth(found))[known] / found.std[known]).abs()
+    assert float(error.max()) < 5
+    assert float(error.square().mean().sqrt()) < 1.6
+    assert found.cutoff is not None
+    assert 1 <= found.cutoff <= 40
+    assert found.cutoff_choice is not None
+    assert float(found.fit.relative_percent.max()) < 5
+
+
+def with_effects(values: dict[str, list[float]]) -> Robot:
+    """The 3R with other friction."""
+    keys = {"viscous_friction": "Fv", "coulomb_friction": "Fc", "torque_offset": "F0"}
+    records = tuple(
+        {"effect": effect, "joint": j + 1, key: values[key][j]}
+        for effect, key in keys.items()
+        if key in values
+        for j in range(3)
+    )
+    return replace(ROBOT, effects=records)
+
+
+NEGATIVE = with_effects({"Fv": [0.07, -0.2, 0.04], "Fc": [0.2, 0.15, 0.18], "F0": [0.0, 0.1, 0.0]})
+
+
+def negative_log() -> Log:
+    plan_ = trajectory_log(random_trajectory(ROBOT, 3, count=2, fill=True), 200.0)
+    return synthetic_log(NEGATIVE, plan_, HonestNoise(), 3)
+
+
+def test_a_negative_friction_is_bounded_and_said():
+    found = identify(NEGATIVE, negative_log(), settings=QUICK)
+    assert "Fv2" in found.bounded
+    k = found.base.names.index("Fv2")
+    assert float(found.values[k]) == 0.0
+    assert not bool(found.free[k])
+    assert float(found.std[k]) == 0.0
+    assert any("held at 0" in w and "Fv2" in w for w in found.warnings)
+    assert found.wrong_sign == ()
+
+
+def test_a_negative_friction_is_found_and_said_if_signs_are_free():
+    found = identify(NEGATIVE, negative_log(), settings=replace(QUICK, signs="free"))
+    assert "Fv2" in found.wrong_sign
+    assert found.bounded == ()
+    k = found.base.names.index("Fv2")
+    assert float(found.values[k]) == pytest.approx(-0.2, abs=5 * float(found.std[k]))
+    assert any("kept with a sign that physics forbids" in w and "Fv2" in w for w in found.warnings)
+
+
+def test_essential_parameters_drop_what_is_zero():
+    robot = with_effects({"Fv": [0.07, 0.2, 0.04], "Fc": [0.2, 0.15, 0.18]})
+    log = synthetic_log(
+        robot, trajectory_log(random_trajectory(robot, 3, count=3, fill=True), 200.0),
+        HonestNoise(), 3,
+    )  # fmt: skip
+    settings = replace(QUICK, signs="free", essential=True)
+    found = identify(robot, log, settings=settings)
+    zero = {"F01", "F02", "F03", "Ia3"}
+    assert len(zero & set(found.dropped)) >= 3
+    assert not {"Fv1", "Fv2", "Fv3", "Fc1", "Fc2", "Fc3"} & set(found.dropped)
+    assert any("cannot be told from 0" in w for w in found.warnings)
+    kept = found.free
+    ratio = found.values[kept].abs() / found.std[kept]
+    assert float(ratio.min()) > found.uncertainty.quantile()
+    assert bool((found.values[~kept] == 0).all())
+    whole = identify(robot, log, settings=replace(settings, essential=False))
+    assert float((found.fit.rmse / whole.fit.rmse).max()) < 1.02
+
+
+def test_a_held_out_share_is_the_end_of_each_trajectory():
+    log = honest()
+    early, late = log.split(0.6, gap_s=0.0)
+    share = identify(ROBOT, log, settings=replace(QUICK, held_out_fraction=0.4))
+    apart = identify(ROBOT, early, held_out=late, settings=QUICK)
+    assert torch.allclose(share.values, apart.values, rtol=1e-10)
+    assert torch.allclose(share.held_out.rmse, apart.held_out.rmse, rtol=1e-10)
+    assert share.held_out.trajectories == log.names
+    assert len(share.held_out_predictions) == 3
+    none = identify(ROBOT, early, settings=QUICK)
+    assert none.held_out is None
+    assert none.held_out_predictions == ()
+    assert torch.allclose(none.values, apart.values, rtol=1e-10)
+
+
+@pytest.mark.parametrize("fraction", [-0.1, 1.0, 1.5])
+def test_a_held_out_share_lies_between_0_and_1(fraction):
+    with pytest.raises(LogError, match="between 0 and 1"):
+        identify(ROBOT, honest(), settings=replace(QUICK, held_out_fraction=fraction))
+
+
+def test_errors_under_another_filter():
+    log = honest()
+    same, other = (
+        identify(ROBOT, log, held_out=log, settings=replace(QUICK, error_cutoff=f))
+        for f in (None, 20.0)
+    )
+    assert torch.equal(same.values, other.values)
+    assert bool((other.held_out.rmse > same.held_out.rmse).all())
+    explicit = identify(ROBOT, log, held_out=log, settings=replace(QUICK, error_cutoff=5.0))
+    assert torch.allclose(explicit.fit.rmse, same.fit.rmse)
+
+
+def test_trajectories_of_different_rates():
+    log = a_log(ROBOT, rates=(100.0, 250.0, 400.0), durations=(20.0, 12.0, 10.0),
+                noise=HonestNoise(encoder_step=1e-6))  # fmt: skip
+    found = identify(ROBOT, log, settings=QUICK)
+    error = ((found.values - truth(found)) / found.std)[found.free]
+    assert float(error.abs().max()) < 5
+    assert len(found.fit.trajectories) == 3
+
+
+def test_currents_times_gains():
+    log = honest()
+    gain = torch.tensor([10.0, 5.0, 2.0], dtype=torch.float64)
+    amps = log.replace(tau=None, current=log.tau / gain)
+    expected = identify(ROBOT, log, settings=QUICK).values
+    geared = replace(ROBOT, drive_gain=gain)
+    assert torch.allclose(identify(geared, amps, settings=QUICK).values, expected, rtol=1e-8)
+    apart = identify(ROBOT, amps.with_torque(gain), settings=QUICK)
+    assert torch.allclose(apart.values, expected, rtol=1e-8)
+    both = identify(geared, amps, held_out=amps, settings=QUICK)
+    assert torch.allclose(both.held_out.rmse, both.fit.rmse)
+    with pytest.raises(LogError, match="no torque"):
+        identify(ROBOT, amps, settings=QUICK)
+
+
+def test_prediction_and_residual():
+    found = by_default("3r_friction", 0)
+    motion = Motion(*(torch.randn(4, 5, 3, dtype=torch.float64) for _ in range(3)))
+    expected = nominal_torque(ROBOT, motion)
+    got = found.predict(*motion.state)
+    assert got.shape == (4, 5, 3)
+    assert float((got - expected).abs().max()) < 0.05 * float(expected.abs().max())
+    assert torch.equal(found.residual(*motion.state, expected), expected - got)
+    one = found.predict(*(x[1, 2] for x in motion.state))
+    assert torch.allclose(one, got[1, 2])
+
+
+def test_combinations():
+    found = by_default("3r_friction", 0)
+    for k in (0, 3, len(found.base) - 1):
+        value, std = found.combination(found.base.grouping[k])
+        assert value == pytest.approx(float(found.values[k]))
+        assert std == pytest.approx(float(found.std[k]))
+    two = found.base.grouping[0] - 2 * found.base.grouping[4]
+    value, std = found.combination(two)
+    v = found.covariance
+    assert value == pytest.approx(float(found.values[0] - 2 * found.values[4]))
+    assert std == pytest.approx(float((v[0, 0] + 4 * v[4, 4] - 4 * v[0, 4]).sqrt()))
+    alone = torch.zeros(len(found.base.parameter_names), dtype=torch.float64)
+    alone[found.base.parameter_names.index("m2")] = 1.0
+    with pytest.raises(TorchidError, match="does not determine this combination"):
+        found.combination(alone)
+
+
+def test_a_combination_of_what_the_log_does_not_determine():
+    """Its value 0 is a choice, not knowledge."""
+    q = honest().q.clone()
+    q[:, 1] = 0.3
+    found = identify(ROBOT, honest().replace(q=q), settings=QUICK)
+    k = found.base.names.index("Fv2")
+    assert "Fv2" in found.undetermined
+    with pytest.raises(TorchidError, match="this log does not determine"):
+        found.combination(found.base.grouping[k])
+
+
+def test_intervals():
+    found = by_default("3r_friction", 0)
+    wide, narrow = found.interval(0.99), found.interval(0.5)
+    assert torch.allclose(wide.mean(1), found.values)
+    assert bool((wide[found.free, 0] < narrow[found.free, 0]).all())
+    half = found.uncertainty.quantile(0.95) * found.std
+    assert torch.allclose(found.interval()[:, 1] - found.values, half)
+    percent = 100 * found.std / found.values.abs()
+    assert torch.allclose(found.relative_std_percent[found.free], percent[found.free])
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "huber"])
+@pytest.mark.parametrize("covariance", ["diagonal", "full"])
+@pytest.mark.parametrize("rows", ["all", "moving"])
+def test_every_setting_finds_the_truth(method, covariance, rows):
+    settings = replace(QUICK, method=method, covariance=covariance, rows=rows)
+    found = identify(ROBOT, honest(), settings=settings)
+    error = ((found.values - truth(found)) / found.std)[found.free]
+    assert float(error.abs().max()) < 5
+
+
+def test_prismatic_joints():
+    robot = arm("RPRP")
+    log = a_log(robot, rates=(200.0,), noise=HonestNoise(encoder_step=1e-6))
+    found = identify(robot, log, settings=replace(QUICK, effects=()))
+    error = ((found.values - truth(found)) / found.std)[found.free]
+    assert float(error.abs().max()) < 5
+    assert found.base.units[0] == "kg"
+
+
+def test_progress_is_reported():
+    stages: dict[str, list[tuple[int, int]]] = {}
+
+    def progress(stage: str, done: int, total: int) -> None:
+        stages.setdefault(stage, []).append((done, total))
+
+    identify(ROBOT, honest(rate=100.0), progress=progress)
+    assert set(stages) >= {"choosing the cut-off", "choosing the reversal speed"}
+    assert all(calls[-1][0] == calls[-1][1] for calls in stages.values())
+
+
+# --- bad input
+
+
+def test_a_log_of_one_sample():
+    with pytest.raises(LogError, match="one sample only"):
+        identify(ROBOT, honest().select(slice(0, 1)))
+
+
+def test_an_empty_log():
+    with pytest.raises(LogError):
+        honest().select(slice(0, 0))
+
+
+def test_a_log_that_is_too_short():
+    with pytest.raises(LogError, match="too short to be filtered at 5 Hz"):
+        identify(ROBOT, honest().select(slice(0, 30)), settings=QUICK)
+    with pytest.raises(LogError):
+        identify(ROBOT, honest().select(slice(0, 15)))
+
+
+def test_another_number_of_joints():
+    with pytest.raises(LogError, match="another number of joints"):
+        identify(load_robot("kuka_lwr4"), honest())
+    with pytest.raises(LogError, match="another number of joints"):
+        identify(ROBOT, honest(), held_out=honest("kuka_lwr4_friction"), settings=QUICK)
+
+
+@pytest.mark.parametrize(
+    ("joint", "settings"),
+    [(0, QUICK), (1, QUICK), (2, QUICK), (1, Settings()), (2, replace(QUICK, rows="moving"))],
+)
+def test_a_joint_that_never_moves(joint, settings):
+    q = honest().q.clone()
+    q[:, joint] = 0.3
+    found = identify(ROBOT, honest().replace(q=q), settings=settings)
+    assert f"Fv{joint + 1}" in found.undetermined
+    assert any(f"joint {joint + 1}" in w and "move" in w for w in found.warnings)
+    assert any("does not determine" in w for w in found.warnings)
+    assert bool(torch.isfinite(found.values).all())
+    assert bool(torch.isfinite(found.covariance).all())
+
+
+def test_nothing_moves():
+    log = honest()
+    still = log.replace(q=torch.zeros_like(log.q))
+    with pytest.raises(IdentificationError, match="no row is left"):
+        identify(ROBOT, still, settings=replace(QUICK, rows="moving"))
+
+
+def test_all_zero_torque():
+    with pytest.raises(LogError):
+        identify(ROBOT, honest().replace(tau=torch.zeros_like(honest().tau)))
+
+
+@pytest.mark.parametrize("covariance", ["diagonal", "full"])
+@pytest.mark.parametrize("joint", [0, 2])
+def test_a_joint_without_torque_is_said(joint, covariance):
+    tau = honest().tau.clone()
+    tau[:, joint] = 0.0
+    settings = replace(QUICK, covariance=covariance)
+    found = identify(ROBOT, honest().replace(tau=tau), settings=settings)
+    assert any(f"joint {joint + 1}" in w and "torque" in w for w in found.warnings)
+    assert bool(torch.isfinite(found.values).all())
+    assert bool(torch.isfinite(found.covariance).all())
+
+
+def test_no_torque():
+    with pytest.raises(LogError, match="no torque"):
+        identify(ROBOT, honest().replace(tau=None))
+
+
+def test_degrees():
+    log = honest()
+    with pytest.raises(LogError, match="degrees"):
+        identify(ROBOT, log.replace(q=log.q * 57.29577951308232))
+
+
+def test_a_robot_without_limits_and_parameters():
+    bare = replace(ROBOT, limits=Limits(), parameters=None, effects=())
+    found = identify(bare, honest(), settings=QUICK)
+    assert torch.equal(found.values, identify(ROBOT, honest(), settings=QUICK).values)
+
+
+def test_nan_is_refused():
+    tau = honest().tau.clone()
+    tau[17, 1] = float("nan")
+    with pytest.raises(LogError, match="NaN"):
+        identify(ROBOT, honest().replace(tau=tau))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rows": "some"}, "rows"),
+        ({"method": "lasso"}, "method"),
+        ({"covariance": "banded"}, "covariance"),
+        ({"signs": "positive"}, "signs"),
+        ({"cutoff": "low"}, "cutoff"),
+        ({"reversal": "slow"}, "reversal"),
+        ({"reversal": -0.1}, "reversal"),
+    ],
+)
+def test_unknown_choices_are_refused(change, message):
+    with pytest.raises(TorchidError, match=message):
+        Settings(**change)
+
+
+@pytest.mark.parametrize("change", [{"effects": ("stiction",)}, {"cutoff": 0.0}, {"cutoff": 150.0},
+                                    {"error_cutoff": -1.0}])  # fmt: skip
+def test_what_only_the_log_and_the_registry_know_is_refused(change):
+    with pytest.raises(TorchidError):
+        identify(ROBOT, honest(), settings=replace(QUICK, **change))
+
+
+# --- coverage of the intervals
+
+
+def coverage(name: str, runs: int, settings: Settings) -> tuple[float, float, float]:
+    """Share of true parameters inside their 95 % intervals; its smallest and largest over
+    parameters."""
+    robot = load_robot(name)
+    inside = []
+    for seed in range(runs):
+        trajectory = trajectory_log(random_trajectory(robot, seed, count=3, fill=True), 200.0)
+        log = synthetic_log(robot, trajectory, HonestNoise(), seed)
+        found = identify(robot, log, settings=settings)
+        bounds = found.interval(0.95)
+        expected = truth(found)
+        inside.append((bounds[:, 0] <= expected) & (expected <= bounds[:, 1]))
+    share = torch.stack(inside).double()
+    return float(share.mean()), float(share.mean(0).min()), float(share.mean(0).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "runs", "reversal"), [("3r", 200, "auto"), ("kuka_lwr4_friction", 60, 0.0)]
+)
+def test_95_percent_intervals_cover_the_truth(name, runs, reversal, record_property):
+    settings = Settings(cutoff=8.0, signs="free", reversal=reversal)
+    mean, lowest, highest = coverage(name, runs, settings)
+    record_property("coverage", mean)
+    print(f"\n{name}: {100 * mean:.1f} % ({100 * lowest:.0f} to {100 * highest:.0f})")
+    assert 0.92 <= mean <= 0.98
+    # Of one parameter in few runs: five standard deviations of a binomial share.
+    assert lowest > 0.95 - 5 * (0.95 * 0.05 / runs) ** 0.5
+
+
+def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
+    found = by_default("3r", 0)
+    q, dq, ddq = torch.randn(3, 10, 3, dtype=torch.float64)
+    pi = load_robot("3r").parameters
+    assert isinstance(pi, InertialParameters)
+    rigid = inverse_dynamics(ROBOT, q, dq, ddq, pi)
+    assert float((found.predict(q, dq, ddq) - rigid).abs().max()) < 0.1
