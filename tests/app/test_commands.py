@@ -1,0 +1,199 @@
+"""Every command from the outside: what it prints, writes and returns."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_version_and_help(command):
+    assert command("--version").out.startswith("torchid ")
+    for name in ("robot", "excite", "simulate", "identify", "demo"):
+        shown = command(name, "--help")
+        assert shown.code == 0
+        assert "Example" in shown.out
+
+
+@pytest.mark.parametrize("launcher", [["cli.py"], ["-m", "torchid"]])
+def test_launchers_run_one_thread_by_default(launcher):
+    result = subprocess.run(
+        [sys.executable, *launcher, "robot", "3r", "--quiet"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [([], "1"), (["--threads", "3"], "3"), (["--threads=2"], "2"), (["--threads", "x"], "1")],
+)
+def test_threads_are_set_before_torch_loads(monkeypatch, arguments, expected):
+    from torchid.app import set_threads
+
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    set_threads(["identify", "3r", *arguments])
+    import os
+
+    assert os.environ["OMP_NUM_THREADS"] == expected
+    assert os.environ["OPENBLAS_NUM_THREADS"] == expected
+
+
+def test_import_loads_neither_torch_nor_numpy():
+    code = (
+        "import sys, torchid, torchid.app; "
+        "print([m for m in ('torch', 'numpy', 'matplotlib') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_wrong_usage_exits_with_2(command):
+    assert command("identify").code == 2
+    assert command("nonsense").code == 2
+    assert command("identify", "3r", "x.csv", "--no-such-option").code == 2
+
+
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4_friction", "panda"])
+def test_robot(command, tmp_path, name):
+    target = tmp_path / "robot.json"
+    shown = command("robot", name, "--json", target)
+    assert shown.code == 0
+    assert name in shown.out
+    data = json.loads(target.read_text())
+    assert data["schema"] == "torchid.robot/1"
+    assert [j["joint"] for j in data["joints"]] == list(range(1, len(data["joints"]) + 1))
+
+
+def test_robot_names_inconsistent_links(command):
+    shown = " ".join(command("robot", "kuka_lwr4").out.split())
+    for link in (3, 4, 7):
+        assert f"link 'link_{link}' is not physically consistent" in shown
+    assert "link 'link_5'" not in shown
+
+
+def test_robot_without_parameters_says_so(command):
+    assert "no inertial parameters" in command("robot", "panda").out
+
+
+def test_identify_writes_everything(command, folder, tmp_path):
+    out, target = tmp_path / "result", tmp_path / "result.json"
+    shown = command(
+        "identify", "3r_friction", folder / "fit.parquet", "--held-out", folder / "check.csv",
+        "--cutoff", "8", "--out", out, "--json", target,
+    )  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "15 base parameters of 3r_friction" in shown.out
+    assert json.loads(target.read_text()) == json.loads((out / "identification.json").read_text())
+    data = json.loads(target.read_text())
+    assert data["schema"] == "torchid.identification/1"
+    assert data["n_base"] == 15
+    assert data["cutoff_hz"] == 8.0
+    assert max(data["held_out"]["relative_error_percent_moving"]) < 3
+    pictures = sorted(p.name for p in out.glob("*.png"))
+    assert "parameters.png" in pictures
+    assert any(p.startswith("held_out_check") for p in pictures)
+    assert sum(p.startswith("fit_fit") for p in pictures) == 2
+    assert all((out / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
+    assert not list(out.glob("*.tmp*"))
+
+
+def test_identify_is_repeatable(command, folder, tmp_path):
+    """To rounding: BLAS adds in another order when memory is aligned differently."""
+    found = []
+    for k in range(2):
+        target = tmp_path / f"{k}.json"
+        command("identify", "3r_friction", folder / "check.csv", "--quiet", "--json", target)
+        found.append(json.loads(target.read_text()))
+    one, two = found
+    assert one["cutoff_hz"] == two["cutoff_hz"]
+    for a, b in zip(one["parameters"], two["parameters"], strict=True):
+        assert a["value"] == pytest.approx(b["value"], rel=1e-7, abs=1e-10)
+
+
+def test_quiet_prints_nothing(command, folder):
+    shown = command("identify", "3r_friction", folder / "check.csv", "--quiet", "--cutoff", "8")
+    assert (shown.code, shown.out, shown.err) == (0, "", "")
+
+
+def test_currents_need_gains(command, broken, tmp_path):
+    def to_currents(table):
+        return {k.replace("tau", "i"): v / 10 if k[:3] == "tau" else v for k, v in table.items()}
+
+    path = broken(to_currents)
+    refused = command("identify", "3r_friction", path)
+    assert refused.code == 1
+    assert "--gain" in refused.err
+    wrong = command("identify", "3r_friction", path, "--gain", "10,10")
+    assert wrong.code == 1
+    assert "expected: 3" in wrong.err
+    target = tmp_path / "gain.json"
+    assert command("identify", "3r_friction", path, "--gain", "10,10,10", "--cutoff", "8",
+                   "--json", target).code == 0  # fmt: skip
+    fc = next(
+        e for e in json.loads(target.read_text())["effects"] if e["effect"] == "coulomb_friction"
+    )
+    assert fc["joints"] == [1, 2, 3]
+    assert fc["parameters"]["Fc"] == pytest.approx([0.245, 0.1523, 0.1827], rel=0.1)
+
+
+def test_excite_simulate_identify(command, tmp_path):
+    """The three commands hand files to each other."""
+    made = command("excite", "3r_friction", "--restarts", 2, "--out", tmp_path, "--seed", 1)
+    assert made.code == 0, made.err
+    record = json.loads((tmp_path / "excitation.json").read_text())
+    assert record["condition_number_after"][0] < 0.5 * record["condition_number_before"][0]
+    assert (tmp_path / "trajectory_1.png").exists()
+    log = tmp_path / "log.npz"
+    assert command("simulate", "3r_friction", tmp_path / "trajectory.csv", "--to", log).code == 0
+    target = tmp_path / "id.json"
+    shown = command("identify", "3r_friction", log, "--held-out-fraction", 0.3, "--json", target)
+    assert shown.code == 0, shown.err
+    errors = json.loads(target.read_text())["held_out"]["relative_error_percent"]
+    assert max(errors) < 3
+
+
+@pytest.mark.parametrize("kind", ["random", "sinusoid", "paper"])
+def test_excite_kinds(command, tmp_path, kind):
+    target = tmp_path / "motion.parquet"
+    assert command("excite", "3r", "--kind", kind, "--count", 2, "--to", target).code == 0
+    from torchid.log.readers import read_log
+
+    assert read_log(target).trajectory_count == (3 if kind == "paper" else 2)
+
+
+def test_simulate_paper_noise_leaves_no_error(command, tmp_path):
+    """The report's noise is on the trajectory: the coefficients come out to rounding."""
+    motion, log, target = tmp_path / "m.csv", tmp_path / "log.parquet", tmp_path / "id.json"
+    command("excite", "3r", "--kind", "paper", "--to", motion)
+    command("simulate", "3r", motion, "--noise", "paper", "--to", log)
+    shown = command("identify", "3r", log, "--effects", "none", "--cutoff", "none", "--method",
+                    "ols", "--json", target)  # fmt: skip
+    assert shown.code == 0, shown.err
+    values = {p["name"]: p["value"] for p in json.loads(target.read_text())["parameters"]}
+    assert len(values) == 15
+    assert values["m3c3y"] == pytest.approx(0.0024, abs=1e-11)
+    assert values["J2xx - J2yy + J2zz"] == pytest.approx(0.000498, abs=1e-11)
+
+
+@pytest.mark.slow
+def test_demo(command, tmp_path):
+    shown = command("demo", "--out", tmp_path / "demo")
+    assert shown.code == 0, shown.err
+    data = json.loads((tmp_path / "demo" / "demo.json").read_text())
+    assert data["paper_3r"]["largest_error"] < 1e-11
+    assert data["kuka"]["inside_95"] >= 56
+    assert {p.name for p in (tmp_path / "demo").glob("*.png")} == {
+        "parameters.png",
+        "trajectory.png",
+        "validation.png",
+    }

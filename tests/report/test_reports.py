@@ -1,0 +1,80 @@
+"""Tables and figures carry the numbers of the result they show."""
+
+import pytest
+import torch
+from rich.console import Console
+
+from torchid.identification.identify import Settings, identify
+from torchid.identification.synthetic import HonestNoise, synthetic_log
+from torchid.identification.trajectories import random_trajectory, trajectory_log
+from torchid.report.excitation import trajectory_figure
+from torchid.report.figures import parameter_figure, save, torque_figure, truth_figure
+from torchid.report.identification import headline, tables
+from torchid.robot.library import load_robot
+
+
+@pytest.fixture(scope="module")
+def result():
+    robot = load_robot("3r_friction")
+    motion = trajectory_log(random_trajectory(robot, 0, fill=True), 100.0)
+    log = synthetic_log(robot, motion, HonestNoise(), 0)
+    return identify(robot, log, settings=Settings(cutoff=8.0, held_out_fraction=0.3))
+
+
+def text_of(result) -> str:
+    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    for table in tables(result):
+        console.print(table)
+    return console.export_text()
+
+
+def test_tables_show_every_parameter_with_its_value(result):
+    text = text_of(result)
+    for name, value in zip(result.base.names[:15], result.values.tolist(), strict=False):
+        line = next(x for x in text.splitlines() if name in " ".join(x.split()))
+        assert f"{value:.5g}" in line
+
+
+def test_tables_show_the_errors(result):
+    text = text_of(result)
+    for e in (result.fit, result.held_out):
+        for value in e.relative_percent.tolist():
+            assert f"{value:.2f}" in text
+
+
+def test_absorbed_and_held_coefficients_are_marked(result):
+    text = text_of(result)
+    assert "in base" in text  # Ia1, Ia2
+    assert ("0 (held)" in text) == bool(result.bounded or result.undetermined)
+
+
+def test_headline_speaks_of_held_out_data(result):
+    line = headline(result)
+    assert "15 base parameters of 3r_friction" in line
+    assert "held-out" in line
+    assert f"{float(result.held_out.relative_percent[0]):.1f}" in line
+
+
+def test_figures_draw_the_data(result, tmp_path):
+    prediction = result.held_out_predictions[0]
+    figure = torque_figure(prediction, ["N m"] * 3, "title")
+    assert len(figure.axes) == 6
+    drawn = figure.axes[0].lines[0].get_ydata()
+    assert drawn[0] == pytest.approx(float(prediction.measured[0, 0]))
+    path = save(figure, tmp_path / "torque.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_parameter_figures_have_a_mark_for_each_free_parameter(result):
+    free = int(result.free.sum())
+    assert len(parameter_figure(result).axes[0].patches) == free
+    marks = truth_figure(result, torch.zeros_like(result.values)).axes[0].collections[-1]
+    assert len(marks.get_offsets()) == free
+
+
+def test_trajectory_figure_shows_limits():
+    robot = load_robot("3r")
+    motion = trajectory_log(random_trajectory(robot, 0), 50.0)
+    figure = trajectory_figure(robot, motion, "title")
+    heights = [line.get_ydata()[0] for line in figure.axes[0].lines[1:]]
+    assert sorted(heights) == pytest.approx([-2.8973, 2.8973])
