@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from torchid.dynamics.newton_euler import transposed_chunks
+from torchid.dynamics.newton_euler import keep_freed_memory
 from torchid.dynamics.recursion import chain_geometry, forces, kinematics, regressor_rows
 from torchid.dynamics.regressor import RegressorChunk
 from torchid.errors import TorchidError
@@ -128,12 +128,11 @@ class CompiledDynamics:
 
     def _padded(self, name: str, *signals: Tensor) -> Iterator[tuple[list[Tensor], int]]:
         """Chunks as contiguous (n, chunk) tensors, each with its number of true samples."""
+        keep_freed_memory()
         size = self._sizes[name]
-        for motion in transposed_chunks(*signals, size=size):
-            count = motion[0].shape[1]
-            missing = size - count
-            full = [torch.nn.functional.pad(x, (0, missing)) if missing else x for x in motion]
-            yield full, count
+        for start in range(0, signals[0].shape[0], size):
+            pieces = [x[start : start + size] for x in signals]
+            yield [_columns(x, size) for x in pieces], pieces[0].shape[0]
 
     def _kernel(self, name: str, like: Tensor) -> Kernel:
         key = (name, like.dtype, like.device)
@@ -168,6 +167,12 @@ class CompiledDynamics:
         rows = regressor_rows(self._geometry, links)
         self._layout = [[tuple(place(e) for e in link) for link in row] for row in rows]
         return torch.stack(found)
+
+
+def _columns(x: Float[Tensor, "m n"], size: int) -> Float[Tensor, "n size"]:
+    """Transposed, with zeros behind to make `size` samples."""
+    missing = size - x.shape[0]
+    return torch.nn.functional.pad(x.T, (0, missing)) if missing else torch.stack(x.unbind(1))
 
 
 def _compile(function: Callable[..., Tensor], *examples: Tensor) -> Kernel:
