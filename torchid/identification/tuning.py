@@ -93,18 +93,21 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
     speed = fast_speed(measurements(log, tried[len(tried) // 2]))
     scores: list[float] = []
     for k, cutoff in enumerate(tried):
-        if _hopeless(scores) and cutoff is not None:
-            scores.append(float("inf"))
-            continue
-        try:
-            measured = measurements(log, cutoff, REVERSALS[2] * speed)
-            scores.append(float(_cross_validated(training, measured, filtered=False).mean()))
-        except LogError:
-            scores.append(float("inf"))
+        skipped = cutoff is not None and _hopeless(scores)
+        scores.append(float("inf") if skipped else _score(training, log, cutoff, speed))
         if report is not None:
             report(k + 1, len(tried))
     best = min(range(len(tried)), key=scores.__getitem__)
     return CutoffChoice(tried[best], tuple(tried), tuple(scores))
+
+
+def _score(training: Training, log: Log, cutoff: float | None, speed: Tensor) -> float:
+    """Mean error over joints of unfiltered torque [%]; inf where the log is too short."""
+    try:
+        measured = measurements(log, cutoff, REVERSALS[2] * speed)
+    except LogError:
+        return float("inf")
+    return float(_cross_validated(training, measured, filtered=False).mean())
 
 
 def _hopeless(scores: list[float]) -> bool:
@@ -141,9 +144,10 @@ def _shortened(log: Log) -> Log:
     keep = torch.zeros(log.samples, dtype=torch.bool)
     step = max(1, round(log.samples / LONGEST))
     budget = LONGEST
-    for part in rows[:: min(step, len(rows))]:
-        length = min(part.stop - part.start, LONGEST)
-        if length > budget:
+    for part in (part for first in range(step) for part in rows[first::step]):
+        size = part.stop - part.start
+        length = min(size, budget)
+        if length < size and budget < LONGEST // 2:
             break
         keep[part.start : part.start + length] = True
         budget -= length
