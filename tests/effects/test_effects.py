@@ -196,7 +196,6 @@ def test_bad_records_raise(record: dict, error: type[TorchidError], text: str) -
         nominal_effects(robot)
 
 
-@pytest.mark.xfail(reason="the registry trusts the yaml reader, which does not check values")
 @pytest.mark.parametrize(
     ("record", "text"),
     [

@@ -1,6 +1,7 @@
 """The library of effects: one line a kind."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from torchid.effects.base import Effect, Motion
@@ -45,13 +46,19 @@ def nominal_effect_torque(robot: Robot, motion: Motion) -> Joints:
 
 
 def _from_record(record: Mapping[str, Any], robot: Robot) -> tuple[Effect, list[float]]:
+    where = f"robot '{robot.name}': an effect"
+    if "effect" not in record:
+        raise RobotError(f"{where} has no key 'effect'.", got=dict(record), available=list(KINDS))
     kind = effect_kind(str(record["effect"]))
     expected = ["effect", "joint", *(c.name for c in kind.coefficients)]
     if sorted(record) != sorted(expected):
-        raise RobotError(
-            f"robot '{robot.name}': effect '{kind.name}' has wrong entries.",
-            got=dict(record),
-            expected=expected,
-        )
-    values: Sequence[float] = [float(record[c.name]) for c in kind.coefficients]
-    return kind(int(record["joint"]) - 1), list(values)
+        raise RobotError(f"{where} has wrong entries.", got=dict(record), expected=expected)
+    joint = record["joint"]
+    if not isinstance(joint, int) or not 1 <= joint <= robot.n:
+        joints = list(range(1, robot.n + 1))
+        raise RobotError(f"{where} is on a joint that does not exist.", got=joint, available=joints)
+    values = [record[c.name] for c in kind.coefficients]
+    for value in values:
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise RobotError(f"{where} has a value that is not a number.", got=dict(record))
+    return kind(joint - 1), [float(value) for value in values]
