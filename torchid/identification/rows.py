@@ -221,11 +221,12 @@ def _blocks(
             before, after = tail - (start - lo), tail - (hi - stop)
             signals = extended(signals, before, after)
             signals = low_pass.decimated(signals, step, tail, tail + stop - start)
+        # Whatever the device of the log: what follows is small, and sequential.
+        signals, keep = signals.cpu(), moving[start:stop:step].cpu()
         augmented = signals.split([len(c) + 1 for c in layout.columns])
         count = signals.shape[-1]
-        keep = moving[start:stop:step]
         keep = keep if moving_only else torch.ones_like(keep)
-        instant = torch.arange(count, device=signals.device) + first_instant
+        instant = torch.arange(count) + first_instant
         first_instant += count
         yield RowBlock(tuple(a.T for a in augmented), keep, instant)
 

@@ -132,7 +132,7 @@ def choose_reversal(
             report(k + 1, len(REVERSALS))
     table = torch.stack(errors)
     best = (table <= WORTH_IT * table.min(0).values).to(torch.uint8).argmax(0)
-    return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed
+    return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed.cpu()
 
 
 def _shortened(log: Log) -> Log:
@@ -189,6 +189,7 @@ def _left_out(
     """Squared error and squared torque (n,) of stretch k of a trajectory, moving rows."""
     values = torch.empty_like(x)
     values[list(layout.order)] = x
+    values = values.to(m.tau)
     tail = m.edge if filtered else 0
     inside = m.samples - 2 * m.edge
     start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
