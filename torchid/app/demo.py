@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchid.app.options import Json, Output, Quiet, Seed, Threads, open_output, progress_bar
+from torchid.app.options import (
+    Device,
+    Json,
+    Output,
+    Quiet,
+    Seed,
+    Threads,
+    device,
+    open_output,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     from torchid.identification.identify import Identification
@@ -21,6 +31,7 @@ def demo_command(
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
+    device_name: Device = "cpu",
 ) -> None:
     """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
 
@@ -28,7 +39,7 @@ def demo_command(
     """
     output = open_output(json_file, out, quiet, threads)
     report = _paper(output)
-    kuka = _kuka(output, seed)
+    kuka = _kuka(output, seed, device(device_name))
     output.write_json({"schema": "torchid.demo/1", "paper_3r": report, "kuka": kuka}, "demo.json")
     output.say(f"\nfigures and JSON are in {out}")
 
@@ -64,7 +75,7 @@ def _paper(output: Output) -> dict[str, Any]:
     }
 
 
-def _kuka(output: Output, seed: int) -> dict[str, Any]:
+def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     """The KUKA with friction: a designed trajectory, honest noise, validation on new motion."""
     import torch
 
@@ -87,6 +98,7 @@ def _kuka(output: Output, seed: int) -> dict[str, Any]:
             robot,
             on_every_joint(names, robot.n),
             seed=seed,
+            device=device,
             progress=None
             if progress is None
             else (lambda done, total: progress("designing the trajectory", done, total)),
@@ -97,7 +109,9 @@ def _kuka(output: Output, seed: int) -> dict[str, Any]:
         new = synthetic_log(robot, Log.concatenate(checks), HonestNoise(), seed + 1)
         # The report's f_v6 is negative: the signs are left free to find it.
         settings = Settings(effects=names, signs="free")
-        result = identify(robot, log, held_out=new, settings=settings, progress=progress)
+        result = identify(
+            robot, log, held_out=new, settings=settings, device=device, progress=progress
+        )
     truth = true_values(robot, result)
     interval = result.interval()
     inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchid.app.options import (
+    Device,
     Json,
     Out,
     Output,
@@ -16,6 +17,7 @@ from torchid.app.options import (
     Threads,
     Tip,
     choice,
+    device,
     effect_names,
     numbers,
     open_output,
@@ -73,6 +75,7 @@ def excite_command(
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
+    device_name: Device = "cpu",
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -88,8 +91,13 @@ def excite_command(
     kind = choice("--kind", kind, KINDS)
     settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
     if kind == "optimised":
+        design = {
+            "restarts": restarts,
+            "criterion": choice("--criterion", criterion, ("condition", "d_optimal")),
+            "device": device(device_name),
+        }
         trajectories, record = _optimised(
-            found, effect_names(effects), seed, count, restarts, criterion, settings, output
+            found, effect_names(effects), seed, count, design | settings, output
         )
     else:
         trajectories, record = _given(found, kind, seed, count, settings)
@@ -128,8 +136,6 @@ def _optimised(
     effects: tuple[str, ...],
     seed: int,
     count: int,
-    restarts: int,
-    criterion: str,
     settings: dict[str, Any],
     output: Output,
 ) -> tuple[list[Any], dict[str, Any]]:
@@ -149,8 +155,6 @@ def _optimised(
                     robot,
                     on_every_joint(effects, robot.n),
                     seed=seed + k,
-                    restarts=restarts,
-                    criterion=choice("--criterion", criterion, ("condition", "d_optimal")),
                     progress=report,
                     **settings,
                 )
@@ -161,7 +165,7 @@ def _optimised(
             f"-> {design.condition_after:.0f}"
         )
     return [f.trajectory for f in found], {
-        "criterion": criterion,
+        "criterion": settings["criterion"],
         "condition_number_before": [f.start_condition for f in found],
         "condition_number_after": [f.condition_after for f in found],
         "trajectories": _coefficients([f.trajectory for f in found]),

@@ -95,6 +95,12 @@ def identify_command(
         float | None,
         typer.Option(metavar="HZ", help="Report errors under this filter, not the fit's."),
     ] = None,
+    compiled: Annotated[
+        bool,
+        typer.Option(
+            "--compile", help="Compile the regressor (needs a C++ compiler); for very long logs."
+        ),
+    ] = False,
     tip: Tip = None,
     json_file: Json = None,
     out: Out = None,
@@ -124,6 +130,7 @@ def identify_command(
         essential=essential,
         held_out_fraction=held_out_fraction,
         error_cutoff=error_cutoff,
+        compiled=compiled,
     )
     found = load_robot(robot, tip=tip)
     gains = None if gain is None else numbers("--gain", gain, found.n)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchid.app.options import (
+    Device,
     Json,
     Out,
     Quiet,
@@ -15,6 +16,7 @@ from torchid.app.options import (
     Threads,
     Tip,
     choice,
+    device,
     open_output,
 )
 from torchid.errors import TorchidError
@@ -60,6 +62,7 @@ def simulate_command(
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
+    device_name: Device = "cpu",
 ) -> None:
     """Write the log that the nominal robot would give along a trajectory.
 
@@ -75,7 +78,7 @@ def simulate_command(
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model = _noise(noise, snr, torque_noise, encoder_bits, colour, velocity_noise)
     found = load_robot(robot, tip=tip)
-    log = synthetic_log(found, read_log(trajectory), model, seed)
+    log = synthetic_log(found, read_log(trajectory), model, seed, device=device(device_name))
     write_log(log, target)
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")

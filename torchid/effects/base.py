@@ -35,6 +35,10 @@ class Motion(NamedTuple):
         """q, dq, ddq: what a rigid body feels."""
         return self.q, self.dq, self.ddq
 
+    def to(self, device: torch.device | str) -> "Motion":
+        """The motion on another device."""
+        return Motion(*(None if x is None else x.to(device) for x in self))  # type: ignore[arg-type]
+
     def part(self, rows: slice) -> "Motion":
         """The motion at some of the instants (first axis)."""
         return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]

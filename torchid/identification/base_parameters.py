@@ -89,7 +89,7 @@ def base_parameters(
         robot: kinematics and gravity; its masses are not used.
         effects: linear effects whose coefficients are identified too, after the rigid body.
         seed: of the random states; the answer does not depend on it.
-        samples: number of random states; by default 50 a column and joint.
+        samples: number of random states; 60 n + 60 by default, six rows a column.
 
     Raises:
         IdentificationError: the robot's torque depends on no parameter at all.

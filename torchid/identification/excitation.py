@@ -151,6 +151,7 @@ def optimise_trajectory(
     w_f: float = BASE_PULSATION,
     duration: float = 20.0,
     ramp: float = 1.0,
+    device: torch.device | str = "cpu",
     progress: Progress | None = None,
 ) -> Excitation:
     """The trajectory that determines the base parameters best, within the robot's limits.
@@ -166,6 +167,7 @@ def optimise_trajectory(
         weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
         usage: share of the limits that may be used.
         harmonics, w_f, duration, ramp: see FourierTrajectory.
+        device: where regressors are evaluated; the trajectories stay on the CPU.
         progress: called with (iterations done, all iterations).
 
     Raises:
@@ -198,9 +200,10 @@ def optimise_trajectory(
     )
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
-        y = base_regressor(robot, base, trajectory.at(t), weights, effects=effects)
+        motion = trajectory.at(t).to(device)
+        y = base_regressor(robot, base, motion, weights, effects=effects)
         y = y.reshape(restarts, -1, len(base))
-        return y.transpose(1, 2) @ y / t.shape[0]
+        return (y.transpose(1, 2) @ y / t.shape[0]).cpu()
 
     def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         return _cost(information(trajectory, t), criterion)

@@ -58,6 +58,7 @@ class Settings:
         essential: drop parameters that cannot be told from zero.
         held_out_fraction: share of each trajectory's end kept for validation if no log is given.
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
+        compiled: evaluate the final regressor by compiled code; pays on very long logs.
     """
 
     effects: tuple[str, ...] = DEFAULT_EFFECTS
@@ -70,6 +71,7 @@ class Settings:
     essential: bool = False
     held_out_fraction: float = 0.0
     error_cutoff: float | None = None
+    compiled: bool = False
 
     def __post_init__(self) -> None:
         for name, allowed in (
@@ -220,6 +222,7 @@ def identify(
         measured,
         columns,
         moving_only=training.moving_only,
+        compiled=settings.compiled,
         progress=_stage(progress, "filtering"),
     )
     found, uncertainty, dropped = _fit(source, settings, signs)

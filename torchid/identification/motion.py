@@ -126,7 +126,9 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
         sharp = _low_passed(dq, rate, WIDE * cutoff)
         q, dq, ddq = (_low_passed(x, rate, cutoff) for x in (q, dq, ddq))
     q, dq, ddq = (x.T.contiguous() for x in (q, dq, ddq))
-    motion = Motion(q, dq, ddq, direction(sharp.T, threshold))
+    # Without a filter and a reversal speed the log is taken at its word, rest included.
+    literal = cutoff is None and not bool(threshold.any())
+    motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
     out = Measurement(name, rate, cutoff, log.t, motion, log.tau, tuple(warnings))
     if out.samples - 2 * out.edge < 10:
         raise LogError(

@@ -59,6 +59,7 @@ def record(result: Identification) -> dict[str, Any]:
             "essential": settings.essential,
             "held_out_fraction": settings.held_out_fraction,
             "error_cutoff_hz": settings.error_cutoff,
+            "compiled": settings.compiled,
         },
         "warnings": list(result.warnings),
     }

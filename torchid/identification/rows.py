@@ -9,11 +9,11 @@ grow with the log.
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 
-from torchid.dynamics.regressor import regressor_chunks
+from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import Effect
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.motion import Measurement
@@ -27,6 +27,9 @@ PIECE = 16384
 
 MEMORY = 300e6
 """Bytes of rows that are kept rather than made again."""
+
+Chunks = Callable[[Tensor, Tensor, Tensor], Iterator[RegressorChunk]]
+"""From q, dq, ddq (M, n) to pieces of the regressor."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,7 @@ class RowSource:
         measured: filtered trajectories.
         layout: the columns.
         moving_only: leave out rows whose own joint does not move.
+        compiled: evaluate the regressor by compiled code (see torchid.dynamics.compiled).
         progress: called with (pieces done, pieces in all) while a pass is made.
     """
 
@@ -141,11 +145,13 @@ class RowSource:
         layout: Layout,
         *,
         moving_only: bool = False,
+        compiled: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ):
         self.measured = tuple(measured)
         self.layout = layout
         self.moving_only = moving_only
+        self._chunks = _regressor(layout.robot, compiled)
         self._progress = progress
         self._kept: list[RowBlock] | None = None
 
@@ -158,7 +164,7 @@ class RowSource:
         first_instants = itertools.accumulate((_kept_instants(m) for m in self.measured), initial=0)
         done = 0
         for m, first in zip(self.measured, first_instants, strict=False):
-            for block in _blocks(m, self.layout, self.moving_only, first):
+            for block in _blocks(m, self.layout, self._chunks, self.moving_only, first):
                 if kept is not None:
                     kept.append(block)
                 yield block
@@ -188,6 +194,14 @@ class RowSource:
         return 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
 
 
+def _regressor(robot: Robot, compiled: bool) -> Chunks:
+    if compiled:
+        from torchid.dynamics.compiled import compiled_dynamics
+
+        return compiled_dynamics(robot).regressor_chunks
+    return partial(regressor_chunks, robot)
+
+
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:
     return None if m.cutoff is None else ZeroPhaseFilter(m.rate, m.cutoff)
 
@@ -209,14 +223,14 @@ def _pieces(m: Measurement) -> list[tuple[int, int]]:
 
 
 def _blocks(
-    m: Measurement, layout: Layout, moving_only: bool, first_instant: int
+    m: Measurement, layout: Layout, chunks: Chunks, moving_only: bool, first_instant: int
 ) -> Iterator[RowBlock]:
     low_pass, step = _filter(m), _step(m)
     moving = m.moving
     for start, stop in _pieces(m):
         tail = 0 if low_pass is None else low_pass.tail
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        signals = _columns(m, layout, lo, hi)
+        signals = _columns(m, layout, chunks, lo, hi)
         if low_pass is not None:
             before, after = tail - (start - lo), tail - (hi - stop)
             signals = extended(signals, before, after)
@@ -231,12 +245,14 @@ def _blocks(
         yield RowBlock(tuple(a.T for a in augmented), keep, instant)
 
 
-def _columns(m: Measurement, layout: Layout, lo: int, hi: int) -> Float[Tensor, "C M"]:
+def _columns(
+    m: Measurement, layout: Layout, chunks: Chunks, lo: int, hi: int
+) -> Float[Tensor, "C M"]:
     """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
     motion = m.motion.part(slice(lo, hi))
     effect_columns = [e.columns(motion) for e in layout.effects]
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
-    for chunk in regressor_chunks(layout.robot, *motion.state):
+    for chunk in chunks(*motion.state):
         for i, pairs in enumerate(layout.rigid):
             if pairs:
                 rows[i].append(chunk.row(i, pairs))

@@ -77,7 +77,14 @@ class HonestNoise:
 NoiseModel = PaperNoise | HonestNoise | None
 
 
-def synthetic_log(robot: Robot, motion: Log, noise: NoiseModel = None, seed: int = 0) -> Log:
+def synthetic_log(
+    robot: Robot,
+    motion: Log,
+    noise: NoiseModel = None,
+    seed: int = 0,
+    *,
+    device: torch.device | str = "cpu",
+) -> Log:
     """A log of the robot with its nominal parameters and effects moving as `motion` says.
 
     Args:
@@ -85,6 +92,7 @@ def synthetic_log(robot: Robot, motion: Log, noise: NoiseModel = None, seed: int
         motion: t, q, dq, ddq, e.g. from `trajectory_log`; other signals are ignored.
         noise: None for the exact q, dq, ddq, tau.
         seed: of the noise; the log is a function of it.
+        device: where torques are computed; the log stays on the CPU.
 
     Raises:
         RobotError: the robot has no nominal parameters.
@@ -96,7 +104,7 @@ def synthetic_log(robot: Robot, motion: Log, noise: NoiseModel = None, seed: int
     parts = motion.trajectories()
     rates = sampling_rate(motion) if isinstance(noise, HonestNoise) else [0.0] * len(parts)
     made = [
-        _one(robot, _motion(part), noise, rate, generator)
+        _one(robot, _motion(part), noise, rate, generator, device)
         for part, rate in zip(parts, rates, strict=True)
     ]
     signals = {name: torch.cat([signal[name] for signal in made]) for name in made[0]}
@@ -138,7 +146,12 @@ def _motion(part: Log) -> Motion:
 
 
 def _one(
-    robot: Robot, true: Motion, noise: NoiseModel, rate: float, generator: torch.Generator
+    robot: Robot,
+    true: Motion,
+    noise: NoiseModel,
+    rate: float,
+    generator: torch.Generator,
+    device: torch.device | str,
 ) -> dict[str, Tensor]:
     """The signals of one trajectory that a log has, (T, n) each."""
     if noise is None or isinstance(noise, PaperNoise):
@@ -147,9 +160,9 @@ def _one(
             "q": moved.q,
             "dq": moved.dq,
             "ddq": moved.ddq,
-            "tau": nominal_torque(robot, moved),
+            "tau": nominal_torque(robot, moved.to(device)).cpu(),
         }
-    tau = nominal_torque(robot, true)
+    tau = nominal_torque(robot, true.to(device)).cpu()
     tau = tau + noise.torque_relative * _rms(tau) * _standard(tau, noise.colour_hz, rate, generator)
     measured = {"q": _counted(true.q, noise, robot), "tau": tau}
     if noise.include_velocity:
