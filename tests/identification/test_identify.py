@@ -51,25 +51,12 @@ def truth(found: Identification) -> torch.Tensor:
 def test_without_noise_the_parameters_are_recovered_to_rounding(name):
     robot = load_robot(name)
     log = synthetic_log(robot, plan(robot))
-    # Where a joint is exactly at rest, the log has no Coulomb friction, while a joint at rest
-    # keeps the direction it came from: those instants are left out.
-    moving = torch.ones(log.samples, dtype=torch.bool)
-    for rows in log.slices():
-        moving[rows.start] = moving[rows.stop - 1] = False
-    log = log.select(moving)
     found = identify(robot, log, settings=replace(EXACT, effects=effects_of(robot)))
     expected = found.base.project(true_parameters(robot))
     assert float((found.values - expected).abs().max()) <= 1e-11
     assert bool(found.free.all())
     assert float(found.fit.relative_percent.max()) < 1e-9
     assert found.cutoff is None
-
-
-def test_the_paper_s_instants_at_rest_are_recovered_too():
-    """The whole log of the rigid robot, both ends at rest."""
-    robot = load_robot("3r")
-    found = identify(robot, synthetic_log(robot, plan(robot)), settings=replace(EXACT, effects=()))
-    assert float((found.values - truth(found)).abs().max()) <= 1e-11
 
 
 @lru_cache

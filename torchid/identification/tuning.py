@@ -34,6 +34,9 @@ REVERSALS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.04)
 WORTH_IT = 1.01
 """A higher reversal speed must lower the error by more than 1 % to be preferred."""
 
+NEGLIGIBLE = 1e-6
+"""Errors closer than this are rounding [%]."""
+
 FOLDS = 5
 LEFT_OUT = 0.1
 """Factor on the rows of the stretch left out: with 1 % of their weight they determine what no other
@@ -132,7 +135,7 @@ def choose_reversal(
         if report is not None:
             report(k + 1, len(REVERSALS))
     table = torch.stack(errors)
-    best = (table <= WORTH_IT * table.min(0).values).to(torch.uint8).argmax(0)
+    best = (table <= WORTH_IT * table.min(0).values + NEGLIGIBLE).to(torch.uint8).argmax(0)
     return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed.cpu()
 
 
