@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch._inductor
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -33,6 +34,9 @@ TORQUE_CHUNK = 12360
 REGRESSOR_CHUNK = 2056
 """Samples a compiled loop handles at a time; a shorter tail is padded. The regressor's 250 outputs
 want to stay in the cache, torques are few. Not powers of two, whose strides share cache lines."""
+
+_TOGETHER = 16
+"""Chunks whose motion is transposed at a time."""
 
 _OPTIONS: dict[str, str | int | bool | Callable[..., Any]] = {
     # One loop over the samples, with no intermediate written to memory.
@@ -129,10 +133,11 @@ class CompiledDynamics:
     def _padded(self, name: str, *signals: Tensor) -> Iterator[tuple[list[Tensor], int]]:
         """Chunks as contiguous (n, chunk) tensors, each with its number of true samples."""
         keep_freed_memory()
-        size = self._sizes[name]
-        for start in range(0, signals[0].shape[0], size):
-            pieces = [x[start : start + size] for x in signals]
-            yield [_columns(x, size) for x in pieces], pieces[0].shape[0]
+        size, total = self._sizes[name], signals[0].shape[0]
+        for first in range(0, total, _TOGETHER * size):
+            blocks = [_transposed(x[first : first + _TOGETHER * size], size) for x in signals]
+            for k, motion in enumerate(zip(*blocks, strict=True)):
+                yield list(motion), min(size, total - first - k * size)
 
     def _kernel(self, name: str, like: Tensor) -> Kernel:
         key = (name, like.dtype, like.device)
@@ -169,23 +174,25 @@ class CompiledDynamics:
         return torch.stack(found)
 
 
-def _columns(x: Float[Tensor, "m n"], size: int) -> Float[Tensor, "n size"]:
-    """Transposed, with zeros behind to make `size` samples."""
-    missing = size - x.shape[0]
-    return torch.nn.functional.pad(x.T, (0, missing)) if missing else torch.stack(x.unbind(1))
+def _transposed(x: Float[Tensor, "m n"], size: int) -> Float[Tensor, "k n size"]:
+    """Chunks of `size` samples, each transposed, with zeros behind the last."""
+    padded = torch.nn.functional.pad(x, (0, 0, 0, -x.shape[0] % size))
+    return padded.reshape(-1, size, x.shape[1]).transpose(1, 2).contiguous()
 
 
 def _compile(function: Callable[..., Tensor], *examples: Tensor) -> Kernel:
     """Record the function's operations on tensors like the examples, and compile the record.
 
-    Recorded by make_fx, not by Dynamo: the recursion then runs as plain Python, and constants of
-    the geometry stay constants.
+    Recorded by make_fx and handed to Inductor, not through Dynamo: the recursion then runs as plain
+    Python, constants of the geometry stay constants, and calls have no guards to check, which
+    would take a third of a chunk's time.
     """
     _choose_cache_folder()
     # make_fx counts the `self` of a bound method as an input; a partial has none.
     graph = make_fx(partial(function), tracing_mode="fake")(*examples)
     options = _OPTIONS if examples[0].device.type == "cpu" else {}
-    return torch.compile(graph, dynamic=False, fullgraph=True, options=options)
+    with torch.no_grad():
+        return torch._inductor.compile(graph, list(examples), options=dict(options))
 
 
 def _choose_cache_folder() -> None:

@@ -1,10 +1,10 @@
 """What is chosen from the training data alone, by cross-validation: cut-off and reversal speed.
 
 A candidate filters the training data, fits on all but one of five contiguous stretches of every
-trajectory, and predicts the torque of the one left out. Candidates are judged on the same torque, but
-for the edges their filters lose: cut-offs on unfiltered torque, reversal speeds on torque filtered
-at the cut-off. Rows at standstill are not judged: their torque is set by where friction happens to
-hold the joint.
+trajectory, and predicts the torque of the one left out. Candidates are judged on the same torque,
+but for the edges their filters lose: cut-offs on unfiltered torque, reversal speeds on torque
+filtered at the cut-off. Rows at standstill are not judged: their torque is set by where friction
+happens to hold the joint.
 
 A low cut-off loses motion that carries torque, a high one feeds noise into the regressor, which
 biases it. A low reversal speed takes velocity noise for motion; a high one delays the friction.
