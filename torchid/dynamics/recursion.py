@@ -63,7 +63,7 @@ class JointGeometry:
 
 @dataclass(frozen=True)
 class ChainGeometry:
-    """Constants of the whole chain; hashable by identity, made once per robot."""
+    """Constants of the whole chain, made once per robot."""
 
     joints: tuple[JointGeometry, ...]
     gravity: Vec3

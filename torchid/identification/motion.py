@@ -19,7 +19,11 @@ WIDE = 5.0
 """The direction of motion is taken from velocity filtered at this multiple of the cut-off, so that
 a reversal stays sharp until the common filter smooths it like the torque."""
 
+FEWEST = 10
+"""Samples that a trajectory must have left when the filter's edges are cut."""
+
 _AGREE = 0.02
+_VELOCITY_AGREES = 0.15
 _LAG_WORTH_SAYING = 2e-3
 
 
@@ -66,9 +70,9 @@ def measurements(
 ) -> list[Measurement]:
     """Filter and differentiate every trajectory of a resampled log that has torques.
 
-    Measured velocity is used where the log has it, otherwise the central difference of position;
-    acceleration is the central difference of velocity, unless the log gives one that agrees with
-    it. With a cut-off all are low-passed with zero phase.
+    Measured velocity is used where the log has one that agrees with positions, otherwise the
+    central difference of position; acceleration is the central difference of velocity, unless the
+    log gives one that agrees with it. With a cut-off all are low-passed with zero phase.
 
     Args:
         log: on a uniform grid.
@@ -130,11 +134,13 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     literal = cutoff is None and not bool(threshold.any())
     motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
     out = Measurement(name, rate, cutoff, log.t, motion, log.tau, tuple(warnings))
-    if out.samples - 2 * out.edge < 10:
+    needed = 2 * out.edge + FEWEST
+    if out.samples < needed:
+        filtered = "" if cutoff is None else f" to be filtered at {cutoff:g} Hz"
         raise LogError(
-            f"trajectory '{name}' is too short to be filtered at {cutoff:g} Hz.",
+            f"trajectory '{name}' is too short{filtered}.",
             got=f"{out.samples} samples at {rate:.4g} Hz",
-            expected=f"at least {2 * out.edge + 10}",
+            expected=f"at least {needed}",
         )
     return out
 
@@ -151,8 +157,14 @@ def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, T
     dq = derivative if log.dq is None else log.dq.T
     own = central_difference(dq, rate)
     if log.dq is not None and cutoff is not None:
-        lag, _ = _lag(derivative, dq, rate, cutoff)
-        if abs(lag) > _LAG_WORTH_SAYING:
+        lag, difference = _lag(derivative, dq, rate, cutoff)
+        if difference > _VELOCITY_AGREES:
+            warnings.append(
+                f"{log.names[0]}: measured dq differs from the derivative of q by "
+                f"{100 * difference:.0f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
+            )
+            dq, own = derivative, central_difference(derivative, rate)
+        elif abs(lag) > _LAG_WORTH_SAYING:
             word = "lags" if lag > 0 else "leads"
             warnings.append(
                 f"{log.names[0]}: measured dq {word} the derivative of q by {abs(lag) * 1e3:.1f} ms"

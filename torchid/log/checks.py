@@ -282,6 +282,14 @@ def _velocity_warnings(log: Log, agreement: Sequence[_Agreement]) -> list[str]:
     if scaled:
         low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)
         size = f"{low:.3g}" if high < 1.01 * low else f"{low:.3g} to {high:.3g}"
+        if len(scaled) == len(agreement) and high < 1.05 * low:
+            raise LogError(
+                f"{_label(log)}: every measured velocity is {size} times the derivative of its "
+                "position: the time stamps, or the units of dq, are wrong by that factor.",
+                got=f"dq = {size} x d(q)/dt",
+                expected="dq = d(q)/dt",
+                hint="mend the column t, or the dq columns",
+            )
         warnings.append(
             f"{_list(scaled)} {size} times the derivative of q: "
             "the time stamps, or the units of dq, are wrong by that factor."

@@ -61,7 +61,7 @@ class ZeroPhaseFilter:
         pad = self.tail
         return self.decimated(extended(x, pad, pad), 1, pad, pad + x.shape[-1])
 
-    def decimated(self, x: Signals, step: int, start: int, stop: int) -> Signals:
+    def decimated(self, x: Signals, step: int, start: int, stop: int) -> Float[Tensor, "*batch _"]:
         """Every `step`-th filtered sample in start..stop of signals (..., T) that already carry
         their tails on both sides.
 
@@ -91,7 +91,7 @@ class ZeroPhaseFilter:
         return max(1, int(self.rate / (10 * self.cutoff) * (1 + 1e-6)))
 
 
-def extended(x: Signals, before: int, after: int) -> Signals:
+def extended(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{before}+{after}"]:
     """Signals (..., T) extended by odd reflection, and where they are too short for that, further
     by their last value: a filter's tail always has something to settle on."""
     longest = x.shape[-1] - 1
@@ -101,7 +101,7 @@ def extended(x: Signals, before: int, after: int) -> Signals:
     return torch.cat([first, inner, last], -1)
 
 
-def reflect(x: Signals, before: int, after: int) -> Signals:
+def reflect(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{before}+{after}"]:
     """Signals (..., T) extended by odd reflection about their first and last samples."""
     if max(before, after) > x.shape[-1] - 1:
         raise LogError(
@@ -118,8 +118,12 @@ def reflect(x: Signals, before: int, after: int) -> Signals:
 
 
 def central_difference(x: Signals, rate: float) -> Signals:
-    """Time derivative of signals (..., T): central differences, one-sided at the two ends."""
+    """Time derivative of signals (..., T): five-point central differences, whose error is
+    (2 pi f / rate)^4 / 30 at frequency f; three-point ones next to the ends, one-sided at them."""
     inner = (x[..., 2:] - x[..., :-2]) * (rate / 2)
+    if x.shape[-1] >= 5:
+        wide = (x[..., 4:] - x[..., :-4]) * (rate / 4)
+        inner[..., 1:-1] += (inner[..., 1:-1] - wide) / 3
     first = (x[..., 1:2] - x[..., :1]) * rate
     last = (x[..., -1:] - x[..., -2:-1]) * rate
     return torch.cat([first, inner, last], -1)
