@@ -1,15 +1,17 @@
 """Axis names of tensors, used in annotations throughout (checked while testing by jaxtyping).
 
 T instants, n joints (= moving links), K candidate parameter sets, P columns of a regressor,
-B base parameters. `*batch` stands for any number of leading axes.
+B base parameters. `*batch` stands for any number of leading axes, the same in all tensors of a
+call; `*#batch` for leading axes that are broadcast, to the `*batch` of the result.
 """
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 Joints = Float[Tensor, "*batch n"]
+BroadcastJoints = Float[Tensor, "*#batch n"]
 JointMatrix = Float[Tensor, "*batch n n"]
-Pi = Float[Tensor, "*batch n 10"]
+Pi = Float[Tensor, "*batch 10"]
 Wrenches = Float[Tensor, "*batch n 6"]
 Transforms = Float[Tensor, "*batch 4 4"]
 Inertia6 = Float[Tensor, "*batch 6"]
@@ -20,6 +22,7 @@ Samples = Float[Tensor, "T n"]
 
 __all__ = [
     "Bool",
+    "BroadcastJoints",
     "Float",
     "Inertia6",
     "Int",

@@ -258,6 +258,7 @@ def test_missing_limits_are_named():
         random_trajectory(robot, 0, usage=1.5)
 
 
+@pytest.mark.usefixtures("types_unchecked")
 def test_wrong_arguments_are_named():
     robot = load_robot("3r")
     with pytest.raises(TorchidError, match="ramps at both ends do not fit"):

@@ -209,6 +209,7 @@ def test_empty_log_has_a_zero_factor() -> None:
     assert torch.equal(r, torch.zeros(len(base) + 1, len(base) + 1))
 
 
+@pytest.mark.usefixtures("types_unchecked")
 def test_bad_input_is_refused() -> None:
     robot = arm("3r")
     motion = states(robot, 5)

@@ -383,6 +383,7 @@ def test_nan_is_refused():
         ({"reversal": -0.1}, "reversal"),
     ],
 )
+@pytest.mark.usefixtures("types_unchecked")
 def test_unknown_choices_are_refused(change, message):
     with pytest.raises(TorchidError, match=message):
         Settings(**change)

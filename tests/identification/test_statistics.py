@@ -176,9 +176,12 @@ def test_the_largest_correlation_time_counts():
 @pytest.mark.parametrize("correlation", [1.0, 7.3, 60.0, 1e5])
 @pytest.mark.parametrize("lengths", [(2000,), (1500, 400, 90), (30, 30, 30), (5, 4000), (7,)])
 def test_blocks_are_contiguous_and_never_cross_trajectories(lengths, correlation):
-    class Source:
+    class Source(RowSource):
         instants = sum(lengths)
         boundaries = [0, *itertools.accumulate(lengths)]  # noqa: RUF012
+
+        def __init__(self):
+            """No rows: their blocks depend on the instants alone."""
 
     block, count, length = block_numbers(Source(), correlation)
     assert len(block) == Source.instants

@@ -27,10 +27,11 @@ app.command("identify")(identify_command)
 app.command("demo")(demo_command)
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         typer.echo(f"torchid {__version__}")
         raise typer.Exit
+    return asked
 
 
 @app.callback()

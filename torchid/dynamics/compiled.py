@@ -28,7 +28,7 @@ from torchid.dynamics.regressor import RegressorChunk
 from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float, Joints
+from torchid.typing import BroadcastJoints, Float, Joints
 
 TORQUE_CHUNK = 12360
 REGRESSOR_CHUNK = 2056
@@ -85,7 +85,11 @@ class CompiledDynamics:
 
     @torch.no_grad()
     def inverse_dynamics(
-        self, q: Joints, dq: Joints, ddq: Joints, parameters: InertialParameters | None = None
+        self,
+        q: BroadcastJoints,
+        dq: BroadcastJoints,
+        ddq: BroadcastJoints,
+        parameters: InertialParameters | None = None,
     ) -> Joints:
         """Joint torques (..., n) [N m; N]; see `torchid.dynamics.inverse_dynamics`.
 
@@ -174,7 +178,7 @@ class CompiledDynamics:
         return torch.stack(found)
 
 
-def _transposed(x: Float[Tensor, "m n"], size: int) -> Float[Tensor, "k n size"]:
+def _transposed(x: Float[Tensor, "m n"], size: int) -> Float[Tensor, "k n {size}"]:
     """Chunks of `size` samples, each transposed, with zeros behind the last."""
     padded = torch.nn.functional.pad(x, (0, 0, 0, -x.shape[0] % size))
     return padded.reshape(-1, size, x.shape[1]).transpose(1, 2).contiguous()

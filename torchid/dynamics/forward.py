@@ -9,11 +9,11 @@ from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import ZERO
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import JointMatrix, Joints
+from torchid.typing import BroadcastJoints, JointMatrix, Joints
 
 
 def mass_matrix(
-    robot: Robot, q: Joints, parameters: InertialParameters | None = None
+    robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
 ) -> JointMatrix:
     """M(q) (..., n, n) [kg m^2]: column j is the torque of a unit acceleration of joint j, at rest
     and without gravity."""
@@ -27,14 +27,19 @@ def mass_matrix(
 
 
 def bias_torque(
-    robot: Robot, q: Joints, dq: Joints, parameters: InertialParameters | None = None
+    robot: Robot,
+    q: BroadcastJoints,
+    dq: BroadcastJoints,
+    parameters: InertialParameters | None = None,
 ) -> Joints:
     """S(q, dq) dq + g(q) (..., n) [N m]."""
     rates = list(dq.unbind(-1))
     return _torques(robot, chain_geometry(robot), q, rates, [0.0] * robot.n, parameters)
 
 
-def gravity_torque(robot: Robot, q: Joints, parameters: InertialParameters | None = None) -> Joints:
+def gravity_torque(
+    robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
+) -> Joints:
     """g(q) (..., n) [N m]."""
     still = [0.0] * robot.n
     return _torques(robot, chain_geometry(robot), q, still, still, parameters)
@@ -42,9 +47,9 @@ def gravity_torque(robot: Robot, q: Joints, parameters: InertialParameters | Non
 
 def forward_dynamics(
     robot: Robot,
-    q: Joints,
-    dq: Joints,
-    tau: Joints,
+    q: BroadcastJoints,
+    dq: BroadcastJoints,
+    tau: BroadcastJoints,
     parameters: InertialParameters | None = None,
 ) -> Joints:
     """Joint accelerations (..., n) from M(q) ddq = tau - S(q, dq) dq - g(q).

@@ -10,7 +10,7 @@ from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import Scalar
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float, Joints, Wrenches
+from torchid.typing import BroadcastJoints, Float, Joints, Wrenches
 
 CHUNK = 12280
 """Samples at a time: long enough to hide the cost of a kernel call, short enough for the cache, and
@@ -21,9 +21,9 @@ _KEEP_FREED_BYTES = 31 * 2**20
 
 def inverse_dynamics(
     robot: Robot,
-    q: Joints,
-    dq: Joints,
-    ddq: Joints,
+    q: BroadcastJoints,
+    dq: BroadcastJoints,
+    ddq: BroadcastJoints,
     parameters: InertialParameters | None = None,
 ) -> Joints:
     """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15).
@@ -54,9 +54,9 @@ def inverse_dynamics(
 
 def joint_wrenches(
     robot: Robot,
-    q: Joints,
-    dq: Joints,
-    ddq: Joints,
+    q: BroadcastJoints,
+    dq: BroadcastJoints,
+    ddq: BroadcastJoints,
     parameters: InertialParameters | None = None,
 ) -> Wrenches:
     """Internal wrenches: what link i-1 exerts on link i through joint i (eqs. 2.13, 2.32).

@@ -24,7 +24,7 @@ from torchid.dynamics.recursion import (
 )
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
-from torchid.typing import Float, Joints
+from torchid.typing import BroadcastJoints, Float
 
 Method = Literal["closed", "autograd"]
 CHUNK = 12280
@@ -95,7 +95,12 @@ def regressor_chunks(
 
 
 def regressor(
-    robot: Robot, q: Joints, dq: Joints, ddq: Joints, *, method: Method = "closed"
+    robot: Robot,
+    q: BroadcastJoints,
+    dq: BroadcastJoints,
+    ddq: BroadcastJoints,
+    *,
+    method: Method = "closed",
 ) -> Float[Tensor, "*batch n P"]:
     """Y (..., n, 10 n) with Y pi = tau, pi in the paper's order (eq. 2.5).
 

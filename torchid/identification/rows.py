@@ -106,12 +106,12 @@ class RowBlock:
         instant: (m,) running number of the instant over all trajectories.
     """
 
-    augmented: tuple[Float[Tensor, "m c"], ...]
+    augmented: tuple[Float[Tensor, "m _"], ...]
     keep: Bool[Tensor, "m n"]
     instant: Int[Tensor, " m"]
 
     @property
-    def matrices(self) -> tuple[Float[Tensor, "m c"], ...]:
+    def matrices(self) -> tuple[Float[Tensor, "m _"], ...]:
         """Per joint (m, columns of its row)."""
         return tuple(a[:, :-1] for a in self.augmented)
 

@@ -6,7 +6,7 @@ a row's columns the last ones and the whole a staircase.
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -23,6 +23,7 @@ SEGMENT = 12280
 """Samples taken at a time."""
 
 
+@runtime_checkable
 class _ChunkMaker(Protocol):
     def __call__(self, q: Tensor, dq: Tensor, ddq: Tensor) -> Iterable[RegressorChunk]: ...
 

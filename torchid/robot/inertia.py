@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.typing import Float, Inertia6, Matrix3, Pi, Vector3
+from torchid.typing import Float, Inertia6, Matrix3, Pi, Transforms, Vector3
 
 PARAMETERS_PER_LINK = 10
 _PINOCCHIO_FROM_OURS = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
@@ -82,7 +82,7 @@ class InertialParameters:
         return self.pi[..., list(_PINOCCHIO_FROM_OURS)]
 
     @property
-    def mass(self) -> Float[Tensor, "*batch n"]:
+    def mass(self) -> Float[Tensor, "*batch"]:
         """Masses (..., n) [kg]."""
         return self.pi[..., 0]
 
@@ -109,7 +109,7 @@ class InertialParameters:
         return self.pi[..., 4:] - parallel_axis(self.mass, self.com)
 
     @property
-    def pseudo_inertia(self) -> Float[Tensor, "*batch n 4 4"]:
+    def pseudo_inertia(self) -> Transforms:
         """Pseudo-inertia matrices [[S, m c], [m c', m]] with S = tr(J)/2 E - J.
 
         Positive definite exactly when the link is physically consistent: positive mass, positive
@@ -123,7 +123,7 @@ class InertialParameters:
         bottom = torch.cat([h.transpose(-1, -2), self.mass[..., None, None]], dim=-1)
         return torch.cat([top, bottom], dim=-2)
 
-    def consistency_margin(self) -> Float[Tensor, "*batch n"]:
+    def consistency_margin(self) -> Float[Tensor, "*batch"]:
         """Smallest eigenvalue of each link's pseudo-inertia; negative means no body can have it."""
         return torch.linalg.eigvalsh(self.pseudo_inertia)[..., 0]
 
@@ -154,7 +154,9 @@ def parallel_axis(mass: Float[Tensor, "*batch"], com: Vector3) -> Inertia6:
     return mass.unsqueeze(-1) * torch.stack(terms, -1)
 
 
-def move(parameters: Float[Tensor, "*batch 10"], transform: Float[Tensor, "*b 4 4"]) -> Tensor:
+def move(
+    parameters: Float[Tensor, "*#batch 10"], transform: Float[Tensor, "*#batch 4 4"]
+) -> Float[Tensor, "*batch 10"]:
     """The same body seen from another frame.
 
     Args:

@@ -4,7 +4,7 @@ The compiled model is float64. What MuJoCo has beyond rigid bodies, linear dampi
 and armature on independent joints is told in `warnings`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -195,7 +195,7 @@ def _inertial(model: Any, body: int) -> Tensor | None:
     return move(own.pi, pose(quaternion(model.body_iquat[body]), model.body_ipos[body].tolist()))
 
 
-def _interval(values: Sequence[float]) -> Interval:
+def _interval(values: Iterable[float]) -> Interval:
     low, high = sorted(float(v) for v in values)
     return low, high
 

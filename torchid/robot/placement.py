@@ -6,6 +6,7 @@ does not leave 6e-17 behind in every later product.
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -59,7 +60,7 @@ def roll_pitch_yaw(rpy: Sequence[float]) -> Tensor:
     return exact(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
 
 
-def quaternion(wxyz: Sequence[float]) -> Tensor:
+def quaternion(wxyz: Sequence[float] | np.ndarray) -> Tensor:
     """Rotation (3, 3) of a unit quaternion (w, x, y, z); it is normalised first."""
     q = torch.as_tensor(wxyz, dtype=torch.float64)
     w, x, y, z = (q / q.norm()).tolist()

@@ -122,7 +122,7 @@ def _angle(row: Mapping[str, Any], key: str, where: str) -> float:
     return _number(row.get(key, 0), f"{where}: {key}")
 
 
-def _limits(data: Mapping[str, Any], n: int, source: str) -> Limits:
+def _limits(data: Any, n: int, source: str) -> Limits:
     _known(data, _LIMIT_KEYS, f"{source}: limits")
     values = {}
     for key in _LIMIT_KEYS:
