@@ -18,6 +18,7 @@ _PUBLIC = {
     "inverse_dynamics": "torchid.dynamics.newton_euler",
     "regressor": "torchid.dynamics.regressor",
     "identify": "torchid.identification.identify",
+    "Settings": "torchid.identification.settings",
     "TorchidError": "torchid.errors",
 }
 

@@ -166,10 +166,10 @@ def test_output_that_cannot_be_written(command, folder, tmp_path):
     [
         ("--cutoff", "fast", ("--cutoff", "auto")),
         ("--cutoff", "-3", ("positive",)),
+        ("--error-cutoff", "nan", ("cut-off",)),
+        ("--error-cutoff", "-2", ("cut-off",)),
+        ("--effects", "viscous_friction,viscous_friction", ("twice",)),
         ("--cutoff", "500", ("band",)),
-        ("--rows", "some", ("moving",)),
-        ("--method", "magic", ("huber",)),
-        ("--signs", "any", ("bounded",)),
         ("--effects", "viscous_friction,glue", ("glue", "coulomb_friction")),
         ("--reversal", "2", ("fraction",)),
         ("--held-out-fraction", "1.5", ("fraction",)),
@@ -183,10 +183,42 @@ def test_options(command, folder, option, value, words):
     refused(command(*arguments), *words)
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("identify", "3r", "x.csv", "--rows", "some"),
+        ("identify", "3r", "x.csv", "--method", "magic"),
+        ("identify", "3r", "x.csv", "--signs", "any"),
+        ("identify", "3r", "x.csv", "--covariance", "half"),
+        ("excite", "3r", "--kind", "wild", "--to", "m.csv"),
+        ("excite", "3r", "--criterion", "luck", "--to", "m.csv"),
+        ("simulate", "3r", "m.csv", "--noise", "loud", "--to", "l.csv"),
+    ],
+)
+def test_choices_that_do_not_exist_are_wrong_usage(command, arguments):
+    shown = command(*arguments)
+    assert shown.code == 2
+    assert any(
+        word in shown.err for word in ("some", "magic", "any", "half", "wild", "luck", "loud")
+    )
+
+
+def test_held_out_log_that_is_also_fitted(command, folder):
+    path = folder / "check.csv"
+    refused(command("identify", "3r_friction", path, "--held-out", path), "check", "held out")
+    refused(command("identify", "3r_friction", path, path), "given twice")
+    both = ("--held-out", folder / "fit.parquet", "--held-out-fraction", 0.2)
+    refused(command("identify", "3r_friction", path, *both), "one of them")
+
+
+def test_log_of_a_few_samples(command, broken):
+    path = broken(lambda table: {k: v[:7] for k, v in table.items()})
+    refused(command("identify", "3r_friction", path, "--cutoff", "none"), "too short")
+
+
 def test_excite_options(command, tmp_path):
     target = tmp_path / "m.csv"
     refused(command("excite", "3r"), "nowhere to write")
-    refused(command("excite", "3r", "--kind", "wild", "--to", target), "optimised")
     refused(command("excite", "kuka_lwr4", "--kind", "paper", "--to", target), "3R")
     refused(command("excite", "3r", "--duration", "-1", "--to", target), "positive")
     refused(command("excite", "3r", "--max-velocity", "1,2", "--to", target), "expected: 3")
@@ -198,7 +230,4 @@ def test_simulate_options(command, tmp_path):
     motion = tmp_path / "m.csv"
     command("excite", "3r", "--kind", "random", "--to", motion)
     refused(command("simulate", "3r", motion), "nowhere to write")
-    refused(
-        command("simulate", "3r", motion, "--noise", "loud", "--to", tmp_path / "l.csv"), "paper"
-    )
     refused(command("simulate", "kuka_lwr4", motion, "--to", tmp_path / "l.csv"), "3", "7")

@@ -184,7 +184,7 @@ def test_every_joints_columns_are_there(name):
     for j in range(robot.n):
         for label, signal in (
             (f"Fv{j + 1}", m.motion.dq),
-            (f"Fc{j + 1}", m.motion.direction.double()),
+            (f"Fc{j + 1}", torch.sign(m.motion.dq)),
             (f"F0{j + 1}", torch.ones_like(m.motion.dq)),
             (f"Ia{j + 1}", m.motion.ddq),
         ):

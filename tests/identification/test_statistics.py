@@ -219,7 +219,9 @@ def test_seconds_are_seconds():
 
 
 def test_quantiles_are_students():
-    made = Uncertainty(torch.eye(2, dtype=torch.float64), 25, 1.0, 0.1, ())
+    made = Uncertainty(
+        torch.eye(2, dtype=torch.float64), torch.zeros(2, dtype=torch.bool), 25, 1.0, 0.1, ()
+    )
     assert made.quantile(0.95) == pytest.approx(student.ppf(0.975, 24))
     assert made.quantile(0.5) == pytest.approx(student.ppf(0.75, 24))
     assert made.std.tolist() == [1.0, 1.0]

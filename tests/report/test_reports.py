@@ -44,7 +44,7 @@ def test_tables_show_the_errors(result):
 
 def test_absorbed_and_held_coefficients_are_marked(result):
     text = text_of(result)
-    assert "in base" in text  # Ia1, Ia2
+    assert "in a sum" in text  # Ia1, Ia2
     assert ("0 (held)" in text) == bool(result.bounded or result.undetermined)
 
 

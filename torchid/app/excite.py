@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -16,7 +16,6 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
-    choice,
     device,
     effect_names,
     numbers,
@@ -31,15 +30,12 @@ if TYPE_CHECKING:
     from torchid.log.model import Log
     from torchid.robot.model import Robot
 
-KINDS = ("optimised", "random", "sinusoid", "paper")
-
 
 def excite_command(
     robot: RobotArgument,
     kind: Annotated[
-        str,
+        Literal["optimised", "random", "sinusoid", "paper"],
         typer.Option(
-            metavar="|".join(KINDS),
             help="Optimised Fourier series, random ones, sinusoids for validation, or the "
             "report's table 5.1 (3R only).",
         ),
@@ -50,7 +46,7 @@ def excite_command(
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many trajectories.")] = 1,
     criterion: Annotated[
-        str, typer.Option(metavar="condition|d_optimal", help="What to improve.")
+        Literal["condition", "d_optimal"], typer.Option(help="What to improve.")
     ] = "condition",
     effects: Annotated[
         str,
@@ -88,12 +84,11 @@ def excite_command(
     target = _target(to, output)
     found = _limited(load_robot(robot, tip=tip), max_velocity, max_acceleration)
     _checked(count=count, duration=duration, rate=rate, usage=usage)
-    kind = choice("--kind", kind, KINDS)
     settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
     if kind == "optimised":
         design = {
             "restarts": restarts,
-            "criterion": choice("--criterion", criterion, ("condition", "d_optimal")),
+            "criterion": criterion,
             "device": device(device_name),
         }
         trajectories, record = _optimised(

@@ -16,7 +16,6 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
-    choice,
     device,
     effect_names,
     number,
@@ -66,24 +65,23 @@ def identify_command(
         ),
     ] = "auto",
     rows: Annotated[
-        str,
-        typer.Option(metavar="all|moving", help="Rows fitted: all, or while the own joint moves."),
+        Literal["all", "moving"],
+        typer.Option(help="Rows fitted: all, or while the own joint moves."),
     ] = "all",
     gain: Annotated[
         str | None,
         typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="ols|wls|huber", help="Least squares: plain, weighted, robust.")
+        Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
     ] = "huber",
     covariance: Annotated[
-        str,
-        typer.Option(metavar="diagonal|full", help="Noise between joints, for wls and huber."),
+        Literal["diagonal", "full"],
+        typer.Option(help="Noise between joints, for wls and huber."),
     ] = "diagonal",
     signs: Annotated[
-        str,
+        Literal["bounded", "free"],
         typer.Option(
-            metavar="bounded|free",
             help="Coefficients physics forbids to be negative: hold at zero or above, or only "
             "report them.",
         ),
@@ -123,10 +121,10 @@ def identify_command(
         effects=effect_names(effects),
         cutoff=_cutoff(cutoff),
         reversal=_reversal(reversal),
-        rows=choice("--rows", rows, ("all", "moving")),
-        method=choice("--method", method, ("ols", "wls", "huber")),
-        covariance=choice("--covariance", covariance, ("diagonal", "full")),
-        signs=choice("--signs", signs, ("bounded", "free")),
+        rows=rows,
+        method=method,
+        covariance=covariance,
+        signs=signs,
         essential=essential,
         held_out_fraction=held_out_fraction,
         error_cutoff=error_cutoff,

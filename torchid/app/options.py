@@ -148,12 +148,12 @@ def _probe(folder: Path) -> None:
 
 
 def device(name: str) -> str:
-    """A device that exists, or a TorchidError."""
+    """A device that exists and has float64, or a TorchidError."""
     import torch
 
     try:
-        torch.empty(0, device=name)
-    except (RuntimeError, AssertionError) as error:
+        torch.zeros(1, dtype=torch.float64, device=name)
+    except (RuntimeError, AssertionError, TypeError) as error:
         raise TorchidError(
             f"device '{name}' cannot be used.",
             got=str(error).splitlines()[0],
@@ -180,13 +180,6 @@ def progress_bar(output: Output) -> Iterator[Callable[[str, int, int], None] | N
             progress.update(task, description=stage, completed=done, total=total)
 
         yield report
-
-
-def choice(option: str, value: str, allowed: tuple[str, ...]) -> Any:
-    """`value` if it is allowed, else a TorchidError that lists what is."""
-    if value not in allowed:
-        raise TorchidError(f"{option} has no choice '{value}'.", available=allowed)
-    return value
 
 
 def number(option: str, text: str, expected: str) -> float:

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,7 +15,6 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
-    choice,
     device,
     open_output,
 )
@@ -34,9 +33,8 @@ def simulate_command(
         Path | None, typer.Option(metavar="FILE", help="Log file (.parquet, .csv, .npz).")
     ] = None,
     noise: Annotated[
-        str,
+        Literal["none", "paper", "honest"],
         typer.Option(
-            metavar="none|paper|honest",
             help="`paper`: on the trajectory, torque computed from it. `honest`: encoder steps, "
             "torque noise, no accelerations.",
         ),
@@ -108,7 +106,6 @@ def _noise(
 ) -> "NoiseModel":
     from torchid.identification.synthetic import HonestNoise, PaperNoise
 
-    kind = choice("--noise", kind, ("none", "paper", "honest"))
     if kind == "none":
         return None
     if kind == "paper":

@@ -21,7 +21,7 @@ from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Effect, Motion
 from torchid.errors import IdentificationError
 from torchid.identification.rank import independent_columns
-from torchid.robot.inertia import parameter_names, parameter_units
+from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
@@ -47,7 +47,8 @@ class BaseParameters:
         independent, dependent: indices into the P parameters.
         grouping: (B, P) matrix G, base = G parameters.
         rank_gap: (smallest kept, largest dropped) diagonal entry of R, columns scaled to 1.
-        n_rigid: how many of the base parameters belong to the rigid body (effects' own follow).
+        n_rigid_parameters: how many of the P parameters belong to the rigid body.
+        n_rigid: how many of the base parameters belong to it (effects' own follow).
         warnings: sentences for the user.
     """
 
@@ -58,6 +59,7 @@ class BaseParameters:
     dependent: tuple[int, ...]
     grouping: Float[Tensor, "B P"]
     rank_gap: tuple[float, float]
+    n_rigid_parameters: int
     n_rigid: int
     warnings: tuple[str, ...]
 
@@ -70,14 +72,12 @@ class BaseParameters:
 
     def absorbed_effects(self) -> list[str]:
         """Effect coefficients that are part of a rigid base parameter, e.g. Ia1 of J1zz + ..."""
-        rigid = len(self.parameter_names) - self._n_coefficients
+        rigid = self.n_rigid_parameters
         return [self.parameter_names[k] for k in self.dependent if k >= rigid]
 
-    @property
-    def _n_coefficients(self) -> int:
-        return len(self.parameter_names) - 10 * sum(
-            1 for name in self.parameter_names if name[:1] == "m" and name[1:].isdigit()
-        )
+    def is_single(self, position: int) -> bool:
+        """Whether base parameter `position` is one parameter, not a sum of several."""
+        return int((self.grouping[position].abs() > VISIBLE).sum()) == 1
 
 
 def base_parameters(
@@ -102,7 +102,7 @@ def base_parameters(
         for e in effects
         for c in e.coefficients
     ]
-    return group_columns(y, names, units, n_rigid_parameters=10 * robot.n)
+    return group_columns(y, names, units, n_rigid_parameters=PARAMETERS_PER_LINK * robot.n)
 
 
 def random_states(robot: Robot, seed: int = 0, samples: int | None = None) -> Motion:
@@ -160,6 +160,7 @@ def group_columns(
         dependent=tuple(dependent.tolist()),
         grouping=grouping,
         rank_gap=gap,
+        n_rigid_parameters=n_rigid_parameters,
         n_rigid=int((independent < n_rigid_parameters).sum()),
         warnings=_gap_warnings(diagonal, kept, gap, names),
     )

@@ -9,7 +9,7 @@ from torchid.effects.registry import on_every_joint
 from torchid.errors import LogError
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
-from torchid.identification.motion import Measurement, fast_speed, measurements
+from torchid.identification.motion import Measurement, fast_speed, measurements, no_torque
 from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
@@ -27,8 +27,8 @@ from torchid.log.sampling import resample
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Tensor
 
-HELD_OUT_GAP = 0.5
-"""Seconds dropped between the fitted and the held-out part of one trajectory."""
+BEYOND_LIMIT = 5.0
+"""Times the torque limit from which a torque is taken for one in another unit."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -62,8 +62,8 @@ def identify(
     log, noticed = prepared(log, robot)
     if kept_back is not None:
         kept_back, more = prepared(kept_back, robot)
-        _refuse_shared(log, kept_back)
         noticed = (*noticed, *more)
+    _refuse_repeated(log, kept_back)
     effects = on_every_joint(settings.effects, robot.n)
     base = base_parameters(robot, effects)
     columns = layout(robot, base, effects)
@@ -119,7 +119,11 @@ def identify(
 
 
 def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
-    """A log checked against the robot, with torques, on a uniform grid; and its warnings."""
+    """A log checked against the robot, with torques, on a uniform grid; and its warnings.
+
+    Raises:
+        LogError: see `check_log`; or no torque and no gain.
+    """
     if log.tau is None and log.current is not None and robot.drive_gain is not None:
         log = log.with_torque(robot.drive_gain)
     noticed = check_log(
@@ -130,27 +134,59 @@ def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
         prismatic=[t is JointType.PRISMATIC for t in robot.joint_types],
     )
     even = resample(log)
-    return even, (*noticed, *even.warnings)
+    if even.tau is None:
+        raise no_torque(even)
+    return even, (*noticed, *_torque_warnings(even, robot), *even.warnings)
+
+
+def _torque_warnings(log: Log, robot: Robot) -> list[str]:
+    """Torques far beyond the robot's limits: the wrong unit, or the wrong robot."""
+    limits = robot.limits.torque
+    if limits is None:
+        return []
+    assert log.tau is not None
+    largest = log.tau.abs().amax(0)
+    return [
+        f"{log.source}: torque of joint {j + 1} reaches {float(largest[j]):.3g}, "
+        f"{float(largest[j] / limits[j].abs().max()):.0f} times its limit: is it in another unit?"
+        for j in range(robot.n)
+        if largest[j] > BEYOND_LIMIT * limits[j].abs().max()
+    ]
 
 
 def _split(log: Log, held_out: Log | None, settings: Settings) -> tuple[Log, Log | None]:
+    """The log to fit and the one to hold out. Where one trajectory is cut in two, the edges that
+    the filter loses on both sides of the cut, two periods of the cut-off, are the gap."""
+    if held_out is not None and settings.held_out_fraction != 0:
+        raise LogError(
+            "both a held-out log and a held-out fraction are given.", expected="one of them"
+        )
     if held_out is not None or settings.held_out_fraction == 0:
         return log, held_out
-    return log.split(1 - settings.held_out_fraction, gap_s=HELD_OUT_GAP)
+    return log.split(1 - settings.held_out_fraction, gap_s=0.0)
 
 
-def _refuse_shared(log: Log, held_out: Log) -> None:
-    """Raise if a held-out trajectory is also fitted: its errors would mean nothing."""
-    fitted = log.trajectories()
-    for kept in held_out.trajectories():
-        for part in fitted:
-            if part.samples == kept.samples and torch.equal(part.q, kept.q):
+def _refuse_repeated(log: Log, held_out: Log | None) -> None:
+    """Raise if a trajectory is there twice: fitted twice, it would look twice as certain; fitted
+    and held out, its errors would mean nothing."""
+    parts = [(part, "is given twice") for part in log.trajectories()]
+    kept = [] if held_out is None else held_out.trajectories()
+    parts += [(part, "is held out and also among those to fit") for part in kept]
+    for k, (part, how) in enumerate(parts):
+        for other, _ in parts[:k]:
+            if part.samples == other.samples and _same(part, other):
                 raise LogError(
-                    f"the held-out trajectory '{kept.names[0]}' is also among those to fit.",
-                    got=f"the same positions as '{part.names[0]}'",
-                    expected="whole trajectories that take part in no choice",
-                    hint="with one log only, use --held-out-fraction 0.3",
+                    f"trajectory '{part.names[0]}' {how}.",
+                    got=f"the same positions and torques as '{other.names[0]}'",
+                    expected="every trajectory once",
+                    hint="with one log only, hold out its end: --held-out-fraction 0.3",
                 )
+
+
+def _same(one: Log, two: Log) -> bool:
+    assert one.tau is not None
+    assert two.tau is not None
+    return torch.equal(one.q, two.q) and torch.equal(one.tau, two.tau)
 
 
 def _on(log: Log, device: torch.device | str) -> Log:

@@ -254,8 +254,11 @@ def _whitening(residual: Tensor, robust: Tensor, rounding: float) -> Float[Tenso
     weighted = residual * robust / torch.linalg.vector_norm(robust, dim=0).clamp(min=1e-300)
     sigma = _at_least(torch.linalg.vector_norm(weighted, dim=0), rounding)
     weighted = weighted / sigma
-    # What is added keeps apart residuals that are combinations of each other.
-    correlation = weighted.T @ weighted + 1e-9 * torch.eye(len(sigma), dtype=sigma.dtype)
+    correlation = weighted.T @ weighted
+    # Ones on the diagonal also where the floor, not the residual, is the level; a little more keeps
+    # apart residuals that are combinations of each other.
+    missing = (1 - correlation.diagonal()).clamp(min=0) + 1e-9
+    correlation = correlation + torch.diag(missing)
     upper = torch.linalg.cholesky(correlation.flip(0, 1)).flip(0, 1)
     return torch.linalg.solve_triangular(upper, torch.diag(1 / sigma), upper=True)
 

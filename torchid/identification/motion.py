@@ -1,6 +1,6 @@
 """From a resampled log to motion that can be put into a regressor, trajectory by trajectory."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -62,7 +62,7 @@ class Measurement:
     @property
     def edge(self) -> int:
         """Samples to leave out at each end: one period of the cut-off."""
-        return 0 if self.cutoff is None else round(self.rate / self.cutoff)
+        return _edge(self.rate, self.cutoff)
 
 
 def measurements(
@@ -80,20 +80,50 @@ def measurements(
         reversal: (n,) speed a joint must reach before its direction counts as reversed; 0 if None.
 
     Raises:
-        LogError: no torque in the log, or a trajectory shorter than the filter's edges.
+        LogError: no torque in the log, or every trajectory is too short for the filter.
     """
     if log.tau is None:
-        raise LogError(
-            f"log '{log.source}' has no torque.",
-            got="current" if log.current is not None else "positions only",
-            expected="columns tau1.., or i1.. and drive gains",
-            hint="give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
-            if log.current is not None
-            else None,
-        )
-    parts = zip(log.trajectories(), sampling_rate(log), strict=True)
+        raise no_torque(log)
     threshold = torch.zeros(log.n) if reversal is None else reversal
-    return [_measurement(part, rate, cutoff, threshold) for part, rate in parts]
+    parts = list(zip(log.trajectories(), sampling_rate(log), strict=True))
+    long = [p for p in parts if p[0].samples >= _needed(p[1], cutoff)]
+    if not long:
+        raise _too_short(*max(parts, key=lambda p: p[0].samples / p[1]), cutoff)
+    out = [_measurement(part, rate, cutoff, threshold) for part, rate in long]
+    left_out = [part.names[0] for part, rate in parts if part.samples < _needed(rate, cutoff)]
+    if left_out:
+        said = "left out, too short for the filter: " + ", ".join(left_out)
+        out[0] = replace(out[0], warnings=(*out[0].warnings, said))
+    return out
+
+
+def no_torque(log: Log) -> LogError:
+    """The error of a log without torque, which may have currents."""
+    gains = "give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
+    return LogError(
+        f"log '{log.source}' has no torque.",
+        got="positions only" if log.current is None else "currents",
+        expected="columns tau1.., or i1.. and drive gains",
+        hint=None if log.current is None else gains,
+    )
+
+
+def _edge(rate: float, cutoff: float | None) -> int:
+    return 0 if cutoff is None else round(rate / cutoff)
+
+
+def _needed(rate: float, cutoff: float | None) -> int:
+    """Samples a trajectory must have."""
+    return 2 * _edge(rate, cutoff) + FEWEST
+
+
+def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
+    filtered = "" if cutoff is None else f" to be filtered at {cutoff:g} Hz"
+    return LogError(
+        f"trajectory '{log.names[0]}' is too short{filtered}.",
+        got=f"{log.samples} samples at {rate:.4g} Hz",
+        expected=f"at least {_needed(rate, cutoff)}",
+    )
 
 
 def fast_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
@@ -122,7 +152,6 @@ def _held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
 
 def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor) -> Measurement:
     assert log.tau is not None
-    name = log.names[0]
     q = log.q.T
     dq, ddq, warnings = _derivatives(log, rate, cutoff)
     sharp = dq
@@ -133,16 +162,7 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     # Without a filter and a reversal speed the log is taken at its word, rest included.
     literal = cutoff is None and not bool(threshold.any())
     motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
-    out = Measurement(name, rate, cutoff, log.t, motion, log.tau, tuple(warnings))
-    needed = 2 * out.edge + FEWEST
-    if out.samples < needed:
-        filtered = "" if cutoff is None else f" to be filtered at {cutoff:g} Hz"
-        raise LogError(
-            f"trajectory '{name}' is too short{filtered}.",
-            got=f"{out.samples} samples at {rate:.4g} Hz",
-            expected=f"at least {needed}",
-        )
-    return out
+    return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, tuple(warnings))
 
 
 def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:

@@ -22,12 +22,12 @@ def independent_columns(
 
     Returns:
         mask: (C,) independent columns.
-        distance: (C,) relative distance of each column from the span of those kept before it; the
-            relative length of one that counts as zero.
+        distance: (C,) relative distance of each column from the span of those kept before it; 0
+            for one that counts as zero.
     """
     length = torch.linalg.vector_norm(matrix, dim=0)
-    distance = length / length.max().clamp(min=1e-300)
-    mask = distance > tolerance
+    mask = length > tolerance * length.max().clamp(min=1e-300)
+    distance = torch.zeros_like(length)
     columns = mask.nonzero().flatten()
     rest = torch.linalg.qr(matrix[:, columns] / length[columns], mode="r").R
     while len(columns):

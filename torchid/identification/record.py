@@ -23,6 +23,7 @@ def record(result: Identification) -> dict[str, Any]:
         "n_base": result.base.n_rigid,
         "parameters": [_parameter(result, k) for k in range(result.base.n_rigid)],
         "effects": _effects(result),
+        "combined": _combined(result),
         "condition_number": _number(result.condition_number),
         "scaled_condition_number": _number(result.scaled_condition_number),
         "cutoff_hz": result.cutoff,
@@ -40,6 +41,7 @@ def record(result: Identification) -> dict[str, Any]:
             "parameters": list(result.base.parameter_names),
             "matrix": result.base.grouping.tolist(),
         },
+        "base_names": list(result.base.names),
         "covariance": result.covariance.tolist(),
         "statistics": {
             "method": "delete-a-block jackknife",
@@ -80,9 +82,10 @@ def _parameter(result: Identification, k: int) -> dict[str, Any]:
 
 
 def _effects(result: Identification) -> list[dict[str, Any]]:
-    """One entry a kind of effect, over the joints on which its coefficients are base parameters."""
-    position = {k: b for b, k in enumerate(result.base.independent)}
-    start = 10 * result.robot.n
+    """One entry a kind of effect, over the joints on which its coefficients are base parameters of
+    their own; those that are part of a sum are in `combined` or `absorbed`."""
+    position = _positions(result)
+    start = result.base.n_rigid_parameters
     found: dict[str, dict[str, Any]] = {}
     for effect in result.effects:
         entry = found.setdefault(
@@ -97,7 +100,7 @@ def _effects(result: Identification) -> list[dict[str, Any]]:
         width = len(effect.coefficients)
         own = [position.get(start + c) for c in range(width)]
         start += width
-        if None in own:
+        if not all(b is not None and result.base.is_single(b) for b in own):
             continue
         entry["joints"].append(effect.joint + 1)
         for c, b in zip(effect.coefficients, own, strict=True):
@@ -105,6 +108,18 @@ def _effects(result: Identification) -> list[dict[str, Any]]:
             entry["parameters"][c.name].append(float(result.values[b]))
             entry["std"][c.name].append(float(result.std[b]) if bool(result.free[b]) else None)
     return list(found.values())
+
+
+def _combined(result: Identification) -> list[dict[str, Any]]:
+    """Base parameters led by an effect's coefficient that are sums with others."""
+    base = result.base
+    led = range(base.n_rigid, len(base))
+    return [_parameter(result, b) for b in led if not base.is_single(b)]
+
+
+def _positions(result: Identification) -> dict[int, int]:
+    """Base parameter led by each independent parameter."""
+    return {k: b for b, k in enumerate(result.base.independent)}
 
 
 def _errors(e: Errors) -> dict[str, Any]:

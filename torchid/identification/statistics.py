@@ -22,9 +22,12 @@ from scipy.stats import t as student
 
 from torchid.identification.least_squares import Fit, whitened_rows
 from torchid.identification.rows import RowSource
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 CORRELATION_TIMES = 4.0
+ALONE = 0.05
+"""Share of a direction's information below which the other blocks do not determine it."""
+
 FEWEST_BLOCKS = 20
 MOST_BLOCKS = 120
 
@@ -35,6 +38,8 @@ class Uncertainty:
 
     Attributes:
         covariance: (B, B); rows and columns of coefficients that are not free are 0.
+        by_one_block: (B,) coefficients that one block alone determines: their standard deviation
+            is the white-noise one, a lower bound.
         blocks: number of blocks.
         block_seconds: their length.
         correlation_seconds: integrated autocorrelation time of the residuals, largest over joints.
@@ -42,6 +47,7 @@ class Uncertainty:
     """
 
     covariance: Float[Tensor, "B B"]
+    by_one_block: Bool[Tensor, " B"]
     blocks: int
     block_seconds: float
     correlation_seconds: float
@@ -68,10 +74,9 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
             f"the log holds only {source.instants / max(correlation, 1):.0f} correlation times of "
             "the residual: standard deviations are rough, and more likely too small than too large"
         )
-    covariance = _spread_without_blocks(source, fit, block, count)
-    return Uncertainty(
-        covariance, count, length * interval, correlation * interval, tuple(warnings)
-    )
+    covariance, by_one = _spread_without_blocks(source, fit, block, count)
+    seconds = (length * interval, correlation * interval)
+    return Uncertainty(covariance, by_one, count, *seconds, tuple(warnings))
 
 
 def correlation_instants(residual: Float[Tensor, "I n"]) -> float:
@@ -109,20 +114,41 @@ def block_numbers(source: RowSource, correlation: float) -> tuple[Int[Tensor, " 
 
 def _spread_without_blocks(
     source: RowSource, fit: Fit, block: Tensor, count: int
-) -> Float[Tensor, "B B"]:
-    """Jackknife covariance, computed in coordinates where the whole problem has unit Gram."""
+) -> tuple[Float[Tensor, "B B"], Bool[Tensor, " B"]]:
+    """Jackknife covariance, and the coefficients that one block alone determines.
+
+    Computed in coordinates where the whole problem has unit Gram: an eigenvalue of a left-over H
+    says how much of a direction's information the other blocks hold. Where that is next to nothing
+    the jackknife is silent, and the white-noise variance stands in for it as a lower bound.
+    """
     free = fit.free.nonzero().flatten()
     basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
     eye = torch.eye(len(free), dtype=basis.dtype)
     inverse = torch.linalg.solve_triangular(basis, eye, upper=True)
     hessians, gradients = _block_sums(source, fit, inverse, block, count)
     left = hessians.sum(0) - hessians
-    steps = torch.linalg.lstsq(left, gradients.unsqueeze(-1)).solution.squeeze(-1)
+    values, vectors = torch.linalg.eigh(left)
+    alone = values < ALONE
+    pulled = (vectors.transpose(1, 2) @ gradients.unsqueeze(-1)).squeeze(-1)
+    bounded = torch.where(alone, torch.zeros_like(values), pulled / values.clamp(min=ALONE))
+    steps = (vectors @ bounded.unsqueeze(-1)).squeeze(-1)
     spread = steps - steps.mean(0)
-    inner = (count - 1) / count * spread.T @ spread
+    inner = inverse @ ((count - 1) / count * spread.T @ spread) @ inverse.T
+    share = (inverse @ vectors).square() * alone.unsqueeze(1)
+    lone = (share.sum(-1).amax(0) > 0.5 * inverse.square().sum(-1)) if len(free) else eye[:0].any(0)
+    white = _residual_variance(fit) * inverse.square().sum(-1)
+    short = torch.where(lone, (white - inner.diagonal()).clamp(min=0), torch.zeros_like(white))
     covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
-    covariance[free.unsqueeze(-1), free] = inverse @ inner @ inverse.T
-    return covariance
+    covariance[free.unsqueeze(-1), free] = inner + torch.diag(short)
+    by_one = torch.zeros(len(fit.x), dtype=torch.bool)
+    by_one[free] = lone
+    return covariance, by_one
+
+
+def _residual_variance(fit: Fit) -> float:
+    """Mean square of the weighted residuals: about 1 where rows are whitened."""
+    kept = int((fit.robust > 0).sum())
+    return float(fit.factor[-1, -1] ** 2) / max(1, kept - int(fit.free.sum()))
 
 
 def _block_sums(

@@ -84,11 +84,11 @@ class Training:
 def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
     """The cut-off with the lowest mean error over joints.
 
-    Candidates lie between 20 over the shortest trajectory's length and a fifth of the sampling
+    Candidates lie between 20 over the longest trajectory's length and a fifth of the sampling
     rate; no filter is one of them where the log has accelerations.
     """
     log = _shortened(training.log)
-    rate, seconds = min(sampling_rate(log)), min(log.duration)
+    rate, seconds = min(sampling_rate(log)), max(log.duration)
     tried: list[float | None] = [f for f in CUTOFFS if 20 / seconds <= f <= rate / 5]
     if log.ddq is not None:
         tried.append(None)
@@ -111,7 +111,7 @@ def _score(training: Training, log: Log, cutoff: float | None, speed: Tensor) ->
         measured = measurements(log, cutoff, REVERSALS[2] * speed)
     except LogError:
         return float("inf")
-    return float(_cross_validated(training, measured, filtered=False).mean())
+    return float(_cross_validated(training, measured, filtered=False).nanmean())
 
 
 def _hopeless(scores: list[float]) -> bool:
@@ -173,7 +173,7 @@ def _cross_validated(
         for m in measured:
             e, t = _left_out(m, training.layout, x, k, filtered)
             error, energy = error + e, energy + t
-    return 100 * (error / energy.clamp(min=1e-300)).sqrt()
+    return 100 * (error / energy).sqrt()
 
 
 def _fold_factors(source: RowSource, whole: Fit) -> list[Float[Tensor, "C C"]]:

@@ -7,6 +7,7 @@ from rich.table import Table
 
 from torchid.effects.base import Effect
 from torchid.identification.identify import Identification
+from torchid.identification.motion import MOVING
 from torchid.identification.validation import Errors
 from torchid.robot.model import JointType
 
@@ -33,8 +34,8 @@ def headline(result: Identification) -> str:
     return (
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{len(result.base) - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
-        f"number {result.scaled_condition_number:.0f}). Torque error on {where}, % per joint: "
-        f"{percent} (while moving: {moving})."
+        f"number {result.scaled_condition_number:.0f} with scaled columns). Torque error on "
+        f"{where}, % per joint: {percent} (while moving: {moving})."
     )
 
 
@@ -59,11 +60,12 @@ def effect_table(result: Identification) -> Table:
     kinds: dict[str, list[Effect]] = {}
     for effect in result.effects:
         kinds.setdefault(effect.name, []).append(effect)
+    mixed = len(set(result.robot.joint_types)) > 1
+    prismatic = result.robot.joint_types[0] is JointType.PRISMATIC
     for members in kinds.values():
-        prismatic = result.robot.joint_types[0] is JointType.PRISMATIC
         for c in members[0].coefficients:
-            heading = f"{c.meaning}\n{c.name} \\[{c.unit_for(prismatic)}]"
-            table.add_column(heading, justify="right")
+            unit = "" if mixed else f" \\[{c.unit_for(prismatic)}]"
+            table.add_column(f"{c.meaning}\n{c.name}{unit}", justify="right")
     cells = _effect_cells(result)
     for joint in range(result.robot.n):
         row = [
@@ -79,15 +81,17 @@ def _effect_cells(result: Identification) -> dict[str, str]:
     """Text for every effect coefficient by its name."""
     names = result.base.parameter_names
     position = {names[k]: b for b, k in enumerate(result.base.independent)}
+    mixed = len(set(result.robot.joint_types)) > 1
     cells = {}
-    for name in names[10 * result.robot.n :]:
+    for name in names[result.base.n_rigid_parameters :]:
         b = position.get(name)
-        if b is None:
-            cells[name] = "in base"
+        if b is None or not result.base.is_single(b):
+            cells[name] = "in a sum"
         elif not bool(result.free[b]):
             cells[name] = "0 (held)"
         else:
-            cells[name] = f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
+            unit = f" {result.base.units[b]}" if mixed else ""
+            cells[name] = f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}{unit}"
     return cells
 
 
@@ -95,7 +99,10 @@ def error_table(result: Identification) -> Table:
     """Relative errors per joint, in percent, and RMSE."""
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
-    table = compact(f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note})")
+    table = compact(
+        f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note}; "
+        f"moving: |dq| > {MOVING:g})"
+    )
     table.add_column("data, rows")
     for i in range(result.robot.n):
         table.add_column(str(i + 1), justify="right", no_wrap=True)

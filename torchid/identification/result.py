@@ -1,0 +1,194 @@
+"""What an identification found, and what its user must know about it."""
+
+from dataclasses import dataclass
+
+import torch
+
+from torchid.effects.base import Effect, Motion
+from torchid.errors import TorchidError
+from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.settings import Settings
+from torchid.identification.statistics import Uncertainty
+from torchid.identification.tuning import CutoffChoice
+from torchid.identification.validation import Errors, Prediction, model_torque
+from torchid.robot.model import Robot
+from torchid.typing import Bool, BroadcastJoints, Float, Joints, Tensor
+
+UNEXPLAINED = 50.0
+"""Relative torque error above which a joint's model is called useless [%]."""
+
+MUCH_STANDSTILL = 0.2
+"""Share of the fitted rows at rest above which a joint's friction is said to be biased."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Base parameters identified from logs.
+
+    Attributes:
+        robot: as given.
+        base: the base parameters' structure.
+        effects: linear effects, in the order of their coefficients.
+        values: (B,) in the order of `base.names`.
+        covariance: (B, B), block-robust.
+        free: (B,) estimated. The others are 0: bounded, undetermined or not essential.
+        bounded, undetermined, dropped: names of those others.
+        wrong_sign: names that came out negative against physics and were kept (signs = free).
+        fit, held_out: errors; held_out is None without data to hold out.
+        fit_predictions, held_out_predictions: measured and predicted torque.
+        condition_number, scaled_condition_number: of the regressor of the free parameters.
+        cutoff: [Hz] used, or None.
+        cutoff_choice: what was tried, if it was automatic.
+        reversal: (n,) speed at which each joint's direction counts as reversed [rad/s or m/s].
+        uncertainty: blocks, correlation time.
+        settings: as given.
+        warnings: sentences for the user, without repetition.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    effects: tuple[Effect, ...]
+    values: Float[Tensor, " B"]
+    covariance: Float[Tensor, "B B"]
+    free: Bool[Tensor, " B"]
+    bounded: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    dropped: tuple[str, ...]
+    wrong_sign: tuple[str, ...]
+    fit: Errors
+    held_out: Errors | None
+    fit_predictions: tuple[Prediction, ...]
+    held_out_predictions: tuple[Prediction, ...]
+    condition_number: float
+    scaled_condition_number: float
+    cutoff: float | None
+    cutoff_choice: CutoffChoice | None
+    reversal: Float[Tensor, " n"]
+    uncertainty: Uncertainty
+    settings: Settings
+    warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> Float[Tensor, " B"]:
+        """Standard deviations (B,); 0 for parameters that are not free."""
+        return self.covariance.diagonal().clamp(min=0).sqrt()
+
+    @property
+    def relative_std_percent(self) -> Float[Tensor, " B"]:
+        """100 std / |value| (B,); nan for parameters that are not free."""
+        return 100 * self.std / self.values.abs()
+
+    def interval(self, level: float = 0.95) -> Float[Tensor, "B 2"]:
+        """Confidence intervals (B, 2) of the given level, by Student's quantile.
+
+        Raises:
+            TorchidError: the level does not lie between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise TorchidError("a confidence level lies between 0 and 1.", got=level, expected=0.95)
+        half = self.uncertainty.quantile(level) * self.std
+        return torch.stack([self.values - half, self.values + half], -1)
+
+    def predict(self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints) -> Joints:
+        """Joint torques (..., n) [N m; N] of the identified model.
+
+        The direction of motion is the sign of dq here; on logs, `validation.predict` uses the
+        direction with hysteresis, as the fit does.
+        """
+        values = self.values.to(q)
+        return model_torque(self.robot, self.base, self.effects, values, Motion(q, dq, ddq))
+
+    def residual(
+        self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints, tau: BroadcastJoints
+    ) -> Joints:
+        """Measured minus predicted torque (..., n)."""
+        return tau - self.predict(q, dq, ddq)
+
+    def combination(self, weights: Float[Tensor, " P"]) -> tuple[float, float]:
+        """Value and standard deviation of a linear combination of all parameters.
+
+        Args:
+            weights: (P,) over `base.parameter_names`.
+
+        Raises:
+            TorchidError: the torque, or this log, does not determine this combination.
+        """
+        row = weights[list(self.base.independent)]
+        if not torch.allclose(row @ self.base.grouping, weights, atol=1e-8):
+            raise TorchidError("the torque does not determine this combination of parameters.")
+        used = [name for name, w in zip(self.base.names, row.tolist(), strict=True) if w != 0]
+        unknown = sorted(set(used) & set(self.undetermined))
+        if unknown:
+            raise TorchidError("this log does not determine this combination.", got=unknown)
+        return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
+
+
+def findings(result: Identification) -> list[str]:
+    """What a user must know about a result, one sentence each."""
+    said = []
+    if result.undetermined:
+        said.append(
+            "this log does not determine, for want of excitation (set to 0): "
+            + ", ".join(result.undetermined)
+        )
+    if result.bounded:
+        said.append(
+            "the data ask for a sign that physics forbids; held at 0: " + ", ".join(result.bounded)
+        )
+    if result.wrong_sign:
+        said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
+    if result.dropped:
+        said.append("cannot be told from 0, dropped as not essential: " + ", ".join(result.dropped))
+    said += _unexplained(result)
+    said += _friction_at_rest(result)
+    for label, e in (("fit", result.fit), ("held-out data", result.held_out)):
+        said += _standstill(label, e)
+    return said
+
+
+def _unexplained(result: Identification) -> list[str]:
+    """Joints whose torque the model does not follow."""
+    shown, label = (
+        (result.fit, "fitted") if result.held_out is None else (result.held_out, "held-out")
+    )
+    moving = shown.relative_percent_moving.tolist()
+    bad = [f"{j} ({v:.0f} %)" for j, v in enumerate(moving, start=1) if v > UNEXPLAINED]
+    if not bad:
+        return []
+    return [
+        f"the model leaves more than half of the {label} torque unexplained on joint "
+        + ", ".join(bad)
+        + ": check the robot, the order and signs of the joints, the gains"
+    ]
+
+
+def _friction_at_rest(result: Identification) -> list[str]:
+    """Rows at rest that were fitted as if Coulomb friction were fully there."""
+    if result.settings.rows != "all" or not any(e.jumps for e in result.effects):
+        return []
+    shares = enumerate(result.fit.standstill_fraction.tolist(), start=1)
+    still = [f"{j} ({100 * share:.0f} %)" for j, share in shares if share > MUCH_STANDSTILL]
+    if not still:
+        return []
+    return [
+        f"stand still in much of the fitted rows, where friction can hold any torque: joint "
+        f"{', '.join(still)}; their friction is biased, --rows moving leaves these rows out"
+    ]
+
+
+def _standstill(label: str, e: Errors | None) -> list[str]:
+    """Says when standstill holds much of the error: friction at rest can hold any torque."""
+    if e is None:
+        return []
+    pairs = zip(e.standstill_fraction.tolist(), e.standstill_error_share.tolist(), strict=True)
+    held = [
+        f"{j} ({100 * rows:.0f} % of the rows, {100 * share:.0f} % of the error)"
+        for j, (rows, share) in enumerate(pairs, start=1)
+        if share > 0.5 and rows > 0.02
+    ]
+    if not held:
+        return []
+    return [
+        f"{label}: rows at rest hold most of the squared error, joint {', '.join(held)}; "
+        "compare the rows `moving`"
+    ]

@@ -1,0 +1,75 @@
+"""How to identify."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from torchid.errors import TorchidError
+from torchid.identification.least_squares import COVARIANCES, METHODS, Covariance, Method
+
+DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
+
+Rows = Literal["all", "moving"]
+Signs = Literal["bounded", "free"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to identify.
+
+    Attributes:
+        effects: names of the effects, on every joint.
+        cutoff: [Hz]; "auto"; or None for no filter.
+        reversal: speed at which a joint's direction counts as reversed, as a fraction of its 99 %
+            speed; or "auto".
+        rows: rows used for the fit: all, or those whose own joint moves.
+        method: `ols`, `wls` or `huber`.
+        covariance: of the noise between joints, `diagonal` or `full`.
+        signs: `bounded` holds coefficients that physics forbids to be negative at zero or above;
+            `free` leaves them and reports the wrong ones.
+        essential: drop parameters that cannot be told from zero.
+        held_out_fraction: share of each trajectory's end kept for validation if no log is given.
+        error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
+        compiled: evaluate the final regressor by compiled code; pays on very long logs.
+    """
+
+    effects: tuple[str, ...] = DEFAULT_EFFECTS
+    cutoff: float | Literal["auto"] | None = "auto"
+    reversal: float | Literal["auto"] = "auto"
+    rows: Rows = "all"
+    method: Method = "huber"
+    covariance: Covariance = "diagonal"
+    signs: Signs = "bounded"
+    essential: bool = False
+    held_out_fraction: float = 0.0
+    error_cutoff: float | None = None
+    compiled: bool = False
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("rows", get_args(Rows)),
+            ("method", METHODS),
+            ("covariance", COVARIANCES),
+            ("signs", get_args(Signs)),
+        ):
+            if getattr(self, name) not in allowed:
+                raise TorchidError(
+                    f"unknown choice for {name}.", got=getattr(self, name), available=allowed
+                )
+        if len(set(self.effects)) < len(self.effects):
+            raise TorchidError("an effect is named twice.", got=", ".join(self.effects))
+        if self.cutoff is not None and self.cutoff != "auto":
+            _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, `auto` or none")
+        if self.error_cutoff is not None:
+            _between("the errors' cut-off", self.error_cutoff, 0.0, math.inf, "a frequency in Hz")
+        if self.reversal != "auto" and self.reversal != 0:
+            what = "a fraction of the 99 % speed, or `auto`"
+            _between("the reversal speed", self.reversal, 0.0, 1.0, what)
+        if self.held_out_fraction != 0:
+            _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
+
+
+def _between(name: str, value: object, low: float, high: float, expected: str) -> None:
+    """Raise unless `value` is a number strictly between two bounds."""
+    if not isinstance(value, int | float) or not low < value < high:
+        raise TorchidError(f"{name} is out of range.", got=value, expected=expected)
