@@ -1,5 +1,5 @@
-# ruff: noqa: E402 (threads are set before numpy and torch are imported)
-"""Tests' surroundings: one thread, float64, fixed seeds, and the robots the oracles check."""
+# ruff: noqa: E402 (threads are set, and types checked, before what they act on is imported)
+"""Tests' surroundings: one thread, checked types, float64, fixed seeds, and the oracles' robots."""
 
 import os
 
@@ -15,6 +15,15 @@ import jaxtyping
 import numpy as np
 import pytest
 import torch
+
+# Every annotation of torchid is checked in every call: shapes, dtypes and the rest; an int is a
+# float, as in PEP 484. Scalars are imported before that: they are called a million times, which
+# would double the time of the tests, and have no shapes. JAXTYPING_DISABLE=1 checks nothing.
+import torchid.dynamics.scalars  # noqa: F401
+
+jaxtyping.install_import_hook(
+    "torchid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+)
 
 from tests.arms import ARMS, arm
 from tests.oracles import MujocoOracle, PinocchioOracle
@@ -40,9 +49,10 @@ def fixed_seeds() -> None:
 @pytest.fixture
 def types_unchecked() -> Iterator[None]:
     """For tests of how arguments are refused that the annotations, checked, refuse before."""
+    before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(autouse=True)
