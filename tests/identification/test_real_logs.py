@@ -141,4 +141,4 @@ def test_the_pandas_whole_trajectory():
 def test_standstill_is_said():
     """On the UR10e it holds most of the squared error of all rows."""
     found = identified("ur10e_ptp", LINES["ur10e_ptp"].settings)
-    assert any("stands still" in w and w.startswith("held-out") for w in found.warnings)
+    assert any("rows at rest hold" in w and w.startswith("held-out") for w in found.warnings)

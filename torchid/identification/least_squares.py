@@ -127,7 +127,9 @@ def fit(
     residual = residuals(source, x)
     rounding = _ROUNDING * float(torch.linalg.vector_norm(plain[:, -1])) / int(kept.sum()) ** 0.5
     iterations = 0
-    while method != "ols" and iterations < _MAX_ITERATIONS:
+    # Residuals that are rounding say nothing about noise: exact data stay with equal weights.
+    exact = float(residual.square().mean().sqrt()) <= rounding
+    while method != "ols" and not exact and iterations < _MAX_ITERATIONS:
         iterations += 1
         whitening, robust = _weights(residual, kept, robust, method, covariance, rounding)
         weighted = factor(source, robust, whitening)

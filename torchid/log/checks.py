@@ -16,6 +16,7 @@ from torchid.typing import Float, Tensor
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
 MOVING = 1e-2  # a joint must vary this much to compare its dq with the change of q [rad or m]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
+JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
 _DEGREES = 180.0 / math.pi
 _TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -57,7 +58,12 @@ def check_log(
     agreement = _velocity_agreement(log)
     _check_time_unit(log, agreement)
     _check_velocity_unit(log, agreement, slides)
-    return (*_still_joints(log), *_no_torque(log), *_velocity_warnings(log, agreement))
+    return (
+        *_jumps(log),
+        *_still_joints(log),
+        *_no_torque(log),
+        *_velocity_warnings(log, agreement),
+    )
 
 
 def _label(log: Log) -> str:
@@ -251,6 +257,26 @@ def _still_joints(log: Log) -> list[str]:
         for k in range(log.n)
         if float(extent[k]) < STILL
     ]
+
+
+def _jumps(log: Log) -> list[str]:
+    """Steps of a position that no motion makes: an angle wrapped at +-pi, or two runs in one."""
+    found = []
+    for part in log.trajectories():
+        if part.samples < 20:
+            continue
+        step, dt = part.q.diff(dim=0).abs(), part.t.diff().unsqueeze(-1)
+        # A sample is enough, and torch.quantile takes no more than 16 million numbers.
+        usual = torch.quantile((step / dt)[:: max(1, len(dt) // 100_000)], 0.99, dim=0)
+        jump = (step > JUMP) & (step / dt > 10 * usual)
+        for j in jump.any(0).nonzero().flatten().tolist():
+            k = int(jump[:, j].nonzero()[0])
+            found.append(
+                f"{part.names[0]}: q{j + 1} jumps by {float(step[k, j]):.3g} within one step at "
+                f"t = {float(part.t[k]):.4g} s: unwrap the angle, or number the runs in a column "
+                "traj"
+            )
+    return found
 
 
 def _no_torque(log: Log) -> list[str]:
