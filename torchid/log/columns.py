@@ -1,0 +1,186 @@
+"""A Log from named columns, and back.
+
+Columns: t [s]; q1..qn [rad or m]; and, where there are any, dq1.. ddq1.. tau1.. [N m or N],
+i1.. [A]; traj, an integer that separates trajectories. Any other column is ignored.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchid.errors import LogError
+from torchid.log.model import JOINT_SIGNALS, Log
+
+Columns = Mapping[str, np.ndarray]
+
+PREFIXES = dict(zip(JOINT_SIGNALS, ("q", "dq", "ddq", "tau", "i"), strict=True))
+_JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|i)(\d+)")
+EXPECTED = "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, traj"
+
+
+def log_from_columns(columns: Columns, path: str | Path) -> Log:
+    """A Log from named columns, each an array (T,) of numbers.
+
+    Args:
+        columns: as in the module's description; others are ignored.
+        path: the file they came from, for names and errors.
+
+    Raises:
+        LogError: t or q is missing, joints are not numbered 1..n, counts differ, a column is not
+            numeric or has another length, or there are fewer than two samples.
+    """
+    path = Path(path)
+    joints = joint_columns(columns, path)
+    values = {
+        name: _numeric(columns[name], name, path)
+        for name in ("t", *(column for group in joints.values() for column in group))
+    }
+    _same_length(values, path)
+    trajectory, names = _trajectories(columns.get("traj"), len(values["t"]), path)
+    signals: dict[str, Any] = {
+        signal: torch.from_numpy(np.stack([values[c] for c in group], 1))
+        for signal, group in joints.items()
+    }
+    return Log(
+        t=torch.from_numpy(values["t"]),
+        **signals,
+        trajectory=torch.from_numpy(trajectory),
+        names=names,
+        source=str(path),
+    )
+
+
+def columns_of(log: Log) -> dict[str, np.ndarray]:
+    """Named columns (T,) of a log; `traj` only where there are several trajectories."""
+    columns = {"t": log.t.detach().cpu().numpy()}
+    if log.trajectory_count > 1:
+        columns["traj"] = log.trajectory.cpu().numpy()
+    for signal, values in log.signals.items():
+        array = values.detach().cpu().numpy()
+        columns |= {f"{PREFIXES[signal]}{k + 1}": array[:, k] for k in range(log.n)}
+    return columns
+
+
+def is_wanted(name: str) -> bool:
+    """Whether a log has a place for a column of this name."""
+    return name in ("t", "traj") or _JOINT_COLUMN.fullmatch(name) is not None
+
+
+def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:
+    """The columns of each joint signal in order, e.g. {"q": ["q1", "q2"], ...}."""
+    names = list(names)
+    groups = {signal: _numbered(names, prefix, path) for signal, prefix in PREFIXES.items()}
+    if "t" not in names:
+        raise LogError(f"'{path}' has no column t.", expected=EXPECTED, available=_some(names))
+    count = len(groups["q"])
+    if count == 0:
+        raise LogError(f"'{path}' has no column q1.", expected=EXPECTED, available=_some(names))
+    for signal, group in groups.items():
+        if group and len(group) != count:
+            raise LogError(
+                f"'{path}' has {count} q columns and {len(group)} {PREFIXES[signal]} columns.",
+                got=_range(group),
+                expected=_range([f"{PREFIXES[signal]}{i + 1}" for i in range(count)]),
+            )
+    return {signal: group for signal, group in groups.items() if group}
+
+
+def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
+    matches = (_JOINT_COLUMN.fullmatch(name) for name in names)
+    found = sorted((int(m[2]), m[0]) for m in matches if m is not None and m[1] == prefix)
+    expected = [f"{prefix}{i + 1}" for i in range(len(found))]
+    got = [name for _, name in found]
+    if got != expected:
+        raise LogError(
+            f"'{path}': the {prefix} columns are not numbered {_range(expected)}.",
+            got=", ".join(_some(got)),
+            expected=", ".join(_some(expected)),
+        )
+    return got
+
+
+def _range(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]}..{names[-1]}"
+
+
+def _some(names: Sequence[str]) -> list[str]:
+    return [*names[:40], f"and {len(names) - 40} more"] if len(names) > 40 else list(names)
+
+
+def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+    if values.dtype.kind not in "iuf":
+        raise LogError(
+            f"'{path}': column {name} is not numeric.", got=_sample(values), expected="numbers"
+        )
+    return np.array(values, dtype=np.float64)  # a copy: arrow's buffers are read-only
+
+
+def _sample(values: np.ndarray) -> str:
+    """The type of a column and one of its values that is not a number."""
+    for value in values.ravel().tolist():
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            if value is not None:
+                return f"{values.dtype.name}, such as {str(value)[:40]!r}"
+    return values.dtype.name
+
+
+def _same_length(values: Columns, path: Path) -> None:
+    samples = len(values["t"])
+    for name, column in values.items():
+        if len(column) != samples:
+            raise LogError(
+                f"'{path}': column {name} has another length than t.",
+                got=len(column),
+                expected=samples,
+            )
+    if samples == 0:
+        raise LogError(f"'{path}' has columns and no rows.", got=0, expected="samples")
+    if samples == 1:
+        raise LogError(f"'{path}' has one sample only.", got=1, expected="a trajectory")
+
+
+def _trajectories(
+    column: np.ndarray | None, samples: int, path: Path
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Trajectory numbers from 0, and their names."""
+    if column is None:
+        return np.zeros(samples, dtype=np.int64), (path.stem,)
+    ids = _numeric(column, "traj", path)
+    _same_length({"t": np.empty(samples), "traj": ids}, path)
+    if not np.isfinite(ids).all() or (ids != np.round(ids)).any():
+        wrong = ids[~np.isfinite(ids) | (ids != np.round(ids))]
+        raise LogError(f"'{path}': column traj is not integer.", got=float(wrong[0]))
+    starts = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1))
+    order = ids[starts].astype(np.int64).tolist()
+    lengths = np.diff(starts, append=samples)
+    if len(set(order)) < len(order):
+        again = next(k for k, i in enumerate(order) if i in order[:k])
+        raise LogError(
+            f"'{path}': trajectory {order[again]} comes back in row {starts[again] + 1} after "
+            f"trajectory {order[again - 1]}.",
+            expected="the rows of a trajectory together",
+            hint="sort the rows by traj, then by t",
+        )
+    if (lengths < 2).any():
+        raise LogError(
+            f"'{path}': trajectory {order[int(np.argmin(lengths))]} has one sample only.",
+            got=1,
+            expected="at least two",
+        )
+    if len(order) == 1:
+        return np.zeros(samples, dtype=np.int64), (path.stem,)
+    numbers = np.repeat(np.arange(len(order)), lengths)
+    return numbers, tuple(f"{path.stem}[traj={i}]" for i in order)
+
+
+def refuse_repeated(names: Sequence[str], path: Path) -> None:
+    """Raise LogError if a column that is wanted is there twice."""
+    twice = sorted({name for name in names if is_wanted(name) and names.count(name) > 1})
+    if twice:
+        raise LogError(f"'{path}' has two columns {twice[0]}.", got=", ".join(twice))
