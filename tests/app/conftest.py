@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from torchid.identification.synthetic import HonestNoise, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
 

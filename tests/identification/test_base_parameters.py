@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from tests.identification.test_excitation import random_arm
+from tests.excitation.test_excitation import random_arm
 from tests.identification.test_paper_tables import coefficients
 from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from torchid.errors import LogError
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Settings, identify
 from torchid.identification.record import record
-from torchid.identification.synthetic import HonestNoise, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters

@@ -12,9 +12,9 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.errors import IdentificationError, LogError, TorchidError
+from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Identification, Settings, identify
-from torchid.identification.synthetic import HonestNoise, nominal_torque, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot

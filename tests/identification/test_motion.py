@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchid.errors import LogError
+from torchid.excitation.synthetic import synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.motion import (
     MOVING,
     WIDE,
@@ -14,8 +16,6 @@ from torchid.identification.motion import (
     fast_speed,
     measurements,
 )
-from torchid.identification.synthetic import synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.library import load_robot

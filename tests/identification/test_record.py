@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from tests.identification.test_rows import a_log
+from torchid.excitation.synthetic import HonestNoise
 from torchid.identification.identify import Identification, Settings, identify
 from torchid.identification.record import SCHEMA, record
-from torchid.identification.synthetic import HonestNoise
 from torchid.robot.library import load_robot
 
 NOISE = HonestNoise(1e-5, 0.02)

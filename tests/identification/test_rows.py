@@ -5,15 +5,15 @@ import pytest
 import torch
 from scipy.signal import butter, sosfiltfilt
 
-from tests.identification.test_excitation import random_arm
+from tests.excitation.test_excitation import random_arm
 from torchid.dynamics.regressor import regressor
 from torchid.effects.registry import on_every_joint
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
 from torchid.identification.motion import Measurement, measurements
 from torchid.identification.rows import Layout, RowSource, layout
-from torchid.identification.synthetic import HonestNoise, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.inertia import InertialParameters

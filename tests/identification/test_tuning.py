@@ -8,13 +8,13 @@ import torch
 
 from tests.identification.test_rows import layout_of
 from torchid.effects.base import Motion
+from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import tuning
 from torchid.identification.identify import Settings, identify
 from torchid.identification.least_squares import fit
 from torchid.identification.motion import direction, fast_speed, measurements
 from torchid.identification.rows import RowSource
-from torchid.identification.synthetic import HonestNoise, nominal_torque, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.identification.tuning import (
     CUTOFFS,
     REVERSALS,

@@ -4,9 +4,9 @@ import pytest
 import torch
 from rich.console import Console
 
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Settings, identify
-from torchid.identification.synthetic import HonestNoise, synthetic_log
-from torchid.identification.trajectories import random_trajectory, trajectory_log
 from torchid.report.excitation import trajectory_figure
 from torchid.report.figures import parameter_figure, save, torque_figure, truth_figure
 from torchid.report.identification import headline, tables

@@ -46,9 +46,9 @@ def demo_command(
 
 def _paper(output: Output) -> dict[str, Any]:
     """The report's 3R: table 5.1's trajectories, 30 dB noise on them, table A.1."""
+    from torchid.excitation.synthetic import PaperNoise, synthetic_log
+    from torchid.excitation.trajectories import paper_trajectories_3r, trajectory_log
     from torchid.identification.identify import Settings, identify
-    from torchid.identification.synthetic import PaperNoise, synthetic_log
-    from torchid.identification.trajectories import paper_trajectories_3r, trajectory_log
     from torchid.report.identification import compact
     from torchid.robot.library import load_robot
 
@@ -83,11 +83,11 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     import torch
 
     from torchid.effects.registry import on_every_joint
-    from torchid.identification.excitation import optimise_trajectory
+    from torchid.excitation.design import optimise_trajectory
+    from torchid.excitation.synthetic import HonestNoise, synthetic_log
+    from torchid.excitation.trajectories import sinusoid, trajectory_log
     from torchid.identification.identify import Settings, identify
     from torchid.identification.record import record
-    from torchid.identification.synthetic import HonestNoise, synthetic_log
-    from torchid.identification.trajectories import sinusoid, trajectory_log
     from torchid.log.model import Log
     from torchid.report.excitation import trajectory_figure
     from torchid.report.figures import save, torque_figure, truth_figure

@@ -25,8 +25,8 @@ from torchid.app.options import (
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.identification.fourier import FourierTrajectory
-    from torchid.identification.trajectories import Sinusoid
+    from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.trajectories import Sinusoid
     from torchid.log.model import Log
     from torchid.robot.model import Robot
 
@@ -78,7 +78,7 @@ def excite_command(
     Example: `torchid excite kuka_lwr4 --out motion`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.identification.trajectories import trajectory_log
+    from torchid.excitation.trajectories import trajectory_log
     from torchid.robot.library import load_robot
 
     target = _target(to, output)
@@ -103,7 +103,7 @@ def excite_command(
 def _given(
     robot: "Robot", kind: str, seed: int, count: int, settings: dict[str, Any]
 ) -> tuple[list[Any], dict[str, Any]]:
-    from torchid.identification.trajectories import (
+    from torchid.excitation.trajectories import (
         paper_trajectories_3r,
         random_trajectory,
         sinusoid,
@@ -135,7 +135,7 @@ def _optimised(
     output: Output,
 ) -> tuple[list[Any], dict[str, Any]]:
     from torchid.effects.registry import on_every_joint
-    from torchid.identification.excitation import optimise_trajectory
+    from torchid.excitation.design import optimise_trajectory
 
     found = []
     with progress_bar(output) as progress:

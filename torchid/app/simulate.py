@@ -21,7 +21,7 @@ from torchid.app.options import (
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.identification.synthetic import NoiseModel
+    from torchid.excitation.synthetic import NoiseModel
 
 
 def simulate_command(
@@ -67,7 +67,7 @@ def simulate_command(
     Example: `torchid simulate kuka_lwr4_friction motion/trajectory.csv --to log.parquet`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.identification.synthetic import synthetic_log
+    from torchid.excitation.synthetic import synthetic_log
     from torchid.log.readers import read_log, write_log
     from torchid.robot.library import load_robot
 
@@ -104,7 +104,7 @@ def _noise(
     colour: float | None,
     velocity: float | None,
 ) -> "NoiseModel":
-    from torchid.identification.synthetic import HonestNoise, PaperNoise
+    from torchid.excitation.synthetic import HonestNoise, PaperNoise
 
     if kind == "none":
         return None

@@ -10,7 +10,7 @@ import yaml
 from torch import Tensor
 
 from torchid.effects.base import Motion
-from torchid.identification.fourier import (
+from torchid.excitation.fourier import (
     BASE_PULSATION,
     HARMONICS,
     Extremes,
@@ -18,7 +18,7 @@ from torchid.identification.fourier import (
     SampledMotion,
     sample_times,
 )
-from torchid.identification.motion_limits import largest_scale, motion_limits
+from torchid.excitation.limits import largest_scale, motion_limits
 from torchid.log.model import Log
 from torchid.log.readers import write_log
 from torchid.robot.config_files import config_folder

@@ -7,22 +7,22 @@ import torch
 from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, RobotError, TorchidError
-from torchid.identification.base_parameters import base_parameters
-from torchid.identification.excitation import (
+from torchid.excitation.design import (
     base_regressor,
     condition_number,
     optimise_trajectory,
     row_weights,
 )
-from torchid.identification.fourier import FourierTrajectory, sample_times
-from torchid.identification.motion_limits import largest_scale, limit_usage, motion_limits
-from torchid.identification.trajectories import (
+from torchid.excitation.fourier import FourierTrajectory, sample_times
+from torchid.excitation.limits import largest_scale, limit_usage, motion_limits
+from torchid.excitation.trajectories import (
     paper_trajectories_3r,
     random_trajectory,
     sinusoid,
     trajectory_log,
     write_trajectory,
 )
+from torchid.identification.base_parameters import base_parameters
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits, Robot

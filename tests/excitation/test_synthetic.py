@@ -4,18 +4,18 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.identification.test_excitation import random_arm
+from tests.excitation.test_excitation import random_arm
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import LogError, RobotError, TorchidError
-from torchid.identification.synthetic import (
+from torchid.excitation.synthetic import (
     ENCODER_STEP,
     HonestNoise,
     PaperNoise,
     nominal_torque,
     synthetic_log,
 )
-from torchid.identification.trajectories import random_trajectory, trajectory_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot

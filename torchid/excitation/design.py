@@ -18,14 +18,14 @@ from torch import Tensor
 
 from torchid.effects.base import Effect, Motion
 from torchid.errors import IdentificationError, TorchidError
+from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
+from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
+from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.base_parameters import (
     BaseParameters,
     base_parameters,
     stacked_regressor,
 )
-from torchid.identification.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
-from torchid.identification.motion_limits import MotionLimits, largest_scale, motion_limits
-from torchid.identification.trajectories import random_trajectory
 from torchid.robot.model import Robot
 from torchid.typing import Float
 

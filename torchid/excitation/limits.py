@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
-from torchid.identification.fourier import Extremes, FourierTrajectory
+from torchid.excitation.fourier import Extremes, FourierTrajectory
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
