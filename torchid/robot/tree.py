@@ -217,7 +217,7 @@ def _only_chain(tree: Tree, root: str) -> Chain:
         return Chain(tuple(groups), tuple(joints), ends[0], ())
     warning = (
         f"several links are fixed to the last moving link '{last.link}' ({', '.join(ends)}): "
-        f"the tool is '{last.link}' itself; choose another with tip"
+        f"the tool is '{last.link}' itself; choose another with --tip"
     )
     return Chain(tuple(groups), tuple(joints), last.link, (warning,))
 
