@@ -7,6 +7,8 @@ cost (Yamamoto et al. 2015, shifted and preconditioned CholeskyQR). R0 is renewe
 it was made from no longer represent the rest.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -84,6 +86,23 @@ class TriangularFactor:
 def stacked_factor(factors: list[Tensor]) -> Float[Tensor, "c c"]:
     """R of several matrices on top of each other, from their factors."""
     return _householder(torch.cat(factors))
+
+
+def combined_factor(
+    factors: Sequence[Float[Tensor, "_ _"]], columns: Sequence[Sequence[int]], size: int
+) -> Float[Tensor, "C C"]:
+    """R of [A b] from the factors of its torque rows, each of its own columns of A and of b.
+
+    Args:
+        factors: a torque row's R, (c + 1, c + 1), b last.
+        columns: the c columns of A, of `size` in all, that each has.
+    """
+    wide = []
+    for r, c in zip(factors, columns, strict=True):
+        embedded = r.new_zeros(r.shape[0], size + 1)
+        embedded[:, [*c, size]] = r
+        wide.append(embedded)
+    return stacked_factor(wide)
 
 
 def _householder(rows: Tensor) -> Tensor:

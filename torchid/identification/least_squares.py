@@ -18,7 +18,7 @@ import torch
 from scipy.optimize import lsq_linear
 
 from torchid.errors import IdentificationError
-from torchid.identification.factor import TriangularFactor, stacked_factor
+from torchid.identification.factor import TriangularFactor, combined_factor
 from torchid.identification.rank import independent_columns
 from torchid.identification.rows import RowBlock, RowSource
 from torchid.typing import Bool, Float, Tensor
@@ -170,13 +170,7 @@ def _per_joint(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
         weight = robust[block.instant] * scale
         for i, rows in enumerate(block.augmented):
             factors[i].add(rows * weight[:, i : i + 1])
-    b = source.layout.size
-    wide = []
-    for f, c in zip(factors, columns, strict=True):
-        embedded = torch.zeros(len(c) + 1, b + 1, dtype=torch.float64)
-        embedded[:, [*c, b]] = f.factor()
-        wide.append(embedded)
-    return stacked_factor(wide)
+    return combined_factor([f.factor() for f in factors], columns, source.layout.size)
 
 
 def _jointly(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
@@ -288,16 +282,11 @@ def solve(
     if bool((z[signs] < 0).any()):
         lower = np.where(signs.numpy(), 0.0, -np.inf)
         found = lsq_linear(scaled.numpy(), y.numpy(), (lower, np.inf), method="bvls")
-        z = torch.from_numpy(found.x)
-        z = torch.where(signs & (found_at_bound(found.active_mask)), torch.zeros_like(z), z)
+        at_bound = torch.from_numpy(np.asarray(found.active_mask) == -1)
+        z = torch.where(at_bound, 0.0, torch.from_numpy(found.x))
         bounded[free] = signs & (z == 0)
     x[free] = z / scale
     return x, bounded
-
-
-def found_at_bound(active: np.ndarray) -> Tensor:
-    """scipy's active mask as a tensor: True where a lower bound holds."""
-    return torch.from_numpy(np.asarray(active) == -1)
 
 
 def undetermined_columns(

@@ -1,8 +1,7 @@
 """A long log reduced to the triangular factor of its base columns, in constant memory.
 
-Torque i feels links >= i only, so each torque row has a factor of its own columns; the factors are
-put on top of each other at the end. Columns go by ascending link while the rows stream, which makes
-a row's columns the last ones and the whole a staircase.
+Torque i feels links >= i only, so each torque row has a factor of its own columns (see `rows`); the
+factors are put on top of each other at the end.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,8 +13,9 @@ from torch import Tensor
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.errors import IdentificationError
 from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.factor import TriangularFactor, stacked_factor
-from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.identification.factor import TriangularFactor, combined_factor, stacked_factor
+from torchid.identification.rows import layout
+from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.typing import Float, Samples
 
@@ -58,19 +58,15 @@ def reduce_to_factor(
             shapes.
     """
     _check(robot, base, q, dq, ddq, tau)
-    pairs = _link_and_parameter(robot, base)
-    # Sorted by link: torque row i uses the columns from `first[i]` on.
-    order = sorted(range(len(pairs)), key=lambda k: pairs[k])
-    by_link = [pairs[k] for k in order]
-    rows = [[p for p in by_link if p[0] >= i] for i in range(robot.n)]
-    factors = [TriangularFactor(len(own) + 1, device=q.device) for own in rows]
+    columns = layout(robot, base, ())
+    factors = [TriangularFactor(len(c) + 1, device=q.device) for c in columns.columns]
     for chunk, torque in _with_torque(chunks or _eager(robot), q, dq, ddq, tau):
-        for i, (own, factor) in enumerate(zip(rows, factors, strict=True)):
-            columns = [*(chunk.entry(i, *p) for p in own), torque[i]]
-            factor.add(torch.stack(columns).T)
-    wide = [_widened(f.factor(), len(order) + 1) for f in factors]
-    back = torch.tensor(order, device=q.device).argsort().tolist()
-    return stacked_factor([torch.cat(wide)[:, [*back, len(order)]]])
+        for i, (own, factor) in enumerate(zip(columns.rigid, factors, strict=True)):
+            rows = [*(chunk.entry(i, *pair) for pair in own), torque[i]]
+            factor.add(torch.stack(rows).T)
+    r = combined_factor([f.factor() for f in factors], columns.columns, columns.size)
+    back = torch.tensor([*columns.order, columns.size], device=q.device).argsort()
+    return stacked_factor([r[:, back]])
 
 
 def _eager(robot: Robot) -> _ChunkMaker:
@@ -89,16 +85,6 @@ def _with_torque(
         stop = start + chunk.like.shape[0]
         yield chunk, tau[start:stop].T
         start = stop
-
-
-def _widened(factor: Tensor, width: int) -> Tensor:
-    """A factor of the last columns as one of all columns."""
-    return torch.nn.functional.pad(factor, (width - factor.shape[1], 0))
-
-
-def _link_and_parameter(robot: Robot, base: BaseParameters) -> list[tuple[int, int]]:
-    flat = paper_order(robot.n).tolist()
-    return [divmod(flat[k], PARAMETERS_PER_LINK) for k in base.independent]
 
 
 def _check(robot: Robot, base: BaseParameters, *signals: Tensor) -> None:

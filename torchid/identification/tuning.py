@@ -124,10 +124,10 @@ def choose_reversal(
 ) -> Float[Tensor, " n"]:
     """Each joint's reversal speed (n,) [rad/s or m/s]: the lowest whose error of the joint's own
     torque is within 1 % of the best. Zero where no effect jumps."""
+    if not any(effect.jumps for effect in training.layout.effects):
+        return torch.zeros(training.log.n, dtype=torch.float64)
     log = _shortened(training.log)
     speed = fast_speed(measurements(log, cutoff))
-    if not any(effect.jumps for effect in training.layout.effects):
-        return torch.zeros_like(speed)
     errors = []
     for k, fraction in enumerate(REVERSALS):
         measured = measurements(log, cutoff, fraction * speed)
