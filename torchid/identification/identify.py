@@ -90,6 +90,7 @@ def identify(
         effects=tuple(effects),
         values=values,
         covariance=estimate.uncertainty.covariance[order][:, order],
+        factor=estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])],
         free=estimate.fit.free[order],
         bounded=named.where(estimate.fit.bounded),
         undetermined=named.where(estimate.fit.undetermined),

@@ -43,6 +43,7 @@ def record(result: Identification) -> dict[str, Any]:
         },
         "base_names": list(result.base.names),
         "covariance": result.covariance.tolist(),
+        "factor": result.factor.tolist(),
         "statistics": {
             "method": "delete-a-block jackknife",
             "blocks": result.uncertainty.blocks,

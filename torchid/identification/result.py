@@ -31,6 +31,8 @@ class Identification:
         effects: linear effects, in the order of their coefficients.
         values: (B,) in the order of `base.names`.
         covariance: (B, B), block-robust.
+        factor: (B + 1, B + 1) R of the fitted rows [Y_R tau], weighted as in the fit, columns in
+            the order of `base.names`: || R (x, -1) ||^2 is the fit's sum of squares at x.
         free: (B,) estimated. The others are 0: bounded, undetermined or not essential.
         bounded, undetermined, dropped: names of those others.
         wrong_sign: names that came out negative against physics and were kept (signs = free).
@@ -50,6 +52,7 @@ class Identification:
     effects: tuple[Effect, ...]
     values: Float[Tensor, " B"]
     covariance: Float[Tensor, "B B"]
+    factor: Float[Tensor, "C C"]
     free: Bool[Tensor, " B"]
     bounded: tuple[str, ...]
     undetermined: tuple[str, ...]

@@ -1,0 +1,176 @@
+"""The extraction problem: which physical parameters, within bounds, give these base parameters?
+
+The search variables p are those of tables A.5 and A.6: masses, centres of mass and *barycentric*
+inertias of all links, then the coefficients of the effects. The loss is
+
+    phi(p) = || W pi_R(p) - t ||^2,       pi_R(p) = G pi(p),
+
+with W = 1 and t the identified coefficients for the two-step loss (2.28). For the one-step loss
+(2.29), || Y pi(p) - tau ||^2, W and t are the triangular factor of [Y_R tau]: what the log says
+about the coefficients, in a matrix as small as the two-step one; the part of the torque that no
+parameters explain is left out of phi.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import torch
+
+from torchid.effects.base import Effect
+from torchid.errors import TorchidError
+from torchid.feasibility.bounds import Bounds
+from torchid.feasibility.conditions import Conditions
+from torchid.feasibility.sets import ParameterSets
+from torchid.identification.base_parameters import BaseParameters
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.identification.result import Identification
+
+LossName = Literal["two-step", "one-step"]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Base parameters to reproduce, and how a deviation counts.
+
+    Attributes:
+        base: which combinations they are.
+        effects: linear effects whose coefficients are among them.
+        values: (B,) identified coefficients.
+        weight, offset: (R, B), (R,) of the loss || weight pi_R - offset ||^2.
+        loss: name of the loss.
+    """
+
+    base: BaseParameters
+    effects: tuple[Effect, ...]
+    values: Float[Tensor, " B"]
+    weight: Float[Tensor, "R B"]
+    offset: Float[Tensor, " R"]
+    loss: LossName
+
+
+def two_step(base: BaseParameters, effects: Sequence[Effect], values: Tensor) -> Target:
+    """The two-step loss (2.28): squared distance to identified coefficients (B,).
+
+    Raises:
+        TorchidError: not one finite number a base parameter.
+    """
+    if values.shape != (len(base),) or not bool(torch.isfinite(values).all()):
+        raise TorchidError(
+            "the base parameters do not belong to this robot and these effects, or are not finite.",
+            got=f"{tuple(values.shape)} values, {int((~torch.isfinite(values)).sum())} not finite",
+            expected=f"({len(base)},) finite values",
+        )
+    eye = torch.eye(len(base), dtype=values.dtype, device=values.device)
+    return Target(base, tuple(effects), values, eye, values, "two-step")
+
+
+def one_step(result: "Identification") -> Target:
+    """The one-step loss (2.29), with the rows weighted as in the fit that found `result`."""
+    r = result.factor
+    return Target(result.base, result.effects, result.values, r[:-1, :-1], r[:-1, -1], "one-step")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What to search for, and where.
+
+    Attributes:
+        robot: the arm.
+        target: base parameters and loss.
+        bounds: of the search variables.
+        conditions: on centres of mass and total mass, which the penalty gamma counts.
+        box: (D, 2) lower and upper bounds of p.
+    """
+
+    robot: Robot
+    target: Target
+    bounds: Bounds
+    conditions: Conditions
+    box: Float[Tensor, "D 2"]
+
+    @property
+    def n(self) -> int:
+        """Number of links."""
+        return self.robot.n
+
+    @property
+    def size(self) -> int:
+        """Number D of search variables: 10 n and one for each coefficient of an effect."""
+        return int(self.box.shape[0])
+
+    def physical(self, unit: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch D"]:
+        """p from the unit box: LB + (UB - LB) u, never outside by rounding."""
+        low, high = self.box.to(unit).unbind(-1)
+        return torch.clamp(low + (high - low) * unit, low, high)
+
+    def unit(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch D"]:
+        """u in the unit box from p."""
+        low, high = self.box.to(p).unbind(-1)
+        return ((p - low) / (high - low)).clamp(0.0, 1.0)
+
+    def split(self, p: Float[Tensor, "*batch D"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Masses (..., n), centres of mass (..., n, 3), inertias (..., n, 6), coefficients."""
+        n = self.n
+        mass, com, inertia, rest = p.split([n, 3 * n, 6 * n, self.size - 10 * n], -1)
+        return mass, com.unflatten(-1, (n, 3)), inertia.unflatten(-1, (n, 6)), rest
+
+    def parameters(self, p: Float[Tensor, "*batch D"]) -> InertialParameters:
+        """Inertial parameters (..., n, 10) of search vectors."""
+        return InertialParameters.from_com(*self.split(p)[:3])
+
+    def vector(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch P"]:
+        """All parameters in the grouping's order: the paper's stacking, then coefficients."""
+        return torch.cat([self.parameters(p).to_paper_order(), self.split(p)[3]], -1)
+
+    def search_vector(self, sets: ParameterSets) -> Float[Tensor, "K D"]:
+        """Search vectors (K, D) of sets with the problem's effects; not clipped to the bounds."""
+        parameters = sets.parameters
+        return torch.cat(
+            [
+                parameters.mass,
+                parameters.com.flatten(-2),
+                parameters.inertia_about_com.flatten(-2),
+                sets.coefficients,
+            ],
+            -1,
+        )
+
+    def sets(self, p: Float[Tensor, "K D"], ids: Sequence[str]) -> ParameterSets:
+        """Search vectors as parameter sets."""
+        return ParameterSets(tuple(ids), self.parameters(p), self.target.effects, self.split(p)[3])
+
+    def residual(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch R"]:
+        """W pi_R(p) - t (..., R); phi is its squared norm."""
+        return self.residual_of_vector(self.vector(p))
+
+    def residual_of_vector(self, x: Float[Tensor, "*batch P"]) -> Float[Tensor, "*batch R"]:
+        """The same from full parameter vectors, in which it is linear."""
+        weight = (self.target.weight @ self.target.base.grouping.to(self.target.weight)).to(x)
+        return x @ weight.T - self.target.offset.to(x)
+
+    def phi(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch"]:
+        """The loss (2.28) or (2.29)."""
+        return self.residual(p).square().sum(-1)
+
+
+def extraction_problem(
+    robot: Robot, target: Target, bounds: Bounds, conditions: Conditions
+) -> Problem:
+    """Put a problem together.
+
+    Raises:
+        TorchidError: base parameters of another robot, or an effect without bounds.
+    """
+    expected = 10 * robot.n + sum(len(e.coefficients) for e in target.effects)
+    if len(target.base.parameter_names) != expected:
+        raise TorchidError(
+            f"the base parameters do not belong to robot '{robot.name}'.",
+            got=f"sums over {len(target.base.parameter_names)} parameters",
+            expected=f"{expected}: 10 a link and the effects' coefficients",
+        )
+    return Problem(robot, target, bounds, conditions, bounds.box(target.effects))

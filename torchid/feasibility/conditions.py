@@ -1,0 +1,162 @@
+"""What a set of parameters is asked to meet beside physics: where the links' matter can be.
+
+Positive masses (2.22) and inertia tensors that a body can have (2.23)-(2.26) need no data. Boxes of
+the centres of mass (2.27), cylinders and spheres of the links' shapes, and the total mass (2.31)
+come from the robot's yaml:
+
+    bounds:
+      normal: {...}                      its `com` box is the links' geometry, unless said otherwise
+      total_mass: [13, 18]
+      geometry:
+        cylinder_radius: [..], cylinder_length: [..]      one a link, about the box's long side
+        cylinders: [{link: 1, axis: y, radius: 0.04, centre: [0, 0, 0]}]
+        spheres: [{link: 7, radius: 0.1, centre: [0, 0, 0]}]
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from torchid.errors import RobotError
+from torchid.feasibility.bounds import bounds_groups, read_bounds
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+GEOMETRY_GROUP = "normal"
+"""Group of bounds whose CoM boxes are the links' geometry: the report draws them so."""
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Conditions on the centres of mass and on the total mass; what is unknown is infinite.
+
+    Attributes:
+        com_box: (n, 3, 2) lower and upper [m], in the link frames.
+        round_centre: (n, 3) centre of each link's cylinder or sphere [m].
+        round_axes: (n, 3) 1 for the axes in which the radius counts: two for a cylinder, three for
+            a sphere.
+        round_radius: (n,) [m].
+        total_mass: (2,) [kg].
+    """
+
+    com_box: Float[Tensor, "n 3 2"]
+    round_centre: Float[Tensor, "n 3"]
+    round_axes: Float[Tensor, "n 3"]
+    round_radius: Float[Tensor, " n"]
+    total_mass: Float[Tensor, "2"]
+
+    def to(self, device: torch.device | str) -> "Conditions":
+        """The same conditions on another device."""
+        return Conditions(
+            self.com_box.to(device),
+            self.round_centre.to(device),
+            self.round_axes.to(device),
+            self.round_radius.to(device),
+            self.total_mass.to(device),
+        )
+
+
+def physics_only(n: int) -> Conditions:
+    """No condition on the centres of mass or on the total mass."""
+    return Conditions(
+        torch.tensor([-torch.inf, torch.inf], dtype=torch.float64).repeat(n, 3, 1),
+        torch.zeros(n, 3, dtype=torch.float64),
+        torch.zeros(n, 3, dtype=torch.float64),
+        torch.full((n,), torch.inf, dtype=torch.float64),
+        torch.tensor([-torch.inf, torch.inf], dtype=torch.float64),
+    )
+
+
+def conditions(
+    robot: Robot,
+    *,
+    com_box: Float[Tensor, "n 3 2"] | None = None,
+    shapes: bool = False,
+    total_mass: tuple[float, float] | None = None,
+) -> Conditions:
+    """The conditions for a robot.
+
+    Args:
+        robot: whose `bounds` may hold groups, `geometry` and `total_mass`.
+        com_box: boxes to use; those of the group `normal` if None, or none where there is no
+            such group.
+        shapes: whether the cylinders and spheres of `geometry` are checked too.
+        total_mass: interval of the sum of the masses [kg]; not checked if None.
+
+    Raises:
+        RobotError: `shapes` for a robot without geometry, or a geometry that cannot be read; a
+            total mass whose bounds are crossed.
+    """
+    none = physics_only(robot.n)
+    if com_box is None and GEOMETRY_GROUP in bounds_groups(robot):
+        com_box = read_bounds(robot, GEOMETRY_GROUP).com
+    box = none.com_box if com_box is None else com_box
+    if total_mass is not None and not total_mass[0] < total_mass[1]:
+        raise RobotError("the interval of the total mass is empty.", got=list(total_mass))
+    centre, axes, radius = (
+        _round_shapes(robot, box)
+        if shapes
+        else (none.round_centre, none.round_axes, none.round_radius)
+    )
+    total = none.total_mass if total_mass is None else torch.tensor(total_mass, dtype=box.dtype)
+    return Conditions(box, centre, axes, radius, total)
+
+
+def _round_shapes(robot: Robot, box: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    geometry = robot.bounds.get("geometry")
+    where = f"robot '{robot.name}': bounds geometry"
+    if not isinstance(geometry, Mapping):
+        raise RobotError(
+            f"robot '{robot.name}' has no shapes of its links.",
+            expected="bounds: {geometry: {cylinders: [{link, axis, radius}], spheres: [...]}}",
+        )
+    none = physics_only(robot.n)
+    centre, axes, radius = none.round_centre, none.round_axes, none.round_radius
+    if "cylinder_radius" in geometry:
+        _cylinder_table(geometry, box, robot.n, where, centre, axes, radius)
+    for key, default in (("cylinders", None), ("spheres", "all")):
+        for entry in geometry.get(key, ()):
+            link, own = _entry(entry, default, robot.n, where)
+            centre[link] = torch.tensor(entry.get("centre", [0.0, 0.0, 0.0]), dtype=centre.dtype)
+            axes[link] = own
+            radius[link] = float(entry["radius"])
+    return centre, axes, radius
+
+
+def _cylinder_table(
+    geometry: Mapping[str, Any],
+    box: Tensor,
+    n: int,
+    where: str,
+    centre: Tensor,
+    axes: Tensor,
+    radius: Tensor,
+) -> None:
+    """Cylinders given by radius and length, about the axis in which the box is that long."""
+    for key in ("cylinder_radius", "cylinder_length"):
+        if len(geometry.get(key, ())) != n:
+            raise RobotError(f"{where}: {key} needs one number a link.", got=geometry.get(key))
+    if not torch.isfinite(box).all():
+        raise RobotError(f"{where}: cylinders by length need the boxes of the centres of mass.")
+    size = box[..., 1] - box[..., 0]
+    length = torch.tensor(geometry["cylinder_length"], dtype=box.dtype)
+    long_side = (size - length.unsqueeze(-1)).abs().argmin(-1)
+    axes.fill_(1.0)
+    axes[torch.arange(n), long_side] = 0.0
+    centre.copy_(box.mean(-1))
+    radius.copy_(torch.tensor(geometry["cylinder_radius"], dtype=box.dtype))
+
+
+def _entry(entry: Any, default: str | None, n: int, where: str) -> tuple[int, Tensor]:
+    expected = "{link: 1, axis: x|y|z (cylinders), radius: m, centre: [x, y, z]}"
+    axis = entry.get("axis", default) if isinstance(entry, Mapping) else None
+    if axis not in ("x", "y", "z", "all") or "radius" not in entry or "link" not in entry:
+        raise RobotError(f"{where}: not a cylinder or sphere.", got=entry, expected=expected)
+    if not 1 <= entry["link"] <= n or not float(entry["radius"]) > 0:
+        raise RobotError(f"{where}: no such link or no such radius.", got=entry, expected=expected)
+    own = torch.ones(3, dtype=torch.float64)
+    if axis != "all":
+        own["xyz".index(axis)] = 0.0
+    return int(entry["link"]) - 1, own

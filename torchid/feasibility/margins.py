@@ -1,0 +1,218 @@
+"""Whether a set of parameters can belong to a real arm, by how much, and why not (section 2.3).
+
+Every condition has a signed margin, in its own unit, positive inside, and a *degree*: the margin
+over a scale of its own, so that conditions, links and arms can be compared. A set is feasible when
+no margin is negative; its degree is the smallest of its conditions', so a firmly feasible set has a
+large one, a set on the boundary 0, and an infeasible one a negative one.
+
+| condition  | margin                              | equation | scale of the degree                    |
+|------------|-------------------------------------|----------|----------------------------------------|
+| mass       | m_i                                 | 2.22     | mean of the set's abs(m)               |
+| eigenvalue | smallest eigenvalue of I_i          | 2.24     | mean of abs(second moments) of link i  |
+| triangle   | tr(I_i)/2 - largest eigenvalue      | 2.26     | the same                               |
+| com_x,y,z  | distance of c_i to its box's faces  | 2.27     | half the box's side                    |
+| shape      | distance to the cylinder or sphere  | -        | its radius                             |
+| total mass | distance to the interval's ends     | 2.31     | half the interval                      |
+| coefficient| the coefficient, if physics says >= 0| -       | mean of abs of its kind in the set     |
+
+The second moments of a link are the eigenvalues of S = tr(I)/2 E - I; a body has them positive,
+which is the triangle inequality, and then I's eigenvalues are positive too. So `triangle` is the
+stronger condition, and a violated `eigenvalue` says that I is not even positive definite.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.feasibility.conditions import Conditions
+from torchid.feasibility.sets import ParameterSets
+from torchid.robot.inertia import InertialParameters, symmetric
+from torchid.typing import Bool, Float, Tensor
+
+LINK_CONDITIONS = ("mass", "eigenvalue", "triangle", "com_x", "com_y", "com_z", "shape")
+"""Columns of the margins of a link."""
+
+_STRICT = torch.tensor([True, True, True, False, False, False, False])
+_ROUNDING = 1e-9
+"""Share of a scale by which a closed condition (a box) may be missed: c = (m c) / m rounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """Signed margins and degrees of K sets; a condition that was not asked for is infinite.
+
+    Attributes:
+        ids: (K,) of the sets.
+        margins, degrees: (K, n, C) per link and condition, in the order of `LINK_CONDITIONS`.
+        total_mass, total_mass_degree: (K,) [kg], [-].
+        coefficients, coefficient_degrees: (K, E) of the effects; infinite where any sign will do.
+        coefficient_names: (E,) e.g. Fv6.
+        violated: (K, n, C), violated_total (K,), violated_coefficients (K, E).
+    """
+
+    ids: tuple[str, ...]
+    margins: Float[Tensor, "K n C"]
+    degrees: Float[Tensor, "K n C"]
+    total_mass: Float[Tensor, " K"]
+    total_mass_degree: Float[Tensor, " K"]
+    coefficients: Float[Tensor, "K E"]
+    coefficient_degrees: Float[Tensor, "K E"]
+    coefficient_names: tuple[str, ...]
+    violated: Bool[Tensor, "K n C"]
+    violated_total: Bool[Tensor, " K"]
+    violated_coefficients: Bool[Tensor, "K E"]
+
+    @property
+    def feasible(self) -> Bool[Tensor, " K"]:
+        """(K,) whether no condition is violated."""
+        any_link = self.violated.flatten(1).any(-1)
+        return ~(any_link | self.violated_total | self.violated_coefficients.any(-1))
+
+    @property
+    def degree(self) -> Float[Tensor, " K"]:
+        """(K,) smallest degree of the set's conditions; negative outside, 0 on the boundary."""
+        return torch.cat(
+            [
+                self.degrees.flatten(1),
+                self.total_mass_degree.unsqueeze(-1),
+                self.coefficient_degrees,
+            ],
+            -1,
+        ).amin(-1)
+
+    def reasons(self, k: int) -> tuple[str, ...]:
+        """Why set k is infeasible, named as the report's tables do: inertia_3, com_7z, mass_2,
+        shape_1, total_mass, Fv_6. Empty if it is feasible."""
+        found = []
+        for link, row in enumerate(self.violated[k].tolist(), start=1):
+            mass, eigenvalue, triangle, *com, shape = row
+            found += [f"mass_{link}"] if mass else []
+            found += [f"inertia_{link}"] if eigenvalue or triangle else []
+            found += [f"com_{link}{axis}" for axis, out in zip("xyz", com, strict=True) if out]
+            found += [f"shape_{link}"] if shape else []
+        found += ["total_mass"] if bool(self.violated_total[k]) else []
+        out = self.violated_coefficients[k].tolist()
+        found += [_split(n) for n, bad in zip(self.coefficient_names, out, strict=True) if bad]
+        return tuple(found)
+
+    def inertia_violation(self, k: int, link: int) -> str | None:
+        """How link `link` (from 0) of set k violates inertia: `eigenvalue` (not positive
+        definite), `triangle` (positive definite, but no body), or None."""
+        if bool(self.violated[k, link, 1]):
+            return "eigenvalue"
+        return "triangle" if bool(self.violated[k, link, 2]) else None
+
+
+def _split(name: str) -> str:
+    """Fv6 -> Fv_6, as the other reasons are written; Fc_plus12 -> Fc_plus_12."""
+    head = name.rstrip("0123456789")
+    return f"{head}_{name[len(head) :]}"
+
+
+def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
+    """Margins, degrees and violations of all sets in one batch.
+
+    A set with a number that is not finite violates every condition that cannot be computed.
+    """
+    margins, scales = link_margins(sets.parameters, conditions)
+    total, total_scale = total_mass_margin(sets.parameters, conditions)
+    coefficients, coefficient_scale = _coefficient_margins(sets)
+    strict = _STRICT.to(margins.device)
+    tolerance = torch.where(strict, 0.0, -_ROUNDING) * scales
+    # Not "margin < 0": nan must count as violated.
+    kept = torch.where(strict, margins > 0, margins >= tolerance)
+    return Feasibility(
+        ids=sets.ids,
+        margins=margins,
+        degrees=_over(margins, scales),
+        total_mass=total,
+        total_mass_degree=_over(total, total_scale),
+        coefficients=coefficients,
+        coefficient_degrees=_over(coefficients, coefficient_scale),
+        coefficient_names=sets.coefficient_names(),
+        violated=~kept,
+        violated_total=~(total >= -_ROUNDING * total_scale),
+        violated_coefficients=~(coefficients >= 0),
+    )
+
+
+def link_margins(
+    parameters: InertialParameters, conditions: Conditions
+) -> tuple[Float[Tensor, "*batch n C"], Float[Tensor, "*batch n C"]]:
+    """Margins (..., n, C) of the links' conditions and the scales of their degrees."""
+    mass, com = parameters.mass, parameters.com
+    eigenvalues = inertia_eigenvalues(parameters)
+    half_trace = eigenvalues.sum(-1) / 2
+    second = half_trace.unsqueeze(-1) - eigenvalues
+    box = conditions.com_box.to(com)
+    below, above = com - box[..., 0], box[..., 1] - com
+    centre, axes = conditions.round_centre.to(com), conditions.round_axes.to(com)
+    radius = conditions.round_radius.to(com)
+    away = ((com - centre) * axes).norm(dim=-1)
+    margins = torch.cat(
+        [
+            mass.unsqueeze(-1),
+            eigenvalues[..., :1],
+            second[..., 2:],
+            torch.minimum(below, above),
+            (radius - away).unsqueeze(-1),
+        ],
+        -1,
+    )
+    mass_scale = mass.abs().mean(-1, keepdim=True).expand_as(mass)
+    second_scale = second.abs().mean(-1)
+    com_scale = ((box[..., 1] - box[..., 0]) / 2).expand_as(com)
+    scales = torch.cat(
+        [
+            torch.stack([mass_scale, second_scale, second_scale], -1),
+            com_scale,
+            radius.expand_as(mass).unsqueeze(-1),
+        ],
+        -1,
+    )
+    return margins, scales
+
+
+def inertia_eigenvalues(parameters: InertialParameters) -> Float[Tensor, "*batch n 3"]:
+    """Eigenvalues (..., n, 3) of the barycentric inertias, ascending; nan where not finite."""
+    tensors = symmetric(parameters.inertia_about_com)
+    finite = torch.isfinite(tensors).all(-1).all(-1)
+    safe = torch.where(finite[..., None, None], tensors, torch.zeros_like(tensors))
+    values = torch.linalg.eigvalsh(safe)
+    return torch.where(finite.unsqueeze(-1), values, torch.full_like(values, torch.nan))
+
+
+def total_mass_margin(
+    parameters: InertialParameters, conditions: Conditions
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, ""]]:
+    """Distance (...) of the total mass to the ends of its interval [kg], and half its length."""
+    low, high = conditions.total_mass.to(parameters.pi).unbind(-1)
+    total = parameters.mass.sum(-1)
+    return torch.minimum(total - low, high - total), (high - low) / 2
+
+
+def _coefficient_margins(sets: ParameterSets) -> tuple[Tensor, Tensor]:
+    values = sets.coefficients
+    kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
+    margins, scales = values.clone(), torch.ones_like(values)
+    for k, (kind, non_negative) in enumerate(kinds):
+        if not non_negative:
+            margins[:, k] = torch.inf
+            scales[:, k] = torch.inf
+            continue
+        same = [j for j, (other, _) in enumerate(kinds) if other == kind]
+        scales[:, k] = values[:, same].abs().mean(-1)
+    return margins, scales
+
+
+def _over(margins: Tensor, scales: Tensor) -> Tensor:
+    """margins / scales; infinite where the condition was not asked for, 0 where both are 0."""
+    ratio = margins / scales
+    ratio = torch.where(margins == 0, torch.zeros_like(ratio), ratio)
+    return torch.where(margins == torch.inf, torch.full_like(ratio, torch.inf), ratio)
+
+
+def kinds(reasons: Sequence[str]) -> frozenset[str]:
+    """Kinds of reasons without links: {"inertia", "com"} for inertia_3, com_7z."""
+    return frozenset("total_mass" if r == "total_mass" else r.rsplit("_", 1)[0] for r in reasons)

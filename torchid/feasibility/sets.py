@@ -1,0 +1,236 @@
+"""Sets of physical parameters, and the file they are kept in (schema torchid.parameter_sets/1)."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.effects.base import Effect
+from torchid.effects.registry import effect_kind, nominal_effects
+from torchid.errors import TorchidError
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+SCHEMA = "torchid.parameter_sets/1"
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSets:
+    """K candidate sets of physical parameters of one robot.
+
+    Attributes:
+        ids: (K,) what to call each.
+        parameters: inertial parameters, pi (K, n, 10) in the link frames.
+        effects: linear effects whose coefficients belong to the sets.
+        coefficients: (K, E) the effects' coefficients, in the effects' order [see each effect].
+    """
+
+    ids: tuple[str, ...]
+    parameters: InertialParameters
+    effects: tuple[Effect, ...]
+    coefficients: Float[Tensor, "K E"]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def vector(self) -> Float[Tensor, "K P"]:
+        """All parameters in the order the base parameters' grouping takes them: the paper's
+        stacking (eq. 2.5), then the effects' coefficients (eq. 2.7)."""
+        return torch.cat([self.parameters.to_paper_order(), self.coefficients], -1)
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Names of the coefficients with their joints' numbers, e.g. Fv6."""
+        return tuple(name for effect in self.effects for name in effect.coefficient_names())
+
+    def part(self, rows: Sequence[int]) -> "ParameterSets":
+        """Some of the sets, in the order asked for."""
+        index = list(rows)
+        return ParameterSets(
+            tuple(self.ids[k] for k in index),
+            InertialParameters(self.parameters.pi[index]),
+            self.effects,
+            self.coefficients[index],
+        )
+
+    def to_robot(self, robot: Robot, k: int) -> Robot:
+        """The robot with set k as its nominal parameters."""
+        return robot.with_parameters(InertialParameters(self.parameters.pi[k].clone()))
+
+
+def nominal_set(robot: Robot) -> ParameterSets:
+    """The robot's nominal parameters and effects as one set, named after the robot.
+
+    Raises:
+        RobotError: the robot has no inertial parameters, or an effect that is not known.
+    """
+    pi = robot.require_parameters("a check").pi.double()
+    pairs = nominal_effects(robot)
+    values = [value for _, own in pairs for value in own]
+    return ParameterSets(
+        (robot.name,),
+        InertialParameters(pi.unsqueeze(0)),
+        tuple(effect for effect, _ in pairs),
+        torch.tensor([values], dtype=pi.dtype).reshape(1, len(values)),
+    )
+
+
+def joined(parts: Sequence[ParameterSets]) -> ParameterSets:
+    """Several batches of sets with the same effects as one."""
+    return ParameterSets(
+        tuple(i for part in parts for i in part.ids),
+        InertialParameters(torch.cat([part.parameters.pi for part in parts])),
+        parts[0].effects,
+        torch.cat([part.coefficients for part in parts]),
+    )
+
+
+def to_record(sets: ParameterSets, robot: str) -> dict[str, Any]:
+    """JSON-ready data, lossless: masses, first moments and inertias about the link frames."""
+    first = torch.cumsum(torch.tensor([0] + [len(e.coefficients) for e in sets.effects]), 0)
+    entries = []
+    for k, name in enumerate(sets.ids):
+        pi = sets.parameters.pi[k]
+        effects = [
+            {
+                "effect": effect.name,
+                "joint": effect.joint + 1,
+                **{
+                    c.name: float(sets.coefficients[k, int(start) + j])
+                    for j, c in enumerate(effect.coefficients)
+                },
+            }
+            for effect, start in zip(sets.effects, first[:-1], strict=True)
+        ]
+        entries.append(
+            {
+                "id": name,
+                "mass": pi[:, 0].tolist(),
+                "first_moment": pi[:, 1:4].tolist(),
+                "inertia_about_link_frame": pi[:, 4:].tolist(),
+                "effects": effects,
+            }
+        )
+    return {"schema": SCHEMA, "robot": robot, "sets": entries}
+
+
+def read_sets(path: Path, robot: Robot) -> ParameterSets:
+    """Read a file of sets (JSON, `sets: [...]`) for a robot.
+
+    Each set has `mass` [n]; `com` or `first_moment` [n x 3]; `inertia_about_com` or
+    `inertia_about_link_frame` [n x 6: xx xy xz yy yz zz]; and, optionally, `effects` as in a
+    robot's yaml. All sets must list the same effects.
+
+    Raises:
+        TorchidError: not such a file, a wrong number of links, values that are not finite numbers.
+    """
+    entries = _entries(path)
+    parts = [_read_set(entry, k, robot, str(path)) for k, entry in enumerate(entries, start=1)]
+    for part in parts[1:]:
+        if part.effects != parts[0].effects:
+            raise TorchidError(
+                f"'{path}': all sets must have the same effects.",
+                got=list(part.coefficient_names()),
+                expected=list(parts[0].coefficient_names()),
+            )
+    ids = [part.ids[0] for part in parts]
+    if len(set(ids)) != len(ids):
+        raise TorchidError(f"'{path}': two sets have the same id.", got=ids)
+    return joined(parts)
+
+
+def _entries(path: Path) -> list[Any]:
+    expected = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
+    except ValueError as error:
+        raise TorchidError(f"'{path}' is not JSON: {error}", expected=expected) from error
+    entries = data.get("sets") if isinstance(data, Mapping) else None
+    if not isinstance(entries, list) or not entries:
+        raise TorchidError(
+            f"'{path}' holds no parameter sets.",
+            got=list(data) if isinstance(data, Mapping) else type(data).__name__,
+            expected=expected,
+        )
+    return entries
+
+
+def _read_set(entry: Any, k: int, robot: Robot, source: str) -> ParameterSets:
+    where = f"'{source}': set {k}"
+    if not isinstance(entry, Mapping):
+        raise TorchidError(f"{where} is not a mapping.", got=type(entry).__name__)
+    mass = _numbers(entry, "mass", (robot.n,), where)
+    com_key = _one_of(entry, ("com", "first_moment"), where)
+    inertia_key = _one_of(entry, ("inertia_about_com", "inertia_about_link_frame"), where)
+    place = _numbers(entry, com_key, (robot.n, 3), where)
+    inertia = _numbers(entry, inertia_key, (robot.n, 6), where)
+    moment = place if com_key == "first_moment" else mass.unsqueeze(-1) * place
+    pi = torch.cat([mass.unsqueeze(-1), moment, inertia], -1)
+    if inertia_key == "inertia_about_com":
+        com = InertialParameters(pi).com if com_key == "first_moment" else place
+        pi = InertialParameters.from_com(mass, com, inertia).pi
+    effects, values = _read_effects(entry.get("effects") or [], robot, where)
+    return ParameterSets(
+        (str(entry.get("id", k)),),
+        InertialParameters(pi.unsqueeze(0)),
+        effects,
+        values.reshape(1, -1),
+    )
+
+
+def _one_of(entry: Mapping[str, Any], keys: tuple[str, str], where: str) -> str:
+    given = [key for key in keys if key in entry]
+    if len(given) != 1:
+        raise TorchidError(
+            f"{where} needs one of {' and '.join(keys)}.", got=given or "neither", available=keys
+        )
+    return given[0]
+
+
+def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Tensor:
+    try:
+        values = torch.tensor(entry[key], dtype=torch.float64)
+    except KeyError as error:
+        raise TorchidError(f"{where} has no '{key}'.", available=list(entry)) from error
+    except (TypeError, ValueError) as error:
+        raise TorchidError(f"{where}: {key} is not a table of numbers.", got=entry[key]) from error
+    if tuple(values.shape) != shape:
+        raise TorchidError(
+            f"{where}: {key} has the wrong size.",
+            got=tuple(values.shape),
+            expected=f"{shape} for this robot's {shape[0]} links",
+        )
+    if not torch.isfinite(values).all():
+        raise TorchidError(f"{where}: {key} is not all finite.", got=entry[key])
+    return values
+
+
+def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[Effect, ...], Tensor]:
+    if not isinstance(data, list):
+        raise TorchidError(f"{where}: effects must be a list.", got=type(data).__name__)
+    effects: list[Effect] = []
+    values: list[float] = []
+    for record in data:
+        if not isinstance(record, Mapping) or "effect" not in record:
+            raise TorchidError(
+                f"{where}: an effect needs the key 'effect'.",
+                got=record,
+                expected="{effect: viscous_friction, joint: 1, Fv: 0.07}",
+            )
+        kind = effect_kind(str(record["effect"]))
+        joint = record.get("joint")
+        if not isinstance(joint, int) or not 1 <= joint <= robot.n:
+            raise TorchidError(
+                f"{where}: {kind.name} is on a joint that does not exist.",
+                got=joint,
+                available=list(range(1, robot.n + 1)),
+            )
+        effects.append(kind(joint - 1))
+        values += [float(_numbers(record, c.name, (), where)) for c in kind.coefficients]
+    return tuple(effects), torch.tensor(values, dtype=torch.float64)
