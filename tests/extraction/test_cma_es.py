@@ -1,0 +1,335 @@
+"""The search engines: against pycma's parameters and map, on problems with known optima, and for
+the invariances that CMA-ES has by construction."""
+
+from pathlib import Path
+
+import cma
+import numpy as np
+import pytest
+import torch
+from cma.transformations import BoxConstraintsLinQuadTransformation
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.extraction.problems import PROBLEMS, generations_to, problem
+from torchid.errors import TorchidError
+from torchid.extraction.cma_es import strategy
+from torchid.extraction.engines import ENGINES, SearchState, default_population, engine, start
+from torchid.extraction.search import MARGIN, PERIOD, from_box, into_box
+from torchid.typing import Tensor
+
+NAMES = sorted(ENGINES)
+
+
+def begin(runs: int, n: int, sigma: float = 0.3, seed: int = 0) -> SearchState:
+    generator = torch.Generator().manual_seed(seed)
+    return start(torch.rand(runs, n, generator=generator, dtype=torch.float64), sigma)
+
+
+def sphere(x: Tensor) -> Tensor:
+    return ((x - 0.4) ** 2).sum(-1)
+
+
+def same(a: SearchState, b: SearchState, but: tuple[str, ...] = (), runs: slice = slice(None)):
+    """Bit for bit, nan equal to nan."""
+    left, right = a.to_arrays(), b.to_arrays()
+    for name in left.keys() - {"generation", *but}:
+        assert np.array_equal(left[name][runs], right[name][runs], equal_nan=True), name
+    assert a.generation == b.generation
+
+
+# Parameters and the box, against pycma.
+
+
+@pytest.mark.parametrize("n", [2, 5, 30, 91])
+@pytest.mark.parametrize("factor", [1, 3])
+def test_weights_and_rates_are_those_of_pycma(n: int, factor: int) -> None:
+    population = factor * default_population(n)
+    peer = cma.CMAEvolutionStrategy(n * [0.5], 0.3, {"verbose": -9, "popsize": population})
+    ours = strategy(n, population)
+    default = cma.CMAEvolutionStrategy(n * [0.5], 0.3, {"verbose": -9}).popsize
+    assert population == factor * default
+    np.testing.assert_allclose(ours.mu_eff, peer.sp.weights.mueff, rtol=1e-12)
+    np.testing.assert_allclose(ours.c_1, peer.sp.c1, rtol=1e-12)
+    np.testing.assert_allclose(ours.c_c, peer.sp.cc, rtol=0.2)
+    np.testing.assert_allclose(ours.c_mu, peer.sp.cmu, rtol=1e-12)
+    np.testing.assert_allclose(ours.weights, peer.sp.weights.asarray, rtol=0.02, atol=1e-12)
+
+
+@settings(deadline=None)
+@given(x=st.lists(st.floats(-30, 30), min_size=1, max_size=8))
+def test_box_is_pycmas(x: list[float]) -> None:
+    peer = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
+    got = into_box(torch.tensor(x, dtype=torch.float64))
+    assert ((got >= 0) & (got <= 1)).all()
+    np.testing.assert_allclose(got, peer.transform(list(x)), atol=1e-13)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=8), st.integers(-5, 5))
+def test_box_and_back(x: list[float], periods: int) -> None:
+    point = torch.tensor(x, dtype=torch.float64)
+    search = from_box(point)
+    assert ((search >= -MARGIN) & (search <= 1 + MARGIN)).all()
+    torch.testing.assert_close(into_box(search), point, rtol=0, atol=1e-15)
+    torch.testing.assert_close(into_box(search + periods * PERIOD), point, rtol=0, atol=1e-13)
+
+
+# Finding optima.
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("n", [2, 10])
+def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
+    p = problem(name, n)
+    needed = generations_to(p, engine("batched"), begin(12, n))
+    assert needed.isfinite().double().mean() >= p.share
+
+
+@pytest.mark.parametrize(("name", "n"), [("sphere", 2), ("active bounds", 2), ("sphere", 5)])
+def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
+    p = problem(name, n)
+    state = engine("cma").minimise(p.objective, begin(4, n), generations=150, seed=1)
+    assert (state.best_value < p.target).all()
+
+
+def test_one_dimension() -> None:
+    state = engine("batched").minimise(sphere, begin(5, 1), generations=60, seed=0)
+    torch.testing.assert_close(state.best, torch.full((5, 1), 0.4), atol=1e-6, rtol=0)
+    with pytest.raises(TorchidError, match="one dimension"):
+        engine("cma").minimise(sphere, begin(5, 1), generations=1, seed=0)
+
+
+def test_covariance_becomes_the_inverse_hessian() -> None:
+    n = 6
+    q, _ = torch.linalg.qr(torch.randn(n, n))
+    hessian = q @ torch.diag(10.0 ** torch.linspace(0, 4, n)) @ q.mT
+    state = engine("batched").minimise(
+        lambda x: torch.einsum("rli,ij,rlj->rl", x - 0.5, hessian, x - 0.5),
+        begin(8, n),
+        generations=200,
+        seed=0,
+    )
+    root = torch.linalg.cholesky(hessian)
+    values = torch.linalg.eigvalsh(root.mT @ state.covariance @ root)
+    assert (values[:, -1] / values[:, 0]).median() < 15  # 1e4 before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("n", [2, 10])
+def test_no_slower_than_pycma(name: str, n: int) -> None:
+    """Median generations to the target, within a factor of 1.5."""
+    p = problem(name, n)
+    if p.share < 0.9:
+        pytest.skip("both end in local optima")
+    medians = {
+        kind: generations_to(p, engine(kind), begin(21, n, seed=n)).median() for kind in NAMES
+    }
+    assert medians["batched"] <= 1.5 * medians["cma"]
+
+
+# Invariances, determinism, independence.
+
+ENGINE_CASES = pytest.mark.parametrize("kind", NAMES)
+
+
+@pytest.mark.parametrize(
+    "transform", [lambda f: 8 * f - 64, lambda f: 1024 * f, lambda f: torch.exp2(-1 / (f + 1e-3))]
+)
+def test_only_ranks_matter(transform) -> None:
+    """The values are a coarse grid, so that rounding in the transform makes no ties."""
+
+    def ranks(x: Tensor) -> Tensor:
+        return torch.floor(sphere(x) * 1024)
+
+    run = engine("batched").minimise
+    a = run(ranks, begin(4, 5), generations=25, seed=3)
+    b = run(lambda x: transform(ranks(x)), begin(4, 5), generations=25, seed=3)
+    same(a, b, but=("best_value",))
+    assert torch.equal(transform(a.best_value), b.best_value)
+
+
+@ENGINE_CASES
+@settings(max_examples=10, deadline=None)
+@given(runs=st.integers(1, 5), n=st.integers(2, 8), seed=st.integers(0, 2**40), data=st.data())
+def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) -> None:
+    """Samples in the box in one call a generation, the same twice, the best a running minimum."""
+    population = data.draw(st.sampled_from([None, 4, 9]))
+    centre = torch.tensor(
+        data.draw(st.lists(st.floats(-1, 2), min_size=n, max_size=n)), dtype=torch.float64
+    )
+    seen: list[tuple[Tensor, Tensor]] = []
+
+    def objective(x: Tensor) -> Tensor:
+        value = (x - centre).abs().sum(-1)
+        seen.append((x.clone(), value))
+        return value
+
+    first = begin(runs, n, sigma=data.draw(st.sampled_from([1e-3, 0.3, 5.0])), seed=seed)
+    arguments = {"generations": 6, "seed": seed, "population": population}
+    state = engine(kind).minimise(objective, first, **arguments)
+    assert [tuple(x.shape) for x, _ in seen] == [(runs, 1, n)] + 6 * [
+        (runs, population or default_population(n), n)
+    ]
+    assert all(((x >= 0) & (x <= 1)).all() for x, _ in seen)
+    lowest = torch.stack([v.amin(1) for _, v in seen]).amin(0)
+    assert torch.equal(state.best_value, lowest)
+    assert torch.equal((state.best - centre).abs().sum(-1), lowest)
+    assert state.generation == 6
+    for name, tensor in state.to_arrays().items():
+        assert tensor.shape == first.to_arrays()[name].shape
+        assert np.isfinite(tensor).all()
+    same(state, engine(kind).minimise(objective, first, **arguments))
+
+
+@ENGINE_CASES
+def test_runs_do_not_see_each_other(kind: str) -> None:
+    def disturbed(x: Tensor) -> Tensor:
+        values = sphere(x).clone()
+        values[1] = float("nan")
+        values[2] = -1e300 * values[2]
+        values[3] = 7.0
+        return values
+
+    run = engine(kind).minimise
+    quiet, loud = (run(f, begin(6, 4), generations=40, seed=9) for f in (sphere, disturbed))
+    for rows in (slice(0, 1), slice(4, 6)):
+        same(quiet, loud, runs=rows)
+    assert all(np.isfinite(a).all() for k, a in loud.to_arrays().items() if k != "best_value")
+    assert loud.best_value[1] == float("inf")
+
+
+@ENGINE_CASES
+def test_seeds_differ_and_the_world_is_left_alone(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before, numpys = torch.get_rng_state(), np.random.get_state()[1].copy()
+    run = engine(kind).minimise
+    a, b = (run(sphere, begin(3, 4), generations=5, seed=seed) for seed in (1, 2))
+    assert not torch.equal(a.mean, b.mean)
+    assert len({tuple(row) for row in a.mean.tolist()}) == 3
+    assert torch.equal(before, torch.get_rng_state())
+    assert np.array_equal(numpys, np.random.get_state()[1])
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
+
+
+# Continuing.
+
+
+def test_two_calls_are_one(tmp_path: Path) -> None:
+    run = engine("batched").minimise
+    whole = run(sphere, begin(4, 6), generations=30, seed=5)
+    half = run(sphere, begin(4, 6), generations=11, seed=5)
+    np.savez(tmp_path / "state.npz", **half.to_arrays())
+    with np.load(tmp_path / "state.npz") as arrays:
+        loaded = SearchState.from_arrays(arrays)
+    same(half, loaded)
+    same(whole, run(sphere, loaded, generations=19, seed=5))
+
+
+@ENGINE_CASES
+def test_no_generations_change_nothing(kind: str) -> None:
+    state = engine(kind).minimise(sphere, begin(3, 4), generations=5, seed=0)
+    again = engine(kind).minimise(sphere, state, generations=0, seed=0)
+    assert torch.equal(again.best, state.best)
+    assert torch.equal(again.best_value, state.best_value)
+    torch.testing.assert_close(again.point, state.point, atol=1e-14, rtol=0)
+
+
+@ENGINE_CASES
+def test_a_grown_penalty_is_met(kind: str) -> None:
+    """The best of the first objective is judged by the second before the search goes on."""
+    run = engine(kind).minimise
+    state = run(sphere, begin(4, 3), generations=60, seed=0)
+
+    def penalised(x: Tensor) -> Tensor:
+        return sphere(x) + 10 * (0.7 - x[..., 0]).clamp(min=0)
+
+    same_best = run(penalised, state, generations=0, seed=0)
+    assert torch.equal(same_best.best_value, penalised(state.best))
+    after = run(penalised, state, generations=250, seed=0)
+    torch.testing.assert_close(after.best[:, 0], torch.full((4,), 0.7), atol=1e-4, rtol=0)
+
+
+# Numbers that go wrong.
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        torch.zeros(4, 4),
+        torch.full((4, 4), float("nan")),
+        torch.ones(4, 4),
+        -torch.eye(4),
+        torch.diag(torch.tensor([1e-300, 1.0, 1.0, 1e300])),
+    ],
+)
+def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
+    run = engine("batched").minimise
+    sound = begin(3, 4)
+    arrays = sound.to_arrays()
+    arrays["covariance"][1] = covariance
+    got = run(sphere, SearchState.from_arrays(arrays), generations=150, seed=0)
+    reference = run(sphere, sound, generations=150, seed=0)
+    for rows in (slice(0, 1), slice(2, 3)):
+        same(got, reference, runs=rows)
+    assert all(np.isfinite(a).all() for a in got.to_arrays().values())
+    if covariance.isfinite().all() and covariance.abs().max() <= 1:
+        assert torch.linalg.eigvalsh(got.covariance)[1, 0] > 0
+
+
+@ENGINE_CASES
+def test_a_collapsed_step_stays_alive(kind: str) -> None:
+    arrays = begin(3, 4).to_arrays()
+    arrays["sigma"][:] = 0.0, 1e-300, 0.3
+    state = engine(kind).minimise(sphere, SearchState.from_arrays(arrays), generations=30, seed=0)
+    assert all(np.isfinite(a).all() for a in state.to_arrays().values())
+    assert (state.sigma > 1e-13).all()
+
+
+def test_far_beyond_convergence() -> None:
+    state = engine("batched").minimise(sphere, begin(4, 3), generations=500, seed=0)
+    assert all(np.isfinite(a).all() for a in state.to_arrays().values())
+    torch.testing.assert_close(state.best, torch.full((4, 3), 0.4), atol=1e-7, rtol=0)
+
+
+def test_nothing_to_find_does_not_run_away() -> None:
+    state = engine("batched").minimise(
+        lambda x: torch.zeros(x.shape[:-1]), begin(6, 5), generations=300, seed=0
+    )
+    spread = state.sigma[:, None] * state.covariance.diagonal(dim1=1, dim2=2).sqrt()
+    assert ((spread > 0) & (spread <= 0.34)).all()
+    assert (state.mean.sub(0.5).abs() <= PERIOD / 4 + 1e-12).all()
+
+
+# Errors of a person.
+
+
+def test_errors_say_what_is_wrong() -> None:
+    with pytest.raises(TorchidError, match="batched, cma"):
+        engine("annealing")
+    for mean in (torch.tensor([[0.5, 1.01]]), torch.tensor([[float("nan"), 0.5]])):
+        with pytest.raises(TorchidError, match="inside the unit box"):
+            start(mean, 0.3)
+    with pytest.raises(TorchidError, match="step size"):
+        start(torch.rand(2, 2), 0.0)
+    arrays = begin(2, 2).to_arrays()
+    del arrays["path_sigma"]
+    with pytest.raises(TorchidError, match="lacks path_sigma"):
+        SearchState.from_arrays(arrays)
+
+
+@ENGINE_CASES
+def test_errors_of_minimise(kind: str) -> None:
+    run, state = engine(kind).minimise, begin(2, 3)
+    with pytest.raises(TorchidError, match="generations"):
+        run(sphere, state, generations=-1, seed=0)
+    with pytest.raises(TorchidError, match="seed"):
+        run(sphere, state, generations=1, seed=-1)
+    with pytest.raises(TorchidError, match="population"):
+        run(sphere, state, generations=1, seed=0, population=1)
+    with pytest.raises(TorchidError, match="another shape"):
+        run(lambda x: x, state, generations=1, seed=0)
