@@ -1,0 +1,234 @@
+"""Linear objectives over intersections of cones: a thin layer over Clarabel.
+
+A problem is  minimise cost'v  subject to  A_k v + b_k in K_k,  with K_k the zero cone, the
+non-negative numbers, a second-order cone or the positive semidefinite symmetric matrices (upper
+triangle by columns, off-diagonal entries times sqrt 2).
+
+Every minimum comes with a lower bound that does not rest on the solver's word. For any z with
+z_k in the dual cone of K_k, and r = cost - A'z,
+
+    cost'v = r'v + z'(A v + b) - b'z  >=  -b'z - |r|'|v|,
+
+so the solver's z, put into the cones and moved within them until r is rounding, bounds the cost
+wherever |v| is bounded, however loosely.
+
+Y. Chen, P. Goulart, "Clarabel: an interior-point solver for conic programs with quadratic
+objectives", arXiv:2405.12762.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from torchid.errors import MissingExtraError
+
+Cone = Literal["zero", "nonnegative", "second_order", "semidefinite"]
+Status = Literal["solved", "inexact", "infeasible", "unbounded", "failed"]
+
+TOLERANCES = (1e-10, 1e-8)
+"""Asked of the solver, relative: the second where it fails with the first."""
+ACCEPTED = 1e-6
+"""Reached: worse than this is a failure, between the two `inexact`."""
+_FAR = 100.0
+"""Bound on |v| where none is known, in units of the solution's largest entry."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A condition A v + b in a cone.
+
+    Attributes:
+        name: of the condition, e.g. com_7z.
+        cone: which.
+        matrix, offset: A (m, d), b (m,).
+        inward: (m,) a direction into the cone, in the size of the condition: `tightened` moves the
+            condition along it. Zero where it has no interior.
+    """
+
+    name: str
+    cone: Cone
+    matrix: np.ndarray
+    offset: np.ndarray
+    inward: np.ndarray
+
+    def tightened(self, share: float) -> "Rows":
+        """A v + b - share inward in the cone."""
+        return replace(self, offset=self.offset - share * self.inward)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver found.
+
+    Attributes:
+        status: `inexact` is usable, to about 1e-6.
+        point: (d,) v; nan unless solved.
+        value: cost at the point.
+        bound: lower bound of the cost, as in the module's text; -inf unless solved.
+        multipliers: for each condition its z; a proof of infeasibility where that is the status.
+    """
+
+    status: Status
+    point: np.ndarray
+    value: float
+    bound: float
+    multipliers: tuple[np.ndarray, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is a point."""
+        return self.status in ("solved", "inexact")
+
+
+def minimise(
+    cost: np.ndarray, rows: Sequence[Rows], *, radius: np.ndarray | None = None
+) -> Solution:
+    """Minimise cost'v subject to the rows.
+
+    Args:
+        cost: (d,).
+        rows: conditions; at least one.
+        radius: (d,) bounds on |v|; infinite where nothing is known: then a hundred times the
+            largest entry of the solution is taken.
+
+    Raises:
+        MissingExtraError: Clarabel is not installed.
+    """
+    try:
+        import clarabel  # type: ignore[import-untyped]
+        from scipy import sparse
+    except ImportError as error:
+        raise MissingExtraError("clarabel", "sdp", "Convex optimisation over sets") from error
+    matrix = np.concatenate([r.matrix for r in rows])
+    offset = np.concatenate([r.offset for r in rows])
+    d = len(cost)
+    quadratic, columns = sparse.csc_matrix((d, d)), sparse.csc_matrix(-matrix)
+    cones = [_cone(clarabel, r) for r in rows]
+    for tolerance in TOLERANCES:
+        settings = _settings(clarabel, tolerance)
+        raw = clarabel.DefaultSolver(quadratic, cost, columns, offset, cones, settings).solve()
+        status = _STATUS.get(str(raw.status), "failed")
+        if status != "failed":
+            break
+    ends = np.cumsum([len(r.offset) for r in rows])[:-1]
+    multipliers = tuple(np.split(np.array(raw.z), ends))
+    point = np.array(raw.x)
+    if status not in ("solved", "inexact") or not np.isfinite(point).all():
+        nothing = np.full(d, np.nan)
+        return Solution(status, nothing, np.nan, -np.inf, multipliers)
+    z = _dual_feasible(cost, rows, matrix, multipliers)
+    far = np.full(d, _FAR * max(1.0, float(np.abs(point).max())))
+    limit = far if radius is None else np.where(np.isfinite(radius), radius, far)
+    bound = -offset @ z - np.abs(cost - matrix.T @ z) @ limit
+    return Solution(status, point, float(cost @ point), float(bound), multipliers)
+
+
+def _settings(clarabel: Any, tolerance: float) -> Any:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 300
+    settings.max_threads = 1
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
+    settings.reduced_tol_feas = settings.reduced_tol_gap_abs = ACCEPTED
+    settings.reduced_tol_gap_rel = ACCEPTED
+    return settings
+
+
+_STATUS: dict[str, Status] = {
+    "Solved": "solved",
+    "AlmostSolved": "inexact",
+    "PrimalInfeasible": "infeasible",
+    "AlmostPrimalInfeasible": "infeasible",
+    "DualInfeasible": "unbounded",
+    "AlmostDualInfeasible": "unbounded",
+}
+
+
+def _cone(clarabel: Any, rows: Rows) -> Any:
+    size = len(rows.offset)
+    if rows.cone == "zero":
+        return clarabel.ZeroConeT(size)
+    if rows.cone == "nonnegative":
+        return clarabel.NonnegativeConeT(size)
+    if rows.cone == "second_order":
+        return clarabel.SecondOrderConeT(size)
+    return clarabel.PSDTriangleConeT(order_of(size))
+
+
+def order_of(size: int) -> int:
+    """Order of the symmetric matrix with a triangle of `size` entries."""
+    return int((np.sqrt(8 * size + 1) - 1) / 2)
+
+
+def triangle(matrices: np.ndarray) -> np.ndarray:
+    """Triangles (..., k (k+1) / 2) of symmetric matrices (..., k, k), as the cone takes them."""
+    k = matrices.shape[-1]
+    pairs = [(i, j) for j in range(k) for i in range(j + 1)]
+    scale = [1.0 if i == j else np.sqrt(2.0) for i, j in pairs]
+    return np.stack([matrices[..., i, j] for i, j in pairs], -1) * scale
+
+
+def matrix_of(entries: np.ndarray) -> np.ndarray:
+    """The symmetric matrix of a triangle."""
+    k = order_of(len(entries))
+    full = np.zeros((k, k))
+    pairs = [(i, j) for j in range(k) for i in range(j + 1)]
+    for (i, j), value in zip(pairs, entries, strict=True):
+        full[i, j] = full[j, i] = value if i == j else value / np.sqrt(2.0)
+    return full
+
+
+def _dual_feasible(
+    cost: np.ndarray,
+    rows: Sequence[Rows],
+    matrix: np.ndarray,
+    multipliers: Sequence[np.ndarray],
+) -> np.ndarray:
+    """z in the cones with A'z near the cost: the one with the smaller residual of the projected z
+    and the z that was moved before.
+
+    The move is the least in the local norm of the cones' barriers, which leaves a cone last.
+    """
+    best = np.concatenate([into_cone(r.cone, m) for r, m in zip(rows, multipliers, strict=True)])
+    z = best
+    for _ in range(2):
+        missing = cost - matrix.T @ z
+        ends = np.cumsum([len(r.offset) for r in rows])[:-1]
+        pieces = np.split(z, ends)
+        metric = np.concatenate(
+            [_metric(r.cone, p, r.matrix) for r, p in zip(rows, pieces, strict=True)]
+        )
+        step, *_ = np.linalg.lstsq(matrix.T @ metric, missing, rcond=1e-15)
+        moved = np.split(z + metric @ step, ends)
+        z = np.concatenate([into_cone(r.cone, m) for r, m in zip(rows, moved, strict=True)])
+        if np.abs(cost - matrix.T @ z).sum() < np.abs(cost - matrix.T @ best).sum():
+            best = z
+    return best
+
+
+def _metric(cone: Cone, z: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """The inverse Hessian of the cone's barrier at z, applied to columns (m, d)."""
+    if cone == "zero":
+        return columns * max(1.0, float(z @ z))
+    if cone == "nonnegative":
+        return columns * (z * z)[:, None]
+    if cone == "second_order":
+        mirrored = columns.copy()
+        mirrored[1:] *= -1.0
+        return 2 * np.outer(z, z @ columns) - (z[0] ** 2 - z[1:] @ z[1:]) * mirrored
+    full = matrix_of(z)
+    return triangle(full @ np.stack([matrix_of(c) for c in columns.T]) @ full).T
+
+
+def into_cone(cone: Cone, z: np.ndarray) -> np.ndarray:
+    """A point of the dual cone next to z (all but the zero cone are their own duals)."""
+    if cone == "zero":
+        return z
+    if cone == "nonnegative":
+        return np.maximum(z, 0.0)
+    if cone == "second_order":
+        return np.concatenate([[max(z[0], float(np.linalg.norm(z[1:])))], z[1:]])
+    values, vectors = np.linalg.eigh(matrix_of(z))
+    return triangle((vectors * np.maximum(values, 0.0)) @ vectors.T)
