@@ -1,0 +1,321 @@
+"""Wrenches of many sets: against the recursion, Pinocchio, and Newton's law for the whole arm."""
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from tests.arms import arm, consistent_parameters, mixed_arm, relative, states
+from tests.oracles import PinocchioOracle
+from torchid.dynamics.newton_euler import inverse_dynamics, joint_wrenches
+from torchid.errors import TorchidError
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import JointType, Robot, link_poses
+from torchid.robot.placement import pose, roll_pitch_yaw
+from torchid.wrenches import request, tiles
+from torchid.wrenches.deviation import WrenchErrors, wrench_errors
+from torchid.wrenches.regressor import internal_wrenches, wrench_norms
+
+KINDS = ["R", "P", "RP", "PR", "PPP", "RRPPRR", "PRRRPRRP", "RRRRRRR"]
+
+
+def any_sets(robot: Robot, k: int, seed: int = 0) -> InertialParameters:
+    """Sets without physical sense: the wrenches do not ask for any."""
+    g = torch.Generator().manual_seed(seed)
+    return InertialParameters(torch.randn(k, robot.n, 10, generator=g))
+
+
+def one_by_one(robot: Robot, motion: tuple[Tensor, ...], sets: InertialParameters) -> Tensor:
+    return torch.stack([joint_wrenches(robot, *motion, InertialParameters(p)) for p in sets.pi])
+
+
+def same_torques(robot: Robot, reference: InertialParameters, k: int) -> InertialParameters:
+    """Sets with the reference's joint torques on every motion: moved along the null space of a
+    generic torque regressor made of unit parameters."""
+    motion = states(robot, 60, seed=11)
+    units = torch.eye(10 * robot.n).reshape(-1, 1, robot.n, 10)
+    columns = inverse_dynamics(robot, *motion, InertialParameters(units))
+    _, s, v = torch.linalg.svd(columns.flatten(1).T, full_matrices=True)
+    null = v[(s > 1e-10 * s[0]).sum() :]
+    g = torch.Generator().manual_seed(5)
+    shift = torch.randn(k, null.shape[0], generator=g) @ null
+    return InertialParameters(reference.pi + shift.reshape(k, robot.n, 10))
+
+
+def test_equals_the_recursion(robot: Robot) -> None:
+    motion, sets = states(robot, 40), any_sets(robot, 6)
+    wrenches = internal_wrenches(robot, *motion, sets)
+    assert wrenches.shape == (6, 40, robot.n, 6)
+    assert relative(wrenches, one_by_one(robot, motion, sets)) < 1e-14
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_equals_the_recursion_on_random_arms(kinds: str, seed: int) -> None:
+    robot = mixed_arm(kinds, seed)
+    motion, sets = states(robot, 20, seed=seed), any_sets(robot, 4, seed)
+    wrenches = internal_wrenches(robot, *motion, sets)
+    assert relative(wrenches, one_by_one(robot, motion, sets)) < 1e-13
+
+
+def test_equals_pinocchio(robot: Robot, pinocchio: PinocchioOracle) -> None:
+    motion = states(robot, 15)
+    assert robot.parameters is not None
+    ours = internal_wrenches(robot, *motion, InertialParameters(robot.parameters.pi[None]))[0]
+    theirs = pinocchio.wrenches(*motion)
+    # Pinocchio: about the moved joint frame's origin, in its axes.
+    turn = robot.after[:, :3, :3].transpose(-1, -2)
+    force = (turn @ theirs[..., :3, None])[..., 0]
+    moment = theirs[..., 3:].clone()
+    for i, kind in enumerate(robot.joint_types):
+        if kind is JointType.PRISMATIC:
+            arm_z = torch.zeros(15, 3)
+            arm_z[:, 2] = motion[0][:, i]
+            moment[:, i] += torch.linalg.cross(arm_z, theirs[:, i, :3])
+    moment = (turn @ moment[..., None])[..., 0]
+    assert relative(ours, torch.cat([force, moment], -1)) < 1e-13
+
+
+def test_projection_on_the_axis_is_the_torque(robot: Robot) -> None:
+    motion, sets = states(robot, 25), any_sets(robot, 3)
+    wrenches = internal_wrenches(robot, *motion, sets)
+    along = (wrenches.unflatten(-1, (2, 3)) * robot.axes[:, None]).sum(-1)
+    revolute = torch.tensor([k is JointType.REVOLUTE for k in robot.joint_types])
+    torques = torch.where(revolute, along[..., 1], along[..., 0])
+    expected = inverse_dynamics(robot, *motion, InertialParameters(sets.pi[:, None]))
+    assert relative(torques, expected) < 1e-13
+
+
+def test_base_force_is_mass_times_acceleration_of_the_whole_arm(robot: Robot) -> None:
+    """Newton's law for the total centre of mass, whose acceleration is a second difference of its
+    path q + dq s + ddq s^2 / 2: no part of the recursion is used."""
+    q, dq, ddq = states(robot, 12)
+    sets = consistent_parameters(robot.n, 4, (3,))
+    h = 1e-3
+
+    def first_moment(s: float) -> Tensor:
+        poses = link_poses(robot, q + dq * s + ddq * s * s / 2)
+        return torch.einsum("tnij,knj->kti", poses[..., :3, :3], sets.first_moment) + torch.einsum(
+            "tni,kn->kti", poses[..., :3, 3], sets.mass
+        )
+
+    samples = [first_moment(j * h) for j in (-3, -2, -1, 0, 1, 2, 3)]
+    weights = [2, -27, 270, -490, 270, -27, 2]
+    inertial = sum(w * x for w, x in zip(weights, samples, strict=True)) / (180 * h * h)
+    expected = inertial - sets.mass.sum(-1)[:, None, None] * robot.gravity
+    force = internal_wrenches(robot, q, dq, ddq, sets)[:, :, 0, :3]
+    in_base = torch.einsum("tij,ktj->kti", link_poses(robot, q)[:, 0, :3, :3], force)
+    assert relative(in_base, expected) < 1e-7
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-5, 5), st.floats(-5, 5))
+def test_linear_in_the_parameters(seed: int, a: float, b: float) -> None:
+    robot = mixed_arm("RPRR", seed=seed % 7)
+    motion, pi = states(robot, 5, seed=seed), any_sets(robot, 2, seed).pi
+    both = InertialParameters(torch.cat([pi, (a * pi[0] + b * pi[1])[None]]))
+    x, y, z = internal_wrenches(robot, *motion, both)
+    assert torch.allclose(z, a * x + b * y, atol=1e-11 * float(x.abs().max() + y.abs().max()))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from(["RRR", "RPR", "PRRP"]))
+def test_norms_do_not_depend_on_the_frames(seed: int, kinds: str) -> None:
+    """The same bodies described in other link frames: other numbers, the same norms."""
+    robot = mixed_arm(kinds, seed=seed % 11)
+    motion = states(robot, 5, seed=seed)
+    g = torch.Generator().manual_seed(seed)
+    other = torch.stack(
+        [
+            pose(roll_pitch_yaw(torch.randn(3, generator=g).tolist()), torch.randn(3, generator=g))
+            for _ in range(robot.n)
+        ]
+    )
+    before = robot.before.clone()
+    before[1:] = torch.linalg.inv(other[:-1]) @ before[1:]
+    described = replace(robot, before=before, after=robot.after @ other)
+    sets = consistent_parameters(robot.n, seed, (2,))
+    inverse = torch.linalg.inv(other)
+    moved = InertialParameters(_moved(sets.pi, inverse))
+    for a, b in zip(
+        wrench_norms(robot, *motion, sets), wrench_norms(described, *motion, moved), strict=True
+    ):
+        assert relative(a, b) < 1e-12
+
+
+def _moved(pi: Tensor, transform: Tensor) -> Tensor:
+    """Parameters of point clouds in other frames, from their second moments (4 x 4 congruence)."""
+    pseudo = transform @ InertialParameters(pi).pseudo_inertia @ transform.transpose(-1, -2)
+    second, h, m = pseudo[..., :3, :3], pseudo[..., :3, 3], pseudo[..., 3, 3]
+    trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    j = trace * torch.eye(3) - second
+    entries = [j[..., a, b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
+    return torch.cat([m[..., None], h, torch.stack(entries, -1)], -1)
+
+
+def test_norms_are_those_of_the_wrenches(robot: Robot) -> None:
+    motion, sets = states(robot, 30), any_sets(robot, 5)
+    wrenches = internal_wrenches(robot, *motion, sets)
+    force, moment = wrench_norms(robot, *motion, sets)
+    assert relative(force, wrenches[..., :3].norm(dim=-1)) < 1e-14
+    assert relative(moment, wrenches[..., 3:].norm(dim=-1)) < 1e-14
+
+
+def errors_by_definition(
+    robot: Robot, motion: tuple[Tensor, ...], sets: InertialParameters, reference: Tensor
+) -> WrenchErrors:
+    w = one_by_one(robot, motion, sets).unflatten(-1, (2, 3))
+    r = joint_wrenches(robot, *motion, InertialParameters(reference)).unflatten(-1, (2, 3))
+    force, moment = (w - r).norm(dim=-1).unbind(-1)
+    force_norm, moment_norm = (w.norm(dim=-1) - r.norm(dim=-1)).unbind(-1)
+    torque = inverse_dynamics(robot, *motion, InertialParameters(sets.pi[:, None]))
+    torque = torque - inverse_dynamics(robot, *motion, InertialParameters(reference))
+
+    def rms(x: Tensor) -> Tensor:
+        return x.square().mean(-2).sqrt()
+
+    return WrenchErrors(
+        force_rms=rms(force),
+        moment_rms=rms(moment),
+        force_max=force.amax(-2),
+        moment_max=moment.amax(-2),
+        force_norm_rms=rms(force_norm),
+        moment_norm_rms=rms(moment_norm),
+        torque_rms=rms(torque),
+        reference_force_rms=rms(r[:, :, 0].norm(dim=-1)),
+        reference_moment_rms=rms(r[:, :, 1].norm(dim=-1)),
+    )
+
+
+@pytest.mark.parametrize(("k", "instants"), [(1, 1), (5, 30), (tiles.SETS + 1, 3)])
+def test_errors_equal_their_definition(robot: Robot, k: int, instants: int) -> None:
+    check_errors(robot, k, instants)
+
+
+@pytest.mark.parametrize("size", [(2, 7), (3, 1), (100, 1000)])
+def test_chunks_and_tiles_do_not_matter(
+    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request, "_CHUNK", 23)
+    monkeypatch.setattr(tiles, "SETS", size[0])
+    monkeypatch.setattr(tiles, "INSTANTS", size[1])
+    robot = arm("mixed")
+    check_errors(robot, 7, 101)
+    motion, sets = states(robot, 101), any_sets(robot, 7)
+    wrenches = internal_wrenches(robot, *motion, sets)
+    assert relative(wrenches, one_by_one(robot, motion, sets)) < 1e-13
+    assert relative(wrench_norms(robot, *motion, sets)[1], wrenches[..., 3:].norm(dim=-1)) < 1e-14
+
+
+def check_errors(robot: Robot, k: int, instants: int) -> None:
+    motion, sets = states(robot, instants), any_sets(robot, k)
+    assert robot.parameters is not None
+    found = wrench_errors(robot, *motion, sets, robot.parameters)
+    expected = errors_by_definition(robot, motion, sets, robot.parameters.pi)
+    for f in fields(WrenchErrors):
+        a, b = getattr(found, f.name), getattr(expected, f.name)
+        assert a.shape == b.shape
+        assert torch.allclose(a, b, rtol=1e-10, atol=1e-12 * float(b.max())), f.name
+
+
+def test_no_difference_is_exactly_zero(robot: Robot) -> None:
+    reference = robot.require_parameters("the test")
+    errors = wrench_errors(
+        robot, *states(robot, 20), InertialParameters(reference.pi[None]), reference
+    )
+    for f in fields(WrenchErrors)[:7]:
+        assert (getattr(errors, f.name) == 0).all(), f.name
+    assert (errors.reference_force_rms > 0).all()
+
+
+def test_equal_base_parameters_give_equal_torques_but_other_wrenches(robot: Robot) -> None:
+    reference = robot.require_parameters("the test")
+    sets = same_torques(robot, reference, 4)
+    errors = wrench_errors(robot, *states(robot, 50), sets, reference)
+    assert (errors.torque_rms < 1e-12 * errors.moment_rms.max()).all()
+    assert errors.force_rms[:, 0].min() > 1e-2
+    assert (errors.force_norm_rms <= errors.force_rms + 1e-11).all()
+
+
+def test_a_bad_set_leaves_the_others_alone(lwr: Robot) -> None:
+    motion, good = states(lwr, 30), any_sets(lwr, 6)
+    pi = good.pi.clone()
+    pi[2, 3, 5], pi[4, 0, 0] = torch.nan, torch.inf
+    bad = InertialParameters(pi)
+    keep = [0, 1, 3, 5]
+    reference = lwr.require_parameters("the test")
+    found, expected = (wrench_errors(lwr, *motion, s, reference) for s in (bad, good))
+    for f in fields(WrenchErrors)[:7]:
+        a, b = getattr(found, f.name), getattr(expected, f.name)
+        assert torch.equal(a[keep], b[keep])
+    assert found.moment_rms[2, :4].isnan().all()
+    assert torch.equal(found.moment_rms[2, 4:], expected.moment_rms[2, 4:])  # beyond the bad link
+    assert not found.force_rms[4, 0].isfinite()
+    wrenches = internal_wrenches(lwr, *motion, bad)
+    assert torch.equal(wrenches[keep], internal_wrenches(lwr, *motion, good)[keep])
+    assert wrenches[2, :, 0, 3:].isnan().all()
+
+
+def test_single_precision(lwr: Robot) -> None:
+    motion, sets = states(lwr, 30), any_sets(lwr, 3)
+    reference = lwr.require_parameters("the test")
+    single = [x.float() for x in motion]
+    wrenches = internal_wrenches(lwr, *single, sets.to(dtype=torch.float32))
+    assert wrenches.dtype == torch.float32
+    assert relative(wrenches.double(), internal_wrenches(lwr, *motion, sets)) < 1e-5
+    errors = wrench_errors(
+        lwr, *single, sets.to(dtype=torch.float32), reference.to(dtype=torch.float32)
+    )
+    exact = wrench_errors(lwr, *motion, sets, reference)
+    assert relative(errors.moment_norm_rms.double(), exact.moment_norm_rms) < 1e-5
+
+
+def test_on_the_device(lwr: Robot, device: torch.device) -> None:
+    motion, sets = states(lwr, 30), any_sets(lwr, 3)
+    reference = lwr.require_parameters("the test")
+    there = [x.to(device) for x in motion]
+    errors = wrench_errors(lwr, *there, sets.to(device), reference.to(device))
+    assert errors.torque_rms.device.type == device.type
+    here = wrench_errors(lwr, *motion, sets, reference)
+    assert relative(errors.moment_max.cpu(), here.moment_max) < 1e-12
+    wrenches = internal_wrenches(lwr, *there, sets.to(device))
+    assert relative(wrenches.cpu(), internal_wrenches(lwr, *motion, sets)) < 1e-12
+
+
+def test_too_large_a_result_says_what_to_do(lwr: Robot) -> None:
+    motion, sets = states(lwr, 100), any_sets(lwr, 50)
+    with pytest.raises(TorchidError, match=r"(?s)takes 1\.6 MiB.*at most.*wrench_errors"):
+        internal_wrenches(lwr, *motion, sets, memory_limit=10**6)
+    with pytest.raises(TorchidError, match="memory_limit"):
+        wrench_norms(lwr, *motion, sets, memory_limit=10**5)
+
+
+def test_little_memory_makes_smaller_chunks(lwr: Robot) -> None:
+    motion, sets = states(lwr, 50), any_sets(lwr, 3)
+    reference = lwr.require_parameters("the test")
+    small = wrench_errors(lwr, *motion, sets, reference, memory_limit=200_000)
+    large = wrench_errors(lwr, *motion, sets, reference)
+    assert torch.allclose(small.moment_rms, large.moment_rms, rtol=1e-13)
+
+
+def test_bad_input_is_refused(lwr: Robot, types_unchecked: None) -> None:
+    motion, sets = states(lwr, 5), any_sets(lwr, 2)
+    reference = lwr.require_parameters("the test")
+    with pytest.raises(TorchidError, match="instants, 7 joints"):
+        internal_wrenches(lwr, *[x[:, :6] for x in motion], sets)
+    with pytest.raises(TorchidError, match="sets, 7 links"):
+        internal_wrenches(lwr, *motion, reference)
+    with pytest.raises(TorchidError, match="one set"):
+        wrench_errors(lwr, *motion, sets, sets)
+    broken = motion[1].clone()
+    broken[3, 4] = torch.nan
+    with pytest.raises(TorchidError, match=r"dq is not finite at instant 3 .*joint 5"):
+        wrench_errors(lwr, motion[0], broken, motion[2], sets, reference)
+    with pytest.raises(TorchidError, match="no instants"):
+        wrench_errors(lwr, *[x[:0] for x in motion], sets, reference)
+    nan = InertialParameters(reference.pi * torch.nan)
+    with pytest.raises(TorchidError, match="reference"):
+        wrench_errors(lwr, *motion, sets, nan)
