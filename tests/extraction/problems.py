@@ -5,10 +5,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.extraction.search import Engine, SearchState
+from torchid.extraction.engines import Engine, SearchState, start
 
 
 @dataclass(frozen=True)
@@ -136,3 +137,20 @@ def generations_to(p: Problem, engine: Engine, state: SearchState) -> Tensor:
     """(R,) generations until the target; inf where it was not reached."""
     hit = values_of(p, engine, state) < p.target
     return torch.where(hit.any(0), hit.double().argmax(0).double(), float("inf"))
+
+
+def begin(runs: int, n: int, sigma: float = 0.3, seed: int = 0) -> SearchState:
+    generator = torch.Generator().manual_seed(seed)
+    return start(torch.rand(runs, n, generator=generator, dtype=torch.float64), sigma)
+
+
+def sphere(x: Tensor) -> Tensor:
+    return ((x - 0.4) ** 2).sum(-1)
+
+
+def same(a: SearchState, b: SearchState, but: tuple[str, ...] = (), runs: slice = slice(None)):
+    """Bit for bit, nan equal to nan."""
+    left, right = a.to_arrays(), b.to_arrays()
+    for name in left.keys() - {"generation", *but}:
+        assert np.array_equal(left[name][runs], right[name][runs], equal_nan=True), name
+    assert a.generation == b.generation

@@ -3,76 +3,19 @@ the invariances that CMA-ES has by construction."""
 
 from pathlib import Path
 
-import cma
 import numpy as np
 import pytest
 import torch
-from cma.transformations import BoxConstraintsLinQuadTransformation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.extraction.problems import PROBLEMS, generations_to, problem
+from tests.extraction.problems import PROBLEMS, begin, generations_to, problem, same, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma_es import strategy
-from torchid.extraction.engines import ENGINES, SearchState, default_population, engine, start
-from torchid.extraction.search import MARGIN, PERIOD, from_box, into_box
+from torchid.extraction.engines import ENGINES, SearchState, default_population, engine
+from torchid.extraction.search import PERIOD
 from torchid.typing import Tensor
 
 NAMES = sorted(ENGINES)
-
-
-def begin(runs: int, n: int, sigma: float = 0.3, seed: int = 0) -> SearchState:
-    generator = torch.Generator().manual_seed(seed)
-    return start(torch.rand(runs, n, generator=generator, dtype=torch.float64), sigma)
-
-
-def sphere(x: Tensor) -> Tensor:
-    return ((x - 0.4) ** 2).sum(-1)
-
-
-def same(a: SearchState, b: SearchState, but: tuple[str, ...] = (), runs: slice = slice(None)):
-    """Bit for bit, nan equal to nan."""
-    left, right = a.to_arrays(), b.to_arrays()
-    for name in left.keys() - {"generation", *but}:
-        assert np.array_equal(left[name][runs], right[name][runs], equal_nan=True), name
-    assert a.generation == b.generation
-
-
-# Parameters and the box, against pycma.
-
-
-@pytest.mark.parametrize("n", [2, 5, 30, 91])
-@pytest.mark.parametrize("factor", [1, 3])
-def test_weights_and_rates_are_those_of_pycma(n: int, factor: int) -> None:
-    population = factor * default_population(n)
-    peer = cma.CMAEvolutionStrategy(n * [0.5], 0.3, {"verbose": -9, "popsize": population})
-    ours = strategy(n, population)
-    default = cma.CMAEvolutionStrategy(n * [0.5], 0.3, {"verbose": -9}).popsize
-    assert population == factor * default
-    np.testing.assert_allclose(ours.mu_eff, peer.sp.weights.mueff, rtol=1e-12)
-    np.testing.assert_allclose(ours.c_1, peer.sp.c1, rtol=1e-12)
-    np.testing.assert_allclose(ours.c_c, peer.sp.cc, rtol=0.2)
-    np.testing.assert_allclose(ours.c_mu, peer.sp.cmu, rtol=1e-12)
-    np.testing.assert_allclose(ours.weights, peer.sp.weights.asarray, rtol=0.02, atol=1e-12)
-
-
-@settings(deadline=None)
-@given(x=st.lists(st.floats(-30, 30), min_size=1, max_size=8))
-def test_box_is_pycmas(x: list[float]) -> None:
-    peer = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
-    got = into_box(torch.tensor(x, dtype=torch.float64))
-    assert ((got >= 0) & (got <= 1)).all()
-    np.testing.assert_allclose(got, peer.transform(list(x)), atol=1e-13)
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=8), st.integers(-5, 5))
-def test_box_and_back(x: list[float], periods: int) -> None:
-    point = torch.tensor(x, dtype=torch.float64)
-    search = from_box(point)
-    assert ((search >= -MARGIN) & (search <= 1 + MARGIN)).all()
-    torch.testing.assert_close(into_box(search), point, rtol=0, atol=1e-15)
-    torch.testing.assert_close(into_box(search + periods * PERIOD), point, rtol=0, atol=1e-13)
 
 
 # Finding optima.
@@ -303,33 +246,3 @@ def test_nothing_to_find_does_not_run_away() -> None:
     spread = state.sigma[:, None] * state.covariance.diagonal(dim1=1, dim2=2).sqrt()
     assert ((spread > 0) & (spread <= 0.34)).all()
     assert (state.mean.sub(0.5).abs() <= PERIOD / 4 + 1e-12).all()
-
-
-# Errors of a person.
-
-
-def test_errors_say_what_is_wrong() -> None:
-    with pytest.raises(TorchidError, match="batched, cma"):
-        engine("annealing")
-    for mean in (torch.tensor([[0.5, 1.01]]), torch.tensor([[float("nan"), 0.5]])):
-        with pytest.raises(TorchidError, match="inside the unit box"):
-            start(mean, 0.3)
-    with pytest.raises(TorchidError, match="step size"):
-        start(torch.rand(2, 2), 0.0)
-    arrays = begin(2, 2).to_arrays()
-    del arrays["path_sigma"]
-    with pytest.raises(TorchidError, match="lacks path_sigma"):
-        SearchState.from_arrays(arrays)
-
-
-@ENGINE_CASES
-def test_errors_of_minimise(kind: str) -> None:
-    run, state = engine(kind).minimise, begin(2, 3)
-    with pytest.raises(TorchidError, match="generations"):
-        run(sphere, state, generations=-1, seed=0)
-    with pytest.raises(TorchidError, match="seed"):
-        run(sphere, state, generations=1, seed=-1)
-    with pytest.raises(TorchidError, match="population"):
-        run(sphere, state, generations=1, seed=0, population=1)
-    with pytest.raises(TorchidError, match="another shape"):
-        run(lambda x: x, state, generations=1, seed=0)
