@@ -39,8 +39,9 @@ class Certificate:
     Attributes:
         feasible: whether there is a strictly feasible set at all.
         phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
-            rounding; infinite if there are none. Inertias are taken to be below `convex.REACH`, a
-            link of a hundred times its mass at a third of the arm's longest step.
+            rounding; infinite if there are none. Without bounds of inertias they are still taken to
+            be below `convex_rows.REACH`: the largest mass a hundred times, at a third of the arm's
+            longest step.
         phi_strict: loss of `sets`; nan if there are none.
         sets: one strictly feasible set that nearly reaches phi_min, with no violation by
             `torchid.feasibility.margins`; or None.

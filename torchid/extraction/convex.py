@@ -197,8 +197,8 @@ def convex_sets(
         com_bounds, inertia_bounds: whether the bounds' boxes of the centres of mass and of the
             barycentric inertias count.
         margin: smallest eigenvalue of the links' pseudo-inertias [kg m^2, kg], of all or of each.
-        reach: whether diagonal entries of J are at most REACH times the bound of the mass times the
-            square of `length_scale`, which makes the sets of bounded masses bounded.
+        reach: whether diagonal entries of J are at most `convex_rows.REACH` times the bound of the
+            mass times the square of `length_scale`, or what the bounds allow if more, which makes the sets of bounded masses bounded.
         inside: (n, 3) centres of mass. The bounds of the barycentric inertias are then not relaxed
             but made stricter, by linearisation about them: all sets are within the bounds, and
             those near these centres of mass are not lost.

@@ -256,7 +256,9 @@ class RowBuilder:
         radius = np.full(self.size, np.inf)
         for link in range(self.n):
             mass = max(1.0, float(bounds.mass[link].abs().max()))
-            limit = REACH * mass * self.length**2
+            reach = float(bounds.com[link].abs().amax(-1).square().sum())
+            allowed = float(bounds.inertia[link].abs().max()) + mass * reach
+            limit = max(REACH * mass * self.length**2, allowed)
             columns = link_columns(self.n, link)
             for k in (4, 7, 9):
                 self.interval(f"reach_{link + 1}", {int(columns[k]): 1.0}, -np.inf, limit)
