@@ -1,0 +1,102 @@
+"""`torchid payload` as a user calls it."""
+
+import json
+
+import pytest
+import torch
+import typer
+from typer.testing import CliRunner
+
+from torchid.app.payload import payload_command
+from torchid.errors import TorchidError
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.identification.payload import with_payload
+from torchid.log.readers import write_log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """empty.parquet, full.parquet (1.2 kg) and again.parquet (empty, other noise) of the 3R."""
+    folder = tmp_path_factory.mktemp("payload")
+    robot = load_robot("3r_friction")
+    motion = trajectory_log(random_trajectory(robot, 0, count=2, fill=True), 100.0)
+    box = InertialParameters.from_com(
+        torch.tensor([1.2]).double(),
+        torch.tensor([[0.03, -0.02, 0.08]]).double(),
+        torch.tensor([[0.005, 0, 0, 0.004, 0, 0.002]]).double(),
+    ).pi[0]
+    for name, arm, seed in (
+        ("empty", robot, 0),
+        ("full", with_payload(robot, box), 1),
+        ("again", robot, 2),
+    ):
+        write_log(synthetic_log(arm, motion, HonestNoise(), seed), folder / f"{name}.parquet")
+    return folder
+
+
+def call(*arguments: object):
+    app = typer.Typer()
+    app.command("payload")(payload_command)
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_the_payload_is_estimated_printed_and_written(logs, tmp_path):
+    full = logs / "full.parquet"
+    got = call(
+        "3r_friction", logs / "empty.parquet", "--loaded", full, "--cutoff", 5, "--seed", 4,
+        "--json", tmp_path / "p.json", "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert got.exit_code == 0, got.output
+    assert "carries 1.2" in " ".join(got.output.split())
+    assert "tool frame" in got.output
+    data = json.loads((tmp_path / "p.json").read_text())
+    assert data == json.loads((tmp_path / "out" / "payload.json").read_text())
+    assert data["schema"] == "torchid.payload/1"
+    assert data["frames"]["tool"]["mass"]["value"][0] == pytest.approx(1.2, rel=0.01)
+    assert data["seen"]
+    assert (data["cutoff_hz"], data["seed"]) == (5.0, 4)
+
+
+def test_no_payload_is_said(logs, tmp_path):
+    got = call(
+        "3r_friction", logs / "empty.parquet", "--loaded", logs / "again.parquet",
+        "--cutoff", 5, "--json", tmp_path / "p.json",
+    )  # fmt: skip
+    assert got.exit_code == 0, got.output
+    assert "No payload can be seen" in got.output
+    assert "not known" in got.output
+    data = json.loads((tmp_path / "p.json").read_text())
+    assert not data["seen"]
+    assert data["frames"]["tool"]["com"]["value"] == [None] * 3
+
+
+def test_quiet_prints_nothing(logs):
+    got = call(
+        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", "--cutoff", 5,
+        "--quiet", "--model", "point_mass", "--effects", "viscous_friction,coulomb_friction",
+    )  # fmt: skip
+    assert (got.exit_code, got.output) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--cutoff", "-1"], "--cutoff"),
+        (["--effects", "magic"], "magic"),
+        (["--gain", "1,2"], "--gain"),
+    ],
+)
+def test_mistakes_are_one_message(logs, options, said):
+    got = call(
+        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", *options
+    )  # fmt: skip
+    assert isinstance(got.exception, TorchidError)
+    assert said in str(got.exception)
+
+
+def test_a_log_with_payload_is_required(logs):
+    got = call("3r_friction", logs / "empty.parquet")
+    assert got.exit_code == 2

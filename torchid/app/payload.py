@@ -1,0 +1,141 @@
+"""`torchid payload`: what the last link carries, from logs without and with it."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from torchid.app.identify import EFFECTS
+from torchid.app.options import (
+    Device,
+    Json,
+    LogArguments,
+    Out,
+    Output,
+    Quiet,
+    RobotArgument,
+    Seed,
+    Threads,
+    Tip,
+    device,
+    effect_names,
+    number,
+    numbers,
+    open_output,
+    progress_bar,
+)
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.identification.payload import Payload
+    from torchid.log.model import Log
+
+
+def payload_command(
+    robot: RobotArgument,
+    logs: LogArguments,
+    loaded: Annotated[
+        list[Path],
+        typer.Option(
+            "--loaded", metavar="LOG", help="Logs with the payload. May be given several times."
+        ),
+    ],
+    effects: Annotated[
+        str,
+        typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
+    ] = EFFECTS,
+    model: Annotated[
+        Literal["general", "symmetric", "point_mass"],
+        typer.Option(help="All ten parameters; symmetric about the tool's z axis; a point mass."),
+    ] = "general",
+    cutoff: Annotated[
+        str,
+        typer.Option(
+            metavar="HZ|auto|none",
+            help="Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.",
+        ),
+    ] = "auto",
+    gain: Annotated[
+        str | None,
+        typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
+    ] = None,
+    method: Annotated[
+        Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
+    ] = "huber",
+    signs: Annotated[
+        Literal["bounded", "free"],
+        typer.Option(help="Coefficients physics forbids to be negative: hold at zero, or leave."),
+    ] = "bounded",
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    device_name: Device = "cpu",
+) -> None:
+    """Estimate mass, centre of mass and inertia of what the last link carries.
+
+    LOG... are without the payload, --loaded with it, best on the same trajectories.
+
+    Example: `torchid payload panda.yaml empty1.parquet empty2.parquet --loaded full1.parquet
+    --loaded full2.parquet --out result`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.identification.identify import Settings, identify
+    from torchid.identification.payload import estimate_payload, record
+    from torchid.robot.library import load_robot
+
+    settings = Settings(
+        effects=effect_names(effects), cutoff=_cutoff(cutoff), method=method, signs=signs
+    )
+    found = load_robot(robot, tip=tip)
+    gains = None if gain is None else numbers("--gain", gain, found.n)
+    empty, full = _read(logs, gains), _read(loaded, gains)
+    where = device(device_name)
+    with progress_bar(output) as progress:
+        without = identify(found, empty, settings=settings, device=where, progress=progress)
+        # One filter for both: what it does to the parameters then cancels in their difference.
+        same = replace(settings, cutoff=without.cutoff)
+        carrying = identify(found, full, settings=same, device=where, progress=progress)
+    payload = estimate_payload(without, carrying, model=model)
+    noticed = dict.fromkeys(
+        [
+            *(f"without payload: {w}" for w in without.warnings),
+            *(f"with payload: {w}" for w in carrying.warnings),
+            *payload.warnings,
+        ]
+    )
+    _show(payload, tuple(noticed), output)
+    data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
+    output.write_json({**data, "warnings": list(noticed)}, "payload.json")
+
+
+def _read(paths: list[Path], gains: list[float] | None) -> "Log":
+    import torch
+
+    from torchid.log.readers import read_log
+
+    log = read_log(paths)
+    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
+
+
+def _show(payload: "Payload", noticed: tuple[str, ...], output: Output) -> None:
+    from torchid.report.payload import headline, tables
+
+    for table in tables(payload):
+        output.say(table)
+    output.warn(noticed)
+    output.say(f"\n{headline(payload)}")
+
+
+def _cutoff(text: str) -> float | Literal["auto"] | None:
+    if text == "auto":
+        return "auto"
+    if text == "none":
+        return None
+    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
+    if value <= 0:
+        raise TorchidError("--cutoff must be positive.", got=text)
+    return value
