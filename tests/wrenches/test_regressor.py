@@ -293,6 +293,17 @@ def test_too_large_a_result_says_what_to_do(lwr: Robot) -> None:
         wrench_norms(lwr, *motion, sets, memory_limit=10**5)
 
 
+def test_an_earlier_result_is_written_over(lwr: Robot) -> None:
+    motion, first, second = states(lwr, 12), any_sets(lwr, 3), any_sets(lwr, 3, seed=1)
+    out = internal_wrenches(lwr, *motion, first)
+    again = internal_wrenches(lwr, *motion, second, out=out)
+    assert again.data_ptr() == out.data_ptr()
+    assert torch.equal(again, internal_wrenches(lwr, *motion, second))
+    for wrong in (out[:2], out.contiguous(), out.float()):
+        with pytest.raises(TorchidError, match="not an earlier result"):
+            internal_wrenches(lwr, *motion, second, out=wrong)
+
+
 def test_little_memory_makes_smaller_chunks(lwr: Robot) -> None:
     motion, sets = states(lwr, 50), any_sets(lwr, 3)
     reference = lwr.require_parameters("the test")

@@ -10,6 +10,7 @@ A set with a nan parameter has nan wrenches; the other sets do not notice. No gr
 import numpy as np
 import torch
 
+from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Samples, Tensor
@@ -28,6 +29,7 @@ def internal_wrenches(
     parameters: InertialParameters,
     *,
     memory_limit: int = MEMORY_LIMIT,
+    out: Float[Tensor, "K T n 6"] | None = None,
 ) -> Float[Tensor, "K T n 6"]:
     """Wrenches of K sets at every joint and instant, all stored (eqs. 2.13, 2.32).
 
@@ -36,6 +38,8 @@ def internal_wrenches(
         q, dq, ddq: (T, n) [rad, rad/s, rad/s^2; m for prismatic joints].
         parameters: (K, n, 10), of the device and dtype of the motion.
         memory_limit: bytes for the result and the work.
+        out: the result of an earlier call for as many sets and instants, to be overwritten and
+            returned. The first write to new memory can take longer than the arithmetic.
 
     Returns:
         (K, T, n, 6) force [N], then moment [N m] about the origin of joint frame i, that link i-1
@@ -44,20 +48,20 @@ def internal_wrenches(
 
     Raises:
         TorchidError: motion or parameters do not fit the robot or each other, the motion is not
-            finite, or the result exceeds the memory limit.
+            finite, the result exceeds the memory limit, or `out` is no earlier result.
     """
     check(robot, (q, dq, ddq), parameters)
     chain = wrench_chain(robot)
     shape = (parameters.pi.shape[0], robot.n, 6, q.shape[0])
     left = memory_after(shape, q, memory_limit)
-    out = _empty(shape, q)
+    stored = _empty(shape, q) if out is None else _earlier(out, shape, q)
     lumped = lumped_parameters(chain, parameters.pi)
     axes = chain.link_axes.to(q)
     for instants, blocks in block_chunks(chain, q, dq, ddq, size=chunk_size(chain, q, left)):
         for i, (block, (for_force, for_moment)) in enumerate(zip(blocks, lumped, strict=True)):
-            _products(for_force, _rotated(axes[i], block.force), out[:, i, :3, instants])
-            _products(for_moment, _rotated(axes[i], block.moment), out[:, i, 3:, instants])
-    return out.permute(0, 3, 1, 2)
+            _products(for_force, _rotated(axes[i], block.force), stored[:, i, :3, instants])
+            _products(for_moment, _rotated(axes[i], block.moment), stored[:, i, 3:, instants])
+    return stored.permute(0, 3, 1, 2)
 
 
 @torch.no_grad()
@@ -108,6 +112,21 @@ def _rotated(
     rotation: Float[Tensor, "3 3"], block: Float[Tensor, "3 C T"]
 ) -> Float[Tensor, "3 C T"]:
     return (rotation @ block.flatten(1)).reshape(block.shape)
+
+
+def _earlier(
+    out: Float[Tensor, "K T n 6"], shape: tuple[int, ...], like: Tensor
+) -> Float[Tensor, "K n 6 T"]:
+    stored = out.permute(0, 2, 3, 1)
+    same_kind = (out.dtype, out.device) == (like.dtype, like.device)
+    if stored.shape != shape or not same_kind or not stored.is_contiguous():
+        raise TorchidError(
+            "`out` is not an earlier result for as many sets and instants.",
+            got=f"shape {tuple(out.shape)}, strides {out.stride()}, {out.dtype}, {out.device}",
+            expected=f"(sets, instants, joints, 6) of {(shape[0], shape[3], shape[1], 6)}, as "
+            f"internal_wrenches returns it, {like.dtype}, {like.device}",
+        )
+    return stored
 
 
 def _empty(shape: tuple[int, ...], like: Tensor) -> Tensor:

@@ -16,8 +16,8 @@ MEMORY_LIMIT = 4 * 2**30
 _CHUNK = 1000
 """Most instants whose blocks are held at a time."""
 
-_BLOCK_COPIES = 4
-"""Blocks in memory while they are made, in blocks of the final size: measured, rounded up."""
+_BLOCK_COPIES = 3
+"""Memory of the blocks while they are made, in their final size: 1.9 measured, rounded up."""
 
 
 def check(robot: Robot, motion: tuple[Tensor, ...], parameters: InertialParameters) -> None:

@@ -11,8 +11,8 @@ import torch
 from torchid.typing import Float, Tensor
 from torchid.wrenches.blocks import WrenchBlock
 
-SETS, INSTANTS = 64, 200
-"""Most sets and instants in a tile: 64 x 200 x 6 numbers are 0.6 MB (benchmarks/wrenches.py)."""
+SETS, INSTANTS = 128, 200
+"""Most sets and instants in a tile: 128 x 200 x 6 numbers are 1.2 MB (benchmarks/wrenches.py)."""
 
 Parameters = tuple[Tensor, Tensor]
 """Of k sets at one joint: those (k, Cf) that make the force and those (k, Cm) of the moment."""
