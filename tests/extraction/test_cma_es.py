@@ -162,15 +162,17 @@ def test_seeds_differ_and_the_world_is_left_alone(
 # Continuing.
 
 
-def test_two_calls_are_one(tmp_path: Path) -> None:
-    run = engine("batched").minimise
-    whole = run(sphere, begin(4, 6), generations=30, seed=5)
-    half = run(sphere, begin(4, 6), generations=11, seed=5)
-    np.savez(tmp_path / "state.npz", **half.to_arrays())
+@pytest.mark.parametrize("sigma", [0.3, 5.0])
+@pytest.mark.parametrize("split", [1, 2, 11])
+def test_two_calls_are_one(split: int, sigma: float, tmp_path: Path) -> None:
+    run, first = engine("batched").minimise, begin(4, 6, sigma)
+    whole = run(sphere, first, generations=30, seed=5)
+    part = run(sphere, first, generations=split, seed=5)
+    np.savez(tmp_path / "state.npz", **part.to_arrays())
     with np.load(tmp_path / "state.npz") as arrays:
         loaded = SearchState.from_arrays(arrays)
-    same(half, loaded)
-    same(whole, run(sphere, loaded, generations=19, seed=5))
+    same(part, loaded)
+    same(whole, run(sphere, loaded, generations=30 - split, seed=5))
 
 
 @ENGINE_CASES
@@ -245,4 +247,5 @@ def test_nothing_to_find_does_not_run_away() -> None:
     )
     spread = state.sigma[:, None] * state.covariance.diagonal(dim1=1, dim2=2).sqrt()
     assert ((spread > 0) & (spread <= 0.34)).all()
+    assert (state.covariance.tril(-1) == 0).all()  # nothing was learned from ties
     assert (state.mean.sub(0.5).abs() <= PERIOD / 4 + 1e-12).all()

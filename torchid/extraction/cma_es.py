@@ -244,7 +244,8 @@ def _limit(runs: _Runs) -> None:
     if bool((stds > LARGEST_STD * TOLERANCE).any()):
         scale = (LARGEST_STD / stds).clamp(max=1.0)
         runs.covariance *= scale.unsqueeze(2) * scale.unsqueeze(1)
-        runs.factor *= scale.unsqueeze(2)
+        # Anew, not scaled: a continued search factors it anew too, to the same bits.
+        runs.factor = _factor(runs.covariance)
         runs.path_covariance *= scale
         spread = spread * scale
     widest = spread.amax(dim=1)
