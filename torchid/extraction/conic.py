@@ -27,8 +27,9 @@ from torchid.errors import MissingExtraError
 Cone = Literal["zero", "nonnegative", "second_order", "semidefinite"]
 Status = Literal["solved", "inexact", "infeasible", "unbounded", "failed"]
 
-TOLERANCES = (1e-10, 1e-8)
-"""Asked of the solver, relative: the second where it fails with the first."""
+ATTEMPTS = ((1e-10, False), (1e-10, True), (1e-8, False), (1e-6, True))
+"""Relative tolerance asked of the solver, and whether it scales the rows (they come well scaled):
+one after the other while it fails."""
 ACCEPTED = 1e-6
 """Reached: worse than this is a failure, between the two `inexact`."""
 _FAR = 100.0
@@ -106,8 +107,8 @@ def minimise(
     d = len(cost)
     quadratic, columns = sparse.csc_matrix((d, d)), sparse.csc_matrix(-matrix)
     cones = [_cone(clarabel, r) for r in rows]
-    for tolerance in TOLERANCES:
-        settings = _settings(clarabel, tolerance)
+    for tolerance, scaled in ATTEMPTS:
+        settings = _settings(clarabel, tolerance, scaled)
         raw = clarabel.DefaultSolver(quadratic, cost, columns, offset, cones, settings).solve()
         status = _STATUS.get(str(raw.status), "failed")
         if status != "failed":
@@ -125,11 +126,12 @@ def minimise(
     return Solution(status, point, float(cost @ point), float(bound), multipliers)
 
 
-def _settings(clarabel: Any, tolerance: float) -> Any:
+def _settings(clarabel: Any, tolerance: float, scaled: bool) -> Any:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 300
     settings.max_threads = 1
+    settings.equilibrate_enable = scaled
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
     settings.reduced_tol_feas = settings.reduced_tol_gap_abs = ACCEPTED
     settings.reduced_tol_gap_rel = ACCEPTED

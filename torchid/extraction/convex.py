@@ -33,6 +33,8 @@ from torchid.feasibility.sets import ParameterSets
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 
+_REACHED = 1e-2
+"""Distance to such a condition, relative to it, at which it is reached."""
 _ZERO = 1e-6
 """A least norm below this share of the offset's is not solved again in its own unit."""
 
@@ -73,6 +75,14 @@ class ConvexSets:
     def names(self) -> tuple[str, ...]:
         """Names of the conditions, each once."""
         return tuple(dict.fromkeys(r.name for r in self.rows))
+
+    def touches_reach(self, v: np.ndarray) -> bool:
+        """Whether v is at a condition that only keeps the sets bounded, and could go on."""
+        return any(
+            bool((row.matrix @ v + row.offset <= _REACHED * row.inward).any())
+            for row in self.rows
+            if row.name.startswith("reach_")
+        )
 
     @property
     def reach_names(self) -> tuple[str, ...]:
@@ -198,7 +208,8 @@ def convex_sets(
             barycentric inertias count.
         margin: smallest eigenvalue of the links' pseudo-inertias [kg m^2, kg], of all or of each.
         reach: whether diagonal entries of J are at most `convex_rows.REACH` times the bound of the
-            mass times the square of `length_scale`, or what the bounds allow if more, which makes the sets of bounded masses bounded.
+            mass times the square of `length_scale`, or twice what the bounds allow if that is
+            more: it makes sets of bounded masses bounded.
         inside: (n, 3) centres of mass. The bounds of the barycentric inertias are then not relaxed
             but made stricter, by linearisation about them: all sets are within the bounds, and
             those near these centres of mass are not lost.

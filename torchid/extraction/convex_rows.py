@@ -258,10 +258,10 @@ class RowBuilder:
             mass = max(1.0, float(bounds.mass[link].abs().max()))
             reach = float(bounds.com[link].abs().amax(-1).square().sum())
             allowed = float(bounds.inertia[link].abs().max()) + mass * reach
-            limit = max(REACH * mass * self.length**2, allowed)
+            limit = max(REACH * mass * self.length**2, 2 * allowed)
             columns = link_columns(self.n, link)
             for k in (4, 7, 9):
-                self.interval(f"reach_{link + 1}", {int(columns[k]): 1.0}, -np.inf, limit)
+                self._linear(f"reach_{link + 1}", [{int(columns[k]): -1.0}], [limit], limit)
             # tr S = tr J / 2 bounds the entries of J and, with the mass, the first moment.
             moment = np.sqrt(1.5 * limit * mass)
             radius[columns] = [mass, *([moment] * 3), *([limit * 1.5] * 6)]
