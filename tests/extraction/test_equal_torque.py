@@ -13,7 +13,7 @@ from tests.arms import arm, mixed_arm, relative, states
 from tests.oracles import PinocchioOracle
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
-from torchid.extraction import equal_torque
+from torchid.extraction import equal_torque, hit_and_run
 from torchid.extraction.equal_torque import (
     EqualTorqueSets,
     equal_torque_sets,
@@ -302,13 +302,13 @@ def test_draws_are_uniform() -> None:
     f = torch.zeros(4, 4, 4)
     for axis in range(3):
         f[axis, 3, axis] = f[3, axis, axis] = 1.0
-    region = equal_torque._Region(
+    region = hit_and_run.Region(
         torch.tensor([[0.0, 0, 0, 1], [0, 0, 0, -1]]).expand(k, 2, 4).contiguous(),
         torch.tensor([0.5, 0.5]).expand(k, 2).contiguous(),
         f.reshape(16, 4).expand(k, 16, 4).contiguous(),
         eye.flatten().expand(k, 16).contiguous(),
     )
-    y = equal_torque._hit_and_run(region, list(range(k)), 50, 8)
+    y = hit_and_run.hit_and_run(region, list(range(k)), 50, 8)
     square = y[..., :3].square().sum(-1)
     error = 4 * float(square.mean(1).std()) / k**0.5
     assert float(square.max()) < 1.0

@@ -33,6 +33,9 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
+from torchid.extraction.equal_torque_space import EqualTorqueSpace, equal_torque_space, kernel
+from torchid.extraction.hit_and_run import analytic_centre, hit_and_run, interior_point
+from torchid.extraction.relaxations import relaxed_limits
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.margins import feasibility
@@ -47,22 +50,14 @@ FEASIBLE = "feasible"
 RELAXABLE = ("inertia", "com", "mass", "total_mass", "shape")
 """Kinds of conditions a family can violate; several are joined by +, e.g. inertia+com."""
 KINDS = (FEASIBLE, "inertia", "com", "mass", "total_mass", "inertia+com")
-
-SLIGHTEST = 0.02
-"""Relaxation of the first chain of a kind; the last has 1, those between a geometric sequence."""
-FIRMEST = 0.5
-"""Degree that the most firmly feasible chain asks for, if there are such sets."""
 DRAWS = 4
 """Draws for every set asked for; those kept are spread over the degrees."""
 STEPS_PER_DIMENSION = 2
 """Hit-and-run steps between two draws, for every dimension of the null space. The autocorrelation
 time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the slowest)."""
-BURN_IN = 20
-"""Draws left out first: 40 steps a dimension."""
 
 _BINS = 10
 _NEWTON_STEPS = 80
-_PHASE_ONE_STEPS = 150
 _RIGID_KINDS = frozenset(RELAXABLE)
 
 
@@ -87,7 +82,7 @@ class EqualTorqueSets:
 
 def null_space(base: BaseParameters) -> Float[Tensor, "P D"]:
     """Orthonormal basis (P, P - B) of the changes of the parameters that change no torque."""
-    return _kernel(base.grouping)
+    return kernel(base.grouping)
 
 
 def interior_reference(
@@ -115,17 +110,17 @@ def interior_reference(
             which stays, violates its sign; sizes that do not match.
     """
     reference = _one_set(robot, start, base)
-    walk = _walk(reference, base, conditions, outer)
+    walk = equal_torque_space(reference, base, conditions, outer)
     limits = walk.limits(1)
     region = walk.region(limits)
-    z, inside = _interior_point(region)
+    z, inside = interior_point(region)
     if not bool(inside[0]):
         raise TorchidError(
             "no set with this torque meets all conditions within the outer bounds.",
             got=f"set '{reference.ids[0]}'",
             hint="take the base parameters of the closest feasible set, or wider boxes or bounds",
         )
-    centre, _ = _analytic_centre(region, z, _NEWTON_STEPS)
+    centre, _ = analytic_centre(region, z, _NEWTON_STEPS)
     found = walk.sets(centre, ("interior",))
     _require_feasible(found, conditions)
     return found
@@ -171,7 +166,7 @@ def equal_torque_sets(
         )
     reference = _one_set(robot, reference, base)
     _require_feasible(reference, conditions)
-    walk = _walk(reference, base, conditions, outer)
+    walk = equal_torque_space(reference, base, conditions, outer)
     parts: list[ParameterSets] = []
     names: list[str] = []
     clusters: list[Tensor] = []
@@ -240,558 +235,32 @@ def _require_feasible(reference: ParameterSets, conditions: Conditions) -> None:
         )
 
 
-# --------------------------------------------------------------------------------------------
-# Regions: what K chains ask of their sets, in coordinates of the null space
-
-
-@dataclass(frozen=True, eq=False)
-class _Limits:
-    """What each of K regions allows: with s = sign, s m in `mass`, c in `com`, and so on.
-
-    Attributes:
-        sign: (K, n) 1, or -1 for a link with a negative mass.
-        mass: (K, n, 2) of sign * m [kg].
-        com: (K, n, 3, 2) [m].
-        radius: (K, n) of the cylinders and spheres, infinite for none [m].
-        second: (K, n) smallest second moments about the CoM [kg m^2].
-        total: (K, 2) of the sum of the masses [kg].
-        firm: (K,) smallest degrees of masses and of second moments.
-    """
-
-    sign: Tensor
-    mass: Tensor
-    com: Tensor
-    radius: Tensor
-    second: Tensor
-    total: Tensor
-    firm: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class _Region:
-    """K convex sets { z : a z + b > 0, F z + C positive definite }, flattened 4 x 4 matrices.
-
-    Attributes:
-        a, b: (K, R, D), (K, R) linear inequalities.
-        f, c: (K, 16 L, D), (K, 16 L) of L linear matrix inequalities.
-    """
-
-    a: Float[Tensor, "K R D"]
-    b: Float[Tensor, "K R"]
-    f: Float[Tensor, "K M D"]
-    c: Float[Tensor, "K M"]
-
-    def part(self, rows: Tensor) -> "_Region":
-        return _Region(self.a[rows], self.b[rows], self.f[rows], self.c[rows])
-
-    def values(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Left sides (K, R) and (K, 16 L) at z (K, D)."""
-        return self.b + _times(self.a, z), self.c + _times(self.f, z)
-
-    def at(self, origin: Tensor, axes: Tensor) -> "_Region":
-        """The region in coordinates y of z = origin + axes y."""
-        b, c = self.values(origin)
-        return _Region(self.a @ axes, b, self.f @ axes, c)
-
-
-@dataclass(frozen=True, eq=False)
-class _Walk:
-    """A reference, the directions that keep its torque, and the conditions' scales.
-
-    Attributes:
-        reference: one set.
-        x: (P,) its rigid-body parameters in the paper's stacking.
-        directions: (P, D) orthonormal.
-        conditions, outer: as given.
-        inertia: (n, 6) limits of |J|.
-        scale: (n,) mean second moment of each link of the reference [kg m^2].
-    """
-
-    reference: ParameterSets
-    x: Tensor
-    directions: Tensor
-    conditions: Conditions
-    outer: Bounds
-    inertia: Tensor
-    scale: Tensor
-
-    @property
-    def n(self) -> int:
-        return self.scale.shape[0]
-
-    @property
-    def heaviest(self) -> Tensor:
-        """Upper limits (n,) of the masses."""
-        return self.outer.mass[:, 1]
-
-    @property
-    def mass_scale(self) -> Tensor:
-        return self.x[: self.n].abs().mean()
-
-    @property
-    def widest(self) -> Tensor:
-        """(n, 3, 2) the smallest box around the conditions' and the outer one."""
-        box, outer = self.conditions.com_box, self.outer.com
-        known = torch.isfinite(box)
-        low = torch.where(known[..., 0], torch.minimum(box[..., 0], outer[..., 0]), outer[..., 0])
-        high = torch.where(known[..., 1], torch.maximum(box[..., 1], outer[..., 1]), outer[..., 1])
-        return torch.stack([low, high], -1)
-
-    def limits(self, k: int) -> _Limits:
-        """What a feasible set must meet, k times."""
-        box = self.conditions.com_box
-        com = torch.where(torch.isfinite(box), box, self.outer.com)
-        mass = torch.stack([self.outer.mass[:, 0].clamp(min=0.0), self.heaviest], -1)
-        zeros = torch.zeros_like(self.scale)
-        full = _Limits(
-            torch.ones_like(self.scale),
-            mass,
-            com,
-            self.conditions.round_radius,
-            zeros,
-            self.conditions.total_mass,
-            self.x.new_zeros(()),
-        )
-        return _Limits(*(v.expand(k, *v.shape).clone() for v in vars(full).values()))
-
-    def region(self, limits: _Limits) -> _Region:
-        """The regions of the limits, in coordinates z of x = reference + directions z."""
-        a, f = self._linear(self.directions.T.unsqueeze(1), limits)
-        b, c = self._linear(self.x.unsqueeze(0), limits)
-        row, block = self._constants(limits)
-        return _Region(
-            a.permute(1, 2, 0).contiguous(),
-            b + row,
-            f.permute(1, 2, 0).contiguous(),
-            c + block,
-        )
-
-    def _linear(self, x: Tensor, limits: _Limits) -> tuple[Tensor, Tensor]:
-        """Homogeneous parts (..., K, R) and (..., K, 16 L) for x (..., 1 or K, P)."""
-        pi = InertialParameters.from_paper_order(x)
-        sign = limits.sign.unsqueeze(-1)
-        m, h = pi.mass.unsqueeze(-1) * sign, pi.first_moment * sign
-        j = pi.inertia_about_link_frame.flatten(-2).expand(*h.shape[:-2], -1)
-        total = pi.mass.sum(-1, keepdim=True).expand(*h.shape[:-2], 1)
-        total = total * torch.isfinite(limits.total)
-        m1 = m.squeeze(-1)
-        rows = [
-            torch.cat([m1 - limits.firm.unsqueeze(-1) * m1.mean(-1, keepdim=True), -m1], -1),
-            (h - m * limits.com[..., 0]).flatten(-2),
-            (m * limits.com[..., 1] - h).flatten(-2),
-            torch.cat([j, -j], -1),
-            total * total.new_tensor([1.0, -1.0]),
-        ]
-        # A negative link: S and -m on the diagonal, without the first moments.
-        keep = torch.ones(*limits.sign.shape, 4, 4, dtype=x.dtype)
-        keep[..., 3, 3] = limits.sign
-        keep[..., :3, 3] = keep[..., 3, :3] = (limits.sign.unsqueeze(-1) + 1) / 2
-        blocks = [(_firmer(pi.pseudo_inertia, limits.firm) * keep).flatten(-3)]
-        if bool(torch.isfinite(limits.radius).any()):
-            blocks.append(self._round(m, h, limits).flatten(-3))
-        return torch.cat(rows, -1), torch.cat(blocks, -1)
-
-    def _round(self, m: Tensor, h: Tensor, limits: _Limits) -> Tensor:
-        """[[m r E, v], [v', m r]] (..., K, n, 4, 4), zero for links without a shape."""
-        known = torch.isfinite(limits.radius)
-        away = (h - m * self.conditions.round_centre) * self.conditions.round_axes
-        reach = m * torch.where(known, limits.radius, 0.0).unsqueeze(-1)
-        arrow = torch.diag_embed(reach.expand(*reach.shape[:-1], 4))
-        arrow[..., :3, 3] = arrow[..., 3, :3] = away * known.unsqueeze(-1)
-        return arrow
-
-    def _constants(self, limits: _Limits) -> tuple[Tensor, Tensor]:
-        """Constant parts (K, R) and (K, 16 L)."""
-        k = limits.sign.shape[0]
-        j = self.inertia.flatten().expand(k, -1)
-        total = torch.where(
-            torch.isfinite(limits.total), limits.total * limits.total.new_tensor([-1.0, 1.0]), 1.0
-        )
-        boxes = torch.zeros(k, 6 * self.n, dtype=self.x.dtype)
-        rows = torch.cat([-limits.mass[..., 0], limits.mass[..., 1], boxes, j, j, total], -1)
-        shift = torch.zeros(k, self.n, 4, dtype=self.x.dtype)
-        shift[..., :3] = -limits.second.unsqueeze(-1)
-        blocks = [torch.diag_embed(shift).flatten(1)]
-        known = torch.isfinite(limits.radius)
-        if bool(known.any()):
-            free = (~known).to(self.x.dtype)
-            blocks.append(torch.diag_embed(free.unsqueeze(-1).expand(-1, -1, 4)).flatten(1))
-        return rows, torch.cat(blocks, -1)
-
-    def sets(self, z: Float[Tensor, "K D"], ids: Sequence[str]) -> ParameterSets:
-        """The sets at coordinates z."""
-        x = self.x + z @ self.directions.T
-        return ParameterSets(
-            tuple(ids),
-            InertialParameters.from_paper_order(x),
-            self.reference.effects,
-            self.reference.coefficients.expand(len(z), -1).clone(),
-        )
-
-
-def _firmer(pseudo: Tensor, firm: Tensor) -> Tensor:
-    """Pseudo-inertias with S - firm tr(S)/3 E: positive definite only where the smallest second
-    moment about the CoM is at least that share of their mean, which is at most tr(S)/3."""
-    mean = pseudo[..., :3, :3].diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
-    less = firm[:, None, None] * mean
-    return pseudo - torch.diag_embed(torch.cat([less, less, less, 0 * less], -1))
-
-
-def _walk(
-    reference: ParameterSets, base: BaseParameters, conditions: Conditions, outer: Bounds
-) -> _Walk:
-    rigid = base.n_rigid_parameters
-    own = reference.parameters
-    scale = own.inertia_about_com[0].abs()[:, [0, 3, 5]].sum(-1) / 6
-    return _Walk(
-        reference,
-        own.to_paper_order()[0],
-        # Effects' coefficients stay: only changes of the rigid body's own parameters.
-        _kernel(base.grouping[:, :rigid]),
-        conditions,
-        outer,
-        outer.inertia.abs().amax(-1),
-        scale,
-    )
-
-
-def _kernel(matrix: Tensor) -> Tensor:
-    """Orthonormal basis of {x : matrix x = 0}, as columns."""
-    _, singular, right = torch.linalg.svd(matrix)
-    rank = int((singular > 1e-9 * singular[0]).sum())
-    return right[rank:].T.contiguous()
-
-
-# --------------------------------------------------------------------------------------------
-# Which region each chain of a kind has
-
-
-def _relaxed_limits(
-    walk: _Walk, relaxed: frozenset[str], chains: int, generator: np.random.Generator
-) -> _Limits | None:
-    """Limits of the chains of a kind, from slightly to grossly relaxed; None if the conditions
-    leave the kind nothing to violate."""
-    limits = walk.limits(chains)
-    if not relaxed:
-        return _tightened(walk, limits)
-    possible = _possible(walk)
-    if not all(possible[kind] for kind in relaxed):
-        return None
-    for kind in sorted(relaxed):
-        level = torch.linspace(0.0, 1.0, chains, dtype=walk.x.dtype)
-        if len(relaxed) > 1:
-            level = level[torch.from_numpy(generator.permutation(chains))]
-        links = _some_links(walk.n, chains, generator)
-        limits = _RELAX[kind](walk, limits, level, links, generator)
-    return limits
-
-
-def _possible(walk: _Walk) -> dict[str, bool]:
-    box, total = walk.conditions.com_box, walk.conditions.total_mass
-    wider = torch.isfinite(box) & (walk.widest != box)
-    return {
-        "inertia": True,
-        "mass": True,
-        "com": bool(wider.any()),
-        "total_mass": bool(torch.isfinite(total).any()),
-        "shape": bool(torch.isfinite(walk.conditions.round_radius).any()),
-    }
-
-
-def _some_links(n: int, chains: int, generator: np.random.Generator) -> Tensor:
-    """(chains, n) random links, any number of them from 1 to n, all numbers equally often."""
-    order = generator.permuted(np.tile(np.arange(n), (chains, 1)), axis=1)
-    count = generator.permutation(np.arange(chains) % n) + 1
-    return torch.from_numpy(order < count[:, None])
-
-
-def _tightened(walk: _Walk, limits: _Limits) -> _Limits:
-    """Feasible with a degree of at least: nothing in half of the chains, then growing from chain to
-    chain. Chains that ask for more than there is have an empty region."""
-    k = limits.sign.shape[0]
-    level = torch.linspace(-1.0, 1.0, k, dtype=walk.x.dtype)
-    firm = _between(torch.tensor(SLIGHTEST), torch.tensor(FIRMEST), level).flatten()
-    firm = torch.where(level > 0, firm, 0.0)
-    by = firm.unsqueeze(-1)
-    low, high = limits.com.unbind(-1)
-    side = by.unsqueeze(-1) * (high - low) / 2
-    half = (limits.total[:, 1:] - limits.total[:, :1]) / 2
-    inner = torch.where(torch.isfinite(half), by * half, 0.0)
-    return replace(
-        limits,
-        firm=firm,
-        com=torch.stack([low + side, high - side], -1),
-        radius=limits.radius * (1 - by),
-        total=limits.total + torch.cat([inner, -inner], -1),
-    )
-
-
-def _between(slight: Tensor, gross: Tensor, level: Tensor) -> Tensor:
-    """Geometrically from slight (n,) at level 0 to gross (n,) at 1, for each level: (K, n)."""
-    power = level.reshape(-1, *[1] * slight.ndim)
-    return gross * (slight / gross) ** (1 - power)
-
-
-def _relax_inertia(
-    walk: _Walk, limits: _Limits, level: Tensor, links: Tensor, generator: np.random.Generator
-) -> _Limits:
-    """Second moments from slightly below zero to where only |J| limits them."""
-    gross = torch.maximum(3 * walk.inertia.amax(-1), walk.scale)
-    depth = _between(SLIGHTEST * walk.scale, gross, level)
-    return replace(limits, second=torch.where(links, -depth, 0.0))
-
-
-def _relax_com(
-    walk: _Walk, limits: _Limits, level: Tensor, links: Tensor, generator: np.random.Generator
-) -> _Limits:
-    """Boxes on the way from the conditions' to the outer ones, and one coordinate of each chain
-    beyond one of its faces: otherwise few draws would violate anything."""
-    k, n = links.shape
-    reach = (walk.widest - limits.com[0]).abs()
-    faces = (reach.flatten() > 0).nonzero().flatten()
-    face = faces[torch.from_numpy(generator.permutation(np.arange(k) % len(faces)))]
-    link, side = face // 6, face % 2
-    links = links | torch.nn.functional.one_hot(link, n).bool()
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).reshape(-1, 1) * links
-    com = limits.com + share.reshape(k, n, 1, 1) * (walk.widest - limits.com)
-    beyond = com.flatten(1)
-    beyond[torch.arange(k), face + 1 - 2 * side] = limits.com[0].flatten()[face]
-    return replace(limits, com=beyond.reshape_as(com))
-
-
-def _relax_mass(
-    walk: _Walk, limits: _Limits, level: Tensor, links: Tensor, generator: np.random.Generator
-) -> _Limits:
-    """Negative masses: of one link in every other chain, of several in the rest."""
-    k, n = links.shape
-    one = torch.nn.functional.one_hot(torch.arange(k) // 2 % n, n).bool()
-    negative = torch.where((torch.arange(k) % 2 == 0).unsqueeze(-1), one, links)
-    deepest = _between(SLIGHTEST * walk.mass_scale.expand(n), walk.heaviest, level)
-    low = torch.where(negative, 0.0, limits.mass[..., 0])
-    high = torch.where(negative, deepest, limits.mass[..., 1])
-    sign = torch.where(negative, -1.0, 1.0).to(low)
-    return replace(limits, sign=sign, mass=torch.stack([low, high], -1))
-
-
-def _relax_total(
-    walk: _Walk, limits: _Limits, level: Tensor, links: Tensor, generator: np.random.Generator
-) -> _Limits:
-    """Total masses above the interval, and below it in every other chain."""
-    low, high = limits.total.unbind(-1)
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).flatten()
-    above = torch.stack([high, high + share * (walk.heaviest.sum() - high).clamp(min=0.0)], -1)
-    below = torch.stack([low * (1 - share), low], -1)
-    odd = torch.arange(len(level)) % 2 == 1
-    down = (odd & (low > 0)) | ~torch.isfinite(high)
-    return replace(limits, total=torch.where(down.unsqueeze(-1), below, above))
-
-
-def _relax_shape(
-    walk: _Walk, limits: _Limits, level: Tensor, links: Tensor, generator: np.random.Generator
-) -> _Limits:
-    """Radii up to twice themselves and the reach of the boxes."""
-    reach = walk.widest.abs().amax(-1).norm(dim=-1)
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).reshape(-1, 1)
-    grown = limits.radius + share * (limits.radius + reach)
-    return replace(limits, radius=torch.where(links, grown, limits.radius))
-
-
-_RELAX = {
-    "inertia": _relax_inertia,
-    "com": _relax_com,
-    "mass": _relax_mass,
-    "total_mass": _relax_total,
-    "shape": _relax_shape,
-}
-
-
-# --------------------------------------------------------------------------------------------
-# Interior points: damped Newton on the logarithmic barrier, K regions at once
-
-
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
-
-
-def _derivatives(region: _Region, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient (K, D) and Hessian (K, D, D) of -sum log(a z + b) - sum log det(F z + C), and
-    whether (K,) z is inside; at points outside they mean nothing."""
-    rows, blocks = region.values(z)
-    k = len(z)
-    factor, info = torch.linalg.cholesky_ex(blocks.reshape(k, -1, 4, 4))
-    inside = (rows > 0).all(-1) & (info == 0).all(-1)
-    eye = torch.eye(4, dtype=z.dtype).expand_as(factor)
-    safe = torch.where(inside[:, None, None, None], factor, eye)
-    inverse = torch.linalg.solve_triangular(safe, eye, upper=False)
-    # (inverse F inverse') flattened row by row is (inverse kron inverse) vec F.
-    kron = torch.einsum("klab,klcd->klacbd", inverse, inverse).reshape(k, -1, 16, 16)
-    scaled = (kron @ region.f.reshape(k, -1, 16, z.shape[1])).flatten(1, 2)
-    linear = region.a / rows.unsqueeze(-1)
-    gradient = -linear.sum(1) - scaled.reshape(k, -1, 16, z.shape[1])[:, :, ::5].sum((1, 2))
-    hessian = linear.mT @ linear + scaled.mT @ scaled
-    return gradient, hessian, inside
-
-
-def _newton(region: _Region, z: Tensor, slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """One damped Newton step on slope' z + barrier: it stays inside and descends, because the
-    barrier is self-concordant. Returns z, the Cholesky factor of the Hessian, the decrement."""
-    gradient, hessian, _ = _derivatives(region, z)
-    gradient = gradient + slope
-    ridge = 1e-12 * hessian.diagonal(dim1=-2, dim2=-1).amax(-1)
-    eye = torch.eye(z.shape[1], dtype=z.dtype)
-    factor, _ = torch.linalg.cholesky_ex(hessian + ridge[:, None, None] * eye)
-    step = -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
-    decrement = (-(gradient * step).sum(-1)).clamp(min=0.0).sqrt()
-    length = torch.where(decrement < 0.25, torch.ones_like(decrement), 1 / (1 + decrement))
-    moved = z + length.unsqueeze(-1) * step
-    rows, blocks = region.values(moved)
-    _, info = torch.linalg.cholesky_ex(blocks.reshape(len(z), -1, 4, 4))
-    fine = (rows > 0).all(-1) & (info == 0).all(-1)
-    return torch.where(fine.unsqueeze(-1), moved, z), factor, decrement
-
-
-def _analytic_centre(region: _Region, z: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-    """Minimisers (K, D) of the barrier from interior points, and axes (K, D, D) in which the
-    regions are round there."""
-    slope = torch.zeros_like(z)
-    for _ in range(steps):
-        z, factor, decrement = _newton(region, z, slope)
-        if bool((decrement < 1e-6).all()):
-            break
-    eye = torch.eye(z.shape[1], dtype=z.dtype).expand_as(factor)
-    return z, torch.linalg.solve_triangular(factor, eye, upper=False).mT.contiguous()
-
-
-def _interior_point(region: _Region) -> tuple[Tensor, Tensor]:
-    """Points (K, D) strictly inside, and whether (K,) one was found: the origin, or the first
-    stage of the barrier method, which lowers a slack s in a z + b + s w > 0, F z + C + s E > 0."""
-    k, _, d = region.a.shape
-    z = torch.zeros(k, d, dtype=region.a.dtype)
-    inside = _derivatives(region, z)[2]
-    if bool(inside.all()):
-        return z, inside
-    rows = (~inside).nonzero().flatten()
-    found, ok = _first_stage(region.part(rows))
-    z[rows] = found
-    inside[rows] = ok
-    return z, inside
-
-
-def _first_stage(region: _Region) -> tuple[Tensor, Tensor]:
-    k, _, d = region.a.shape
-    weight = region.a.norm(dim=-1).clamp(min=1e-6)
-    eye = torch.eye(4, dtype=weight.dtype).flatten().repeat(region.c.shape[1] // 16)
-    size = region.f.reshape(k, -1, 16 * d).norm(dim=-1).clamp(min=1e-6)
-    grown = eye * size.repeat_interleave(16, -1) / 16
-    lowest = torch.linalg.eigvalsh(region.c.reshape(k, -1, 4, 4))[..., 0] / (size / 16)
-    slack = 1.5 * torch.maximum((-region.b / weight).amax(-1), (-lowest).amax(-1)).clamp(min=0.1)
-    floor = torch.zeros(k, 1, d + 1, dtype=weight.dtype)
-    floor[..., -1] = 1.0
-    widened = _Region(
-        torch.cat([torch.cat([region.a, weight.unsqueeze(-1)], -1), floor], 1),
-        torch.cat([region.b, slack.unsqueeze(-1)], -1),
-        torch.cat([region.f, grown.unsqueeze(-1)], -1),
-        region.c,
-    )
-    z = torch.cat([torch.zeros(k, d, dtype=weight.dtype), slack.unsqueeze(-1)], -1)
-    best, found = z[:, :d].clone(), torch.zeros(k, dtype=torch.bool)
-    slope = torch.zeros_like(z)
-    slope[:, -1] = 1 / slack
-    for _ in range(_PHASE_ONE_STEPS):
-        z, _, _ = _newton(widened, z, slope)
-        now = _derivatives(region, z[:, :d])[2] & ~found
-        best = torch.where(now.unsqueeze(-1), z[:, :d], best)
-        found = found | now
-        if bool(found.all()):
-            break
-        slope = slope * 1.3
-    return best, found
-
-
-# --------------------------------------------------------------------------------------------
-# Hit-and-run
-
-
 def _draw(
-    walk: _Walk,
+    walk: EqualTorqueSpace,
     relaxed: frozenset[str],
     chains: int,
     per_kind: int,
     generator: np.random.Generator,
 ) -> tuple[ParameterSets, Tensor]:
     """Draws of all chains of a kind, and (K,) the chain of each; none if the kind is empty."""
-    limits = _relaxed_limits(walk, relaxed, chains, generator)
+    limits = relaxed_limits(walk, relaxed, chains, generator)
     nothing = walk.reference.part([]), torch.zeros(0, dtype=torch.long)
     if limits is None:
         return nothing
     region = walk.region(limits)
-    start, inside = _interior_point(region)
+    start, inside = interior_point(region)
     rows = inside.nonzero().flatten()
     if not len(rows):
         return nothing
     region, start = region.part(rows), start[rows]
-    centre, axes = _analytic_centre(region, start, _NEWTON_STEPS // 2)
+    centre, axes = analytic_centre(region, start, _NEWTON_STEPS // 2)
     draws = math.ceil(DRAWS * per_kind / len(rows))
     thin = STEPS_PER_DIMENSION * start.shape[1]
     seeds = generator.integers(2**62, size=chains)[rows.numpy()]
-    y = _hit_and_run(region.at(centre, axes), seeds.tolist(), draws, thin)
+    y = hit_and_run(region.at(centre, axes), seeds.tolist(), draws, thin)
     z = centre.unsqueeze(1) + y @ axes.mT
     chain = rows.unsqueeze(1).expand(-1, draws).flatten()
     return walk.sets(z.flatten(0, 1), [""] * len(chain)), chain
-
-
-def _hit_and_run(region: _Region, seeds: Sequence[int], draws: int, thin: int) -> Tensor:
-    """Draws (K, draws, D), uniform in each region in the limit, from the origin.
-
-    `BURN_IN` draws are left out. Each chain has its own generator.
-    """
-    k, r, d = region.a.shape
-    matrix = torch.cat([region.a, region.f], 1)
-    value = torch.cat([region.b, region.c], 1)
-    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-    y = torch.zeros(k, d, dtype=value.dtype)
-    factor = torch.linalg.cholesky_ex(value[:, r:].reshape(k, -1, 4, 4)).L
-    kept = []
-    for round_ in range(-BURN_IN, draws):
-        normal, uniform = _random(generators, thin, d, y)
-        for way, share in zip(normal, uniform, strict=True):
-            change = _times(matrix, way)
-            low, high = _chord(value[:, :r], change[:, :r], factor, change[:, r:])
-            step = (low + (high - low) * share).unsqueeze(-1)
-            moved = value + step * change
-            trial, info = torch.linalg.cholesky_ex(moved[:, r:].reshape(k, -1, 4, 4))
-            # Rounding at the very boundary: stay.
-            fine = (moved[:, :r] > 0).all(-1) & (info == 0).all(-1)
-            value = torch.where(fine[:, None], moved, value)
-            factor = torch.where(fine[:, None, None, None], trial, factor)
-            y = torch.where(fine[:, None], y + step * way, y)
-        if round_ >= 0:
-            kept.append(y)
-    return torch.stack(kept, 1)
-
-
-def _random(
-    generators: Sequence[torch.Generator], steps: int, d: int, like: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Directions (steps, K, D) and places on the chord (steps, K) in (0, 1)."""
-    normal = [torch.randn(steps, d, generator=g, dtype=like.dtype) for g in generators]
-    uniform = [torch.rand(steps, generator=g, dtype=like.dtype) for g in generators]
-    return torch.stack(normal, 1), torch.stack(uniform, 1)
-
-
-def _chord(rows: Tensor, change: Tensor, factor: Tensor, blocks: Tensor) -> tuple[Tensor, Tensor]:
-    """The interval (K,) of t in which rows + t change > 0 and L L' + t blocks > 0: with mu the
-    eigenvalues of L^-1 blocks L^-T, where 1 + t mu > 0."""
-    k = len(rows)
-    half = torch.linalg.solve_triangular(factor, blocks.reshape(k, -1, 4, 4), upper=False)
-    whole = torch.linalg.solve_triangular(factor, half.mT, upper=False)
-    mu = torch.linalg.eigvalsh(whole)
-    rate = torch.cat([change / rows, mu.flatten(1)], -1)
-    return -1 / rate.amax(-1), -1 / rate.amin(-1)
-
-
-# --------------------------------------------------------------------------------------------
-# Which draws are kept
 
 
 def _chosen(

@@ -5,15 +5,15 @@ over a scale of its own, so that conditions, links and arms can be compared. A s
 no margin is negative; its degree is the smallest of its conditions', so a firmly feasible set has a
 large one, a set on the boundary 0, and an infeasible one a negative one.
 
-| condition  | margin                              | equation | scale of the degree                    |
-|------------|-------------------------------------|----------|----------------------------------------|
-| mass       | m_i                                 | 2.22     | mean of the set's abs(m)               |
-| eigenvalue | smallest eigenvalue of I_i          | 2.24     | mean of abs(second moments) of link i  |
-| triangle   | tr(I_i)/2 - largest eigenvalue      | 2.26     | the same                               |
-| com_x,y,z  | distance of c_i to its box's faces  | 2.27     | half the box's side                    |
-| shape      | distance to the cylinder or sphere  | -        | its radius                             |
-| total mass | distance to the interval's ends     | 2.31     | half the interval                      |
-| coefficient| the coefficient, if physics says >= 0| -       | mean of abs of its kind in the set     |
+| condition   | margin                                | equation | scale of the degree            |
+|-------------|---------------------------------------|----------|--------------------------------|
+| mass        | m_i                                   | 2.22     | mean of the set's abs(m)       |
+| eigenvalue  | smallest eigenvalue of I_i            | 2.24     | mean abs second moment of i    |
+| triangle    | tr(I_i)/2 - largest eigenvalue        | 2.26     | the same                       |
+| com_x, y, z | distance of c_i to its box's faces    | 2.27     | half the box's side            |
+| shape       | distance to the cylinder or sphere    | -        | its radius                     |
+| total mass  | distance to the interval's ends       | 2.31     | half the interval              |
+| coefficient | itself, where physics says >= 0       | -        | mean abs of its kind in the set |
 
 The second moments of a link are the eigenvalues of S = tr(I)/2 E - I; a body has them positive,
 which is the triangle inequality, and then I's eigenvalues are positive too. So `triangle` is the

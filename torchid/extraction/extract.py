@@ -1,0 +1,226 @@
+"""Algorithm 1: many runs of a population search under a growing penalty, then a gradient polish.
+
+    p_0 = LB + (UB - LB) u,  xi_1 = 0
+    for k = 1..K:  minimise phi(p) + xi_k gamma(p) within the bounds, starting from p_{k-1}
+
+All runs advance together: every generation of all of them is one call of the loss.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from torchid.errors import TorchidError
+from torchid.extraction.checkpoint import Progress, load, save
+from torchid.extraction.engines import ENGINES, engine, start
+from torchid.extraction.interior import region
+from torchid.extraction.penalty import gamma
+from torchid.extraction.polish import polish
+from torchid.extraction.problem import Problem
+from torchid.feasibility.sets import ParameterSets
+from torchid.typing import Float, Tensor
+
+Schedule = Literal["linear", "geometric"]
+Penalty = Literal["full", "partial"]
+Report = Callable[[int, int], None]
+
+_FIRST_SIGMA = 0.3
+_LEAST_SIGMA = 1e-3
+"""Step size with which a stage begins at least: the minimum has moved, and a search that has
+converged on the old one would be stuck there."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How to search.
+
+    Attributes:
+        runs: independent starts.
+        stages: K of Algorithm 1.
+        generations: of each stage.
+        population: of each run; 4 + floor(3 ln D) if None.
+        penalty: `full` loss phi + xi gamma, or `partial`: phi alone.
+        schedule: xi_{k+1} = 10 k (`linear`, as Algorithm 1 prints it) or 10^k (`geometric`, as the
+            text says: ten times more at every stage).
+        engine: `batched` or `cma`.
+        polish: whether a gradient polish follows.
+        seed: of starts and samples.
+
+    Raises:
+        TorchidError: a count below one, an unknown name.
+    """
+
+    runs: int = 30
+    stages: int = 25
+    generations: int = 40
+    population: int | None = None
+    penalty: Penalty = "full"
+    schedule: Schedule = "linear"
+    engine: str = "batched"
+    polish: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("runs", "stages", "generations"):
+            if getattr(self, name) < 1:
+                raise TorchidError(f"{name}: at least one is needed.", got=getattr(self, name))
+        for name, known in (
+            ("penalty", ("full", "partial")),
+            ("schedule", ("linear", "geometric")),
+            ("engine", tuple(ENGINES)),
+        ):
+            if getattr(self, name) not in known:
+                raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
+
+    def weight(self, stage: int) -> float:
+        """xi of stage 0, 1, ..., K - 1."""
+        if stage == 0 or self.penalty == "partial":
+            return 0.0
+        return 10.0 * stage if self.schedule == "linear" else 10.0**stage
+
+
+@dataclass(frozen=True, eq=False)
+class Extraction:
+    """What a search found, all runs.
+
+    Attributes:
+        problem, settings: as given.
+        sets: one set a run, ids run_1, run_2, ...
+        phi, gamma: (R,) loss and penalty of the sets.
+        searched_phi, searched_gamma: (R,) before the polish.
+        history_phi, history_gamma: (R, K) of the best so far, after each stage.
+        contradictions: conditions that no point of the bounds meets.
+        seconds: the search took, without time before an interruption.
+    """
+
+    problem: Problem
+    settings: SearchSettings
+    sets: ParameterSets
+    phi: Float[Tensor, " R"]
+    gamma: Float[Tensor, " R"]
+    searched_phi: Float[Tensor, " R"]
+    searched_gamma: Float[Tensor, " R"]
+    history_phi: Float[Tensor, "R K"]
+    history_gamma: Float[Tensor, "R K"]
+    contradictions: tuple[str, ...]
+    seconds: float
+
+    @property
+    def best(self) -> int:
+        """The run with the lowest final loss phi + xi gamma (phi alone if partial)."""
+        weight = self.settings.weight(self.settings.stages - 1)
+        return int((self.phi + weight * self.gamma).argmin())
+
+
+def require_possible(problem: Problem) -> None:
+    """Say before the search that no point of the bounds meets the conditions.
+
+    Raises:
+        TorchidError: naming the conditions.
+    """
+    against = region(problem, conditions=True).contradictions
+    if against:
+        raise TorchidError(
+            f"no point of the bounds '{problem.bounds.name}' meets the conditions: the search has "
+            "no feasible set to find.",
+            got=", ".join(against),
+            expected="bounds that overlap the boxes of the centres of mass, the shapes and the "
+            "total mass",
+            hint="other --bounds or --geometry; --penalty partial; or --search-anyway",
+        )
+
+
+def extract(
+    problem: Problem,
+    settings: SearchSettings,
+    *,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    device: torch.device | str = "cpu",
+    report: Report | None = None,
+) -> Extraction:
+    """Search for parameter sets (Algorithm 1), then polish them.
+
+    Args:
+        problem: loss, bounds, conditions.
+        settings: of the search.
+        checkpoint: file that keeps the state after every stage, and is removed at the end.
+        resume: continue from the checkpoint if there is one. The result is the same, bit for bit,
+            as without the interruption.
+        device: where the population is evaluated.
+        report: called with (stages done, stages in all).
+
+    Raises:
+        TorchidError: a checkpoint of another problem or of other settings.
+    """
+    began = time.monotonic()
+    now = load(checkpoint, problem, settings) if resume and checkpoint is not None else None
+    now = _first(problem, settings) if now is None else now
+    while now.stage < settings.stages:
+        now = _next_stage(problem, settings, now, device)
+        if checkpoint is not None:
+            save(checkpoint, now, problem, settings)
+        if report is not None:
+            report(now.stage, settings.stages)
+    found = _finished(problem, settings, now)
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    return replace(found, seconds=time.monotonic() - began)
+
+
+def _first(problem: Problem, settings: SearchSettings) -> Progress:
+    generator = torch.Generator().manual_seed(settings.seed)
+    shape = (settings.runs, problem.size)
+    uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
+    empty = torch.empty(settings.runs, 0, dtype=problem.box.dtype)
+    return Progress(0, start(uniform, _FIRST_SIGMA), empty, empty)
+
+
+def _next_stage(
+    problem: Problem, settings: SearchSettings, now: Progress, device: torch.device | str
+) -> Progress:
+    weight = settings.weight(now.stage)
+
+    def loss(unit: Tensor) -> Tensor:
+        p = problem.physical(unit)
+        value = problem.phi(p)
+        return value if weight == 0 else value + weight * gamma(problem, p, exact=False)
+
+    state = replace(now.state, sigma=now.state.sigma.clamp(min=_LEAST_SIGMA)).to(device)
+    found = engine(settings.engine).minimise(
+        loss,
+        state,
+        generations=settings.generations,
+        seed=settings.seed,
+        population=settings.population,
+    )
+    found = found.to("cpu")
+    p = problem.physical(found.best)
+    phi = torch.cat([now.phi, problem.phi(p).unsqueeze(-1)], -1)
+    violated = torch.cat([now.gamma, gamma(problem, p).unsqueeze(-1)], -1)
+    return Progress(now.stage + 1, found, phi, violated)
+
+
+def _finished(problem: Problem, settings: SearchSettings, now: Progress) -> Extraction:
+    searched = problem.physical(now.state.best)
+    inside = region(problem, conditions=settings.penalty == "full")
+    p = polish(problem, inside, searched) if settings.polish else searched
+    phi, violated = problem.phi(p), gamma(problem, p)
+    return Extraction(
+        problem=problem,
+        settings=settings,
+        sets=problem.sets(p, [f"run_{k + 1}" for k in range(settings.runs)]),
+        phi=phi,
+        gamma=violated,
+        searched_phi=now.phi[:, -1],
+        searched_gamma=now.gamma[:, -1],
+        history_phi=now.phi,
+        history_gamma=now.gamma,
+        contradictions=region(problem, conditions=True).contradictions,
+        seconds=math.nan,
+    )
