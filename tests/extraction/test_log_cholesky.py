@@ -94,8 +94,15 @@ def test_a_feasible_target_is_reproduced(name: str, group: str) -> None:
     assert bool(found.converged.all())
     assert float(found.phi.max()) <= 1e-18
     assert_inside(given, found.p)
-    # Different starts, different sets: the torque does not determine them.
-    assert float((found.p[0] - found.p[1]).abs().max()) > 1e-3 or group == "tight"
+
+
+def test_sets_of_equal_torque_differ_with_their_starts() -> None:
+    given = problem("3r")
+    found = extract_log_cholesky(given, runs=4, seed=1, centring=0.01)
+    assert bool(found.converged.all())
+    assert float(found.phi.max()) <= 1e-18
+    assert float(given.unit(found.p).std(0).mean()) > 0.02
+    assert_inside(given, found.p)
 
 
 @pytest.mark.parametrize("name", ["kuka_lwr4", "kuka_lwr4_friction"])
@@ -142,7 +149,8 @@ def test_one_bad_start_leaves_the_others_alone() -> None:
     assert found.converged.tolist() == [True, False, True]
     assert bool(torch.isnan(found.p[1]).all())
     assert bool(torch.isnan(found.phi[1]))
-    torch.testing.assert_close(found.p[:1], alone.p, rtol=1e-6, atol=1e-9)
+    # Where the torque decides nothing, the last steps follow the rounding of the batch.
+    assert float((given.unit(found.p[:1]) - given.unit(alone.p)).abs().max()) < 5e-3
     assert float(found.phi[2]) <= 1e-18
 
 

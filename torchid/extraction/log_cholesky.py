@@ -17,7 +17,7 @@ numbers, with or without their exact Hessian, crawls there or stops on plateaus.
 the steps are those of the affine coordinates (m, mc, J), in which the torque is linear and phi +
 mu B convex (but for the bounds of the barycentric inertias), pulled back to the ten numbers. Where
 those bounds are not active, every run ends at the least loss; which of the sets that have it, its
-start decides the more the smaller the barrier's weight is from the beginning (`centring`).
+start decides the more, the smaller the barrier's weight is from the beginning (`centring`).
 """
 
 from dataclasses import dataclass
@@ -81,7 +81,8 @@ def extract_log_cholesky(
         with_conditions: whether the problem's conditions count beside physics and bounds.
         gap: share of phi at which a run ends.
         centring: share of phi that the barrier holds at first. Large: fewer steps, and runs meet
-            at the centre of the sets of least loss; small: they end near where they started.
+            at the centre of the sets of least loss; small: they end nearer to where they started,
+            and may not converge where the least loss is on the boundary of what is feasible.
         steps: at most.
 
     Raises:
@@ -289,17 +290,19 @@ def _descend(
         inverse = _inverse(hessian)
         step = -_times(inverse, gradient)
         decrement = -(gradient * step).sum(-1)
-        holds = (mu * merit.count <= gap * phi) & (decrement <= gap * phi)
+        # Within mu of the central path, the barrier's share bounds what is left to gain.
+        near = decrement <= mu
+        holds = (mu * merit.count <= gap * phi) & near
         done |= holds | (phi <= floor)
         if bool(done.all()):
             break
         taken += 1
         theta, rest, moved = _advance(merit, theta, rest, mu, step, decrement, ~done)
         phi = merit.residual(theta, rest).square().sum(-1)
-        near = (decrement <= mu) | ~moved
-        lower = torch.minimum(_SHRINK * mu, _SHRINK * phi / merit.count)
-        least = 0.5 * gap * phi / merit.count
-        mu = torch.where(near & ~done, torch.maximum(lower, least), mu)
+        held = phi / merit.count
+        lower = torch.minimum(torch.where(near | ~moved, _SHRINK * mu, mu), centring * held)
+        lower = torch.where(near | ~moved, torch.minimum(lower, _SHRINK * held), lower)
+        mu = torch.where(done, mu, torch.maximum(lower, 0.5 * gap * held))
     return theta, rest, done, taken
 
 
