@@ -9,13 +9,8 @@ import torch
 from tests.arms import arm, consistent_parameters
 from torchid.errors import TorchidError
 from torchid.extraction.certificate import certificate
-from torchid.extraction.log_cholesky import (
-    _along,
-    _link_p,
-    _link_x,
-    _theta_of,
-    extract_log_cholesky,
-)
+from torchid.extraction.log_cholesky import extract_log_cholesky
+from torchid.extraction.log_cholesky_merit import along, link_p, link_x, theta_of
 from torchid.extraction.log_cholesky_start import second_moments
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem, extraction_problem, two_step
@@ -46,12 +41,12 @@ def assert_inside(given: Problem, p: torch.Tensor) -> None:
 
 def test_the_ten_numbers_are_the_link() -> None:
     parameters = consistent_parameters(5, seed=0, batch=(3,))
-    theta = _theta_of(parameters.mass, parameters.com, second_moments(parameters.inertia_about_com))
-    p = torch.func.vmap(torch.func.vmap(_link_p))(theta)
+    theta = theta_of(parameters.mass, parameters.com, second_moments(parameters.inertia_about_com))
+    p = torch.func.vmap(torch.func.vmap(link_p))(theta)
     torch.testing.assert_close(p[..., 0], parameters.mass)
     torch.testing.assert_close(p[..., 1:4], parameters.com)
     torch.testing.assert_close(p[..., 4:], parameters.inertia_about_com)
-    torch.testing.assert_close(torch.func.vmap(torch.func.vmap(_link_x))(p), parameters.pi)
+    torch.testing.assert_close(torch.func.vmap(torch.func.vmap(link_x))(p), parameters.pi)
     # The definition: P = U U'.
     a, d, s, t = theta[0, 0, 0], theta[0, 0, 1:4], theta[0, 0, 4:7], theta[0, 0, 7:]
     u = torch.eye(4)
@@ -64,12 +59,12 @@ def test_the_ten_numbers_are_the_link() -> None:
 
 def test_any_ten_numbers_are_a_body_and_no_body_has_none() -> None:
     theta = 2 * torch.randn(200, 3, 10)
-    x = torch.func.vmap(torch.func.vmap(lambda t: _link_x(_link_p(t))))(theta)
+    x = torch.func.vmap(torch.func.vmap(lambda t: link_x(link_p(t))))(theta)
     assert bool((x[..., 0] > 0).all())
-    inertia = torch.func.vmap(torch.func.vmap(_link_p))(theta)[..., 4:]
+    inertia = torch.func.vmap(torch.func.vmap(link_p))(theta)[..., 4:]
     eigenvalues = torch.linalg.eigvalsh(second_moments(inertia))
     assert bool((eigenvalues[..., 0] > -1e-12 * eigenvalues[..., 2]).all())
-    flat = _theta_of(torch.ones(1, 1), torch.zeros(1, 1, 3), -torch.eye(3).expand(1, 1, 3, 3))
+    flat = theta_of(torch.ones(1, 1), torch.zeros(1, 1, 3), -torch.eye(3).expand(1, 1, 3, 3))
     assert bool(torch.isnan(flat).all())
 
 
@@ -78,9 +73,9 @@ def test_steps_are_straight_in_x() -> None:
     turn = 0.1 * torch.randn(4, 2, 10)
 
     def x_of(t: torch.Tensor) -> torch.Tensor:
-        return torch.func.vmap(torch.func.vmap(lambda one: _link_x(_link_p(one))))(t)
+        return torch.func.vmap(torch.func.vmap(lambda one: link_x(link_p(one))))(t)
 
-    ends = [x_of(_along(theta, turn, torch.full((4,), h))) for h in (0.0, 0.1, 0.2)]
+    ends = [x_of(along(theta, turn, torch.full((4,), h))) for h in (0.0, 0.1, 0.2)]
     torch.testing.assert_close(ends[2] - ends[1], ends[1] - ends[0], atol=1e-12, rtol=1e-9)
     small = 1e-6
     rate = (x_of(theta + small * turn) - x_of(theta - small * turn)) / (2 * small)
