@@ -1,7 +1,7 @@
 """`torchid demo`: the main job on the report's robots, in under a minute."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -16,11 +16,6 @@ from torchid.app.options import (
     open_output,
     progress_bar,
 )
-
-if TYPE_CHECKING:
-    from torchid.identification.identify import Identification
-    from torchid.robot.model import Robot
-    from torchid.typing import Tensor
 
 
 def demo_command(
@@ -48,6 +43,7 @@ def _paper(output: Output) -> dict[str, Any]:
     """The report's 3R: table 5.1's trajectories, 30 dB noise on them, table A.1."""
     from torchid.excitation.synthetic import PaperNoise, synthetic_log
     from torchid.excitation.trajectories import paper_trajectories_3r, trajectory_log
+    from torchid.identification.base_parameters import nominal_values
     from torchid.identification.identify import Settings, identify
     from torchid.report.identification import compact
     from torchid.robot.library import load_robot
@@ -56,7 +52,7 @@ def _paper(output: Output) -> dict[str, Any]:
     motion = trajectory_log(paper_trajectories_3r(), 100.0)
     log = synthetic_log(robot, motion, PaperNoise(snr_db=30.0), seed=0)
     result = identify(robot, log, settings=Settings(effects=(), cutoff=None, method="ols"))
-    truth = true_values(robot, result)
+    truth = nominal_values(robot, result.base)
     table = compact(
         "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the torque is\n"
         "computed from it, so least squares recovers the parameters to rounding"
@@ -86,6 +82,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     from torchid.excitation.design import optimise_trajectory
     from torchid.excitation.synthetic import HonestNoise, synthetic_log
     from torchid.excitation.trajectories import sinusoid, trajectory_log
+    from torchid.identification.base_parameters import nominal_values
     from torchid.identification.identify import Settings, identify
     from torchid.identification.record import record
     from torchid.log.model import Log
@@ -115,7 +112,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         result = identify(
             robot, log, held_out=new, settings=settings, device=device, progress=progress
         )
-    truth = true_values(robot, result)
+    truth = nominal_values(robot, result.base)
     interval = result.interval()
     inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
     output.say(
@@ -143,20 +140,3 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         "inside_95": int(torch.count_nonzero(inside)),
         "condition_number_of_motion": [design.start_condition, design.condition_after],
     }
-
-
-def true_values(robot: "Robot", result: "Identification") -> "Tensor":
-    """Base parameters (B,) of the robot's nominal parameters and effects."""
-    import torch
-
-    from torchid.effects.registry import nominal_effects
-
-    known = {
-        name: value
-        for effect, values in nominal_effects(robot)
-        for name, value in zip(effect.coefficient_names(), values, strict=True)
-    }
-    names = result.base.parameter_names[result.base.n_rigid_parameters :]
-    coefficients = torch.tensor([known.get(name, 0.0) for name in names], dtype=torch.float64)
-    rigid = robot.require_parameters("the comparison with the truth").to_paper_order()
-    return result.base.project(torch.cat([rigid, coefficients]))

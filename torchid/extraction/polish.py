@@ -2,8 +2,9 @@
 
 An interior-point method for all runs in one batch: Newton steps on
 
-    phi(x) + mu (B(x) - B(x0) - B'(x0) (x - x0)),      B = - sum log(slack_j),      mu -> 0,
+    phi(x) + mu D(x, x0),     D(x, x0) = B(x) - B(x0) - B'(x0) (x - x0),     mu -> 0,
 
+with B = - sum log(slack_j),
 in x = (m, m c, J about the link frames) and coefficients. There phi is a quadratic with a constant
 Hessian, and positive masses, CoM boxes, cylinders, spheres, total mass and positive definite
 pseudo-inertias are convex conditions, with the usual self-concordant barriers. The barrier enters as its

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Effect, Motion
+from torchid.effects.registry import nominal_effects
 from torchid.errors import IdentificationError
 from torchid.identification.rank import independent_columns
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
@@ -103,6 +104,24 @@ def base_parameters(
         for c in e.coefficients
     ]
     return group_columns(y, names, units, n_rigid_parameters=PARAMETERS_PER_LINK * robot.n)
+
+
+def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
+    """Base parameters (B,) of the robot's nominal parameters and effects; an effect that the
+    robot's description does not list counts as absent.
+
+    Raises:
+        RobotError: the robot has no nominal parameters.
+    """
+    known = {
+        name: value
+        for effect, values in nominal_effects(robot)
+        for name, value in zip(effect.coefficient_names(), values, strict=True)
+    }
+    names = base.parameter_names[base.n_rigid_parameters :]
+    coefficients = torch.tensor([known.get(name, 0.0) for name in names], dtype=torch.float64)
+    rigid = robot.require_parameters("its base parameters").to_paper_order().double()
+    return base.project(torch.cat([rigid, coefficients]))
 
 
 def random_states(robot: Robot, seed: int = 0, samples: int | None = None) -> Motion:

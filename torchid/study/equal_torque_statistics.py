@@ -1,0 +1,251 @@
+"""Does the degree of infeasibility matter for internal forces, and if so, through what?
+
+Medians by kind and by third of the degree, rank correlations, and comparisons at equal difference
+of the carried mass, all with intervals that resample whole chains of the sampler.
+
+The force at a joint does not depend on J (eq. 2.32): at rest it is the weight of what the joint
+carries, M_i = m_i + ... + m_n, and in motion the first moments add to it. So a degree can matter
+only as far as it goes with a difference of the carried masses; `matched` and `partial` ask whether
+anything is left beside that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchid.wrenches.compare import LEAST_CLUSTERS, LEAST_SETS
+from torchid.wrenches.resampling import (
+    NO_ESTIMATE,
+    Array,
+    Estimate,
+    cliffs_delta,
+    estimate,
+    hodges_lehmann_ratio,
+    spearman,
+)
+
+THIRDS = ("nearest the boundary", "middle", "furthest from it")
+"""Thirds of a kind's sets by the size of their degree."""
+STRATA = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What is known of each of K sets, for statistics.
+
+    Attributes:
+        kind: (K,).
+        error: (K,) largest over the joints of the root mean square force error [N].
+        degree: (K,) signed: the firmest have the largest, infeasible ones negative.
+        carried: (K,) largest difference of the carried mass over the joints [kg].
+        coordinates: (K,) centres of mass's coordinates that are out of their box.
+        cluster: (K,) chain of the sampler.
+    """
+
+    kind: Array
+    error: Array
+    degree: Array
+    carried: Array
+    coordinates: Array
+    cluster: Array
+
+    def of(self, kind: str) -> Array:
+        """Indices of a kind."""
+        return np.flatnonzero(self.kind == kind)
+
+    def third(self, kind: str, third: int) -> Array:
+        """Indices of a third of a kind: 0 nearest the boundary, 2 furthest from it."""
+        own = self.of(kind)
+        own = own[np.argsort(np.abs(self.degree[own]), kind="stable")]
+        return np.array_split(own, 3)[third]
+
+
+@dataclass(frozen=True)
+class ThirdSummary:
+    """Errors of a third of a kind, and against the feasible sets nearest the boundary.
+
+    Attributes:
+        kind, third: which; see `THIRDS`.
+        degree: lowest and highest.
+        median: of the errors [N].
+        ratio: of the errors to those of the feasible sets nearest the boundary (Hodges-Lehmann).
+        delta: Cliff's, against the same.
+    """
+
+    kind: str
+    third: str
+    degree: tuple[float, float]
+    median: float
+    ratio: Estimate
+    delta: Estimate
+
+
+@dataclass(frozen=True)
+class KindCorrelations:
+    """Rank correlations of the force error within one kind, or over all sets.
+
+    Attributes:
+        kind: or `all`.
+        sets: how many.
+        degree: Spearman's rho with the degree: negative when firmer sets, and less infeasible ones,
+            have smaller errors.
+        carried: rho with the difference of the carried mass.
+        partial: rho with the degree for equal difference of the carried mass.
+        coordinates: rho with the number of coordinates of centres of mass out of their box.
+    """
+
+    kind: str
+    sets: int
+    degree: Estimate
+    carried: Estimate
+    partial: Estimate
+    coordinates: Estimate
+
+
+@dataclass(frozen=True)
+class Matched:
+    """A kind against the feasible sets, among sets with about the same carried masses' difference.
+
+    Attributes:
+        kind: which.
+        delta: Cliff's within strata of the difference, averaged by their pairs.
+        share: of the kind's sets that are in strata with feasible ones.
+        unmatched: Cliff's delta without strata.
+    """
+
+    kind: str
+    delta: Estimate
+    share: float
+    unmatched: Estimate
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """All of them, for one family of sets."""
+
+    thirds: tuple[ThirdSummary, ...]
+    correlations: tuple[KindCorrelations, ...]
+    matched: tuple[Matched, ...]
+
+
+def statistics(samples: Samples, *, resamples: int = 1000, seed: int = 0) -> Statistics:
+    """Thirds, correlations and matched comparisons of a family that has feasible sets.
+
+    Args:
+        samples: the sets.
+        resamples: of the bootstrap.
+        seed: of the bootstrap.
+    """
+    ask = _Asker(samples, resamples, np.random.default_rng(seed))
+    kinds = list(dict.fromkeys(samples.kind.tolist()))
+    large = [kind for kind in kinds if len(samples.of(kind)) >= 3 * LEAST_SETS]
+    return Statistics(
+        thirds=tuple(ask.third(kind, t) for kind in large for t in range(3)),
+        correlations=tuple(ask.correlations(kind) for kind in ("all", *large)),
+        matched=tuple(ask.matched(kind) for kind in large if kind != "feasible"),
+    )
+
+
+def partial_spearman(x: Array, y: Array, given: Array) -> float:
+    """Rank correlation of x and y with that of `given` taken out of both; nan when `given` leaves
+    nothing of one of them."""
+    xy, xg, yg = spearman(x, y), spearman(x, given), spearman(y, given)
+    left = (1 - xg**2) * (1 - yg**2)
+    return float((xy - xg * yg) / np.sqrt(left)) if left > 1e-12 else float("nan")
+
+
+def stratified_delta(a: Array, b: Array, by_a: Array, by_b: Array) -> float:
+    """Cliff's delta within strata of equal numbers, averaged by n_a n_b / (n_a + n_b), as in a
+    van Elteren test; nan when no stratum has both."""
+    edges = np.quantile(np.concatenate([by_a, by_b]), np.linspace(0, 1, STRATA + 1)[1:-1])
+    in_a, in_b = np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)
+    weights, deltas = [], []
+    for s in range(STRATA):
+        own_a, own_b = a[in_a == s], b[in_b == s]
+        if len(own_a) and len(own_b):
+            weights.append(len(own_a) * len(own_b) / (len(own_a) + len(own_b)))
+            deltas.append(cliffs_delta(own_a, own_b))
+    return float(np.average(deltas, weights=weights)) if weights else float("nan")
+
+
+@dataclass(frozen=True)
+class _Asker:
+    samples: Samples
+    resamples: int
+    rng: np.random.Generator
+
+    def third(self, kind: str, third: int) -> ThirdSummary:
+        s = self.samples
+        own, base = s.third(kind, third), s.third("feasible", 0)
+        degree = s.degree[own]
+        same = kind == "feasible" and third == 0
+        return ThirdSummary(
+            kind,
+            THIRDS[third],
+            (float(degree.min()), float(degree.max())),
+            float(np.median(s.error[own])),
+            NO_ESTIMATE if same else self._against(hodges_lehmann_ratio, own, base),
+            NO_ESTIMATE if same else self._against(cliffs_delta, own, base),
+        )
+
+    def correlations(self, kind: str) -> KindCorrelations:
+        s = self.samples
+        own = np.arange(len(s.kind)) if kind == "all" else s.of(kind)
+
+        def rho(x: Array) -> Estimate:
+            return self._estimate(lambda k: spearman(x[k], s.error[k]), [own])
+
+        return KindCorrelations(
+            kind,
+            len(own),
+            rho(s.degree),
+            rho(s.carried),
+            self._estimate(lambda k: partial_spearman(s.degree[k], s.error[k], s.carried[k]), [own]),
+            rho(s.coordinates) if s.coordinates[own].any() else NO_ESTIMATE,
+        )
+
+    def matched(self, kind: str) -> Matched:
+        s = self.samples
+        own, base = s.of(kind), s.of("feasible")
+        inside = np.zeros(len(s.kind), dtype=bool)
+        inside[own] = True
+
+        def delta(k: Array) -> float:
+            a, b = k[inside[k]], k[~inside[k]]
+            return stratified_delta(s.error[a], s.error[b], s.carried[a], s.carried[b])
+
+        return Matched(
+            kind,
+            self._estimate(delta, [own, base]),
+            _share_matched(s.carried[own], s.carried[base]),
+            self._against(cliffs_delta, own, base),
+        )
+
+    def _against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
+        inside = np.zeros(len(self.samples.kind), dtype=bool)
+        inside[a] = True
+        error = self.samples.error
+        return self._estimate(lambda k: function(error[k[inside[k]]], error[k[~inside[k]]]), [a, b])
+
+    def _estimate(
+        self, statistic: Callable[[Array], float], members: Sequence[Array]
+    ) -> Estimate:
+        if min(len(m) for m in members) < LEAST_SETS:
+            return NO_ESTIMATE
+        clusters = self.samples.cluster
+        scarce = min(len(np.unique(clusters[m])) for m in members) < LEAST_CLUSTERS
+        with np.errstate(invalid="ignore"):
+            return estimate(
+                statistic,
+                members,
+                clusters,
+                resamples=0 if scarce else self.resamples,
+                rng=self.rng,
+                least_clusters=LEAST_CLUSTERS,
+            )
+
+
+def _share_matched(by_a: Array, by_b: Array) -> float:
+    edges = np.quantile(np.concatenate([by_a, by_b]), np.linspace(0, 1, STRATA + 1)[1:-1])
+    return float(np.isin(np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)).mean())

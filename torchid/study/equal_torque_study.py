@@ -1,0 +1,350 @@
+"""Sets with exactly equal torque, feasible and not: how far are their internal forces apart?
+
+The report leaves the question open (section 6): sets that violate inertias only seem to leave the
+internal forces near the true ones, sets that violate centres of mass drive them off by 5e1 to 5e2 N
+(sections 5.1 to 5.4); does the degree of the violation matter, and how do firmly feasible sets
+compare with nearly infeasible ones? Its sets come from a search, so a set's reasons, its bounds and
+its luck go together. Here families of sets with the torque of one reference are drawn for each kind
+of violation, from slight to gross, and their forces compared with the reference's.
+
+Three questions are kept apart: how far the forces of the *drawn* sets are (this depends on how sets
+are drawn), how far those of *any* such set can be (`torchid.study.force_reach`: it does not), and
+whether it matters which of the feasible sets is the true arm (`torchid.study.other_truths`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import Motion
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.extraction.equal_torque import FEASIBLE, KINDS, EqualTorqueSets, equal_torque_sets
+from torchid.extraction.equal_torque_space import equal_torque_space
+from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.sets import ParameterSets
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.study.equal_torque_setting import (
+    MARGIN,
+    Setting,
+    equal_torque_setting,
+    reference_motion,
+)
+from torchid.study.equal_torque_statistics import Samples, Statistics, statistics
+from torchid.study.force_reach import ForceReach, force_reach, force_squares
+from torchid.study.other_truths import FirmTruths, OtherTruths, other_truths
+from torchid.typing import Float, Tensor
+from torchid.wrenches.compare import RESAMPLES, Comparison, compare
+from torchid.wrenches.deviation import WrenchErrors, wrench_errors
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """The same question with other outer bounds.
+
+    Attributes:
+        name: what is different.
+        medians: of the error, per kind that was found [N].
+        deltas: Cliff's delta against the feasible sets, per other kind.
+        rho: Spearman's, degree and error over all sets; value, low, high.
+        reach: greatest errors of each kind; empty without Clarabel.
+    """
+
+    name: str
+    medians: dict[str, float]
+    deltas: dict[str, tuple[float, float, float]]
+    rho: tuple[float, float, float]
+    reach: tuple[ForceReach, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class EqualTorqueStudy:
+    """What was found. All errors of forces are against `setting.reference`.
+
+    Attributes:
+        setting: robot, conditions, outer bounds, reference.
+        motion: on which forces were compared.
+        family: the sets.
+        checked: their feasibility.
+        errors: of their wrenches, per set and joint.
+        torque_relative: (K, n) root mean square of the difference of the joint torques over that of
+            the torque itself: rounding.
+        carried: (K, n) difference of the mass that each joint carries [kg].
+        comparison: of the largest force error over the joints, by class and degree.
+        statistics: thirds of the degree, correlations, comparison at equal carried mass.
+        truths, firm_truths: with every feasible set as the truth.
+        reach: greatest force errors of any set of each kind.
+        to_nominal: medians per kind of the force error against the robot's nominal parameters [N],
+            where these are not the reference; the torque then differs by `setting.torque_change`.
+        variants: with other outer bounds.
+        seed: of everything.
+        warnings: sentences for the user.
+    """
+
+    setting: Setting
+    motion: Motion
+    family: EqualTorqueSets
+    checked: Feasibility
+    errors: WrenchErrors
+    torque_relative: Float[Tensor, "K n"]
+    carried: Float[Tensor, "K n"]
+    comparison: Comparison
+    statistics: Statistics
+    truths: tuple[OtherTruths, ...]
+    firm_truths: tuple[FirmTruths, ...]
+    reach: tuple[ForceReach, ...]
+    to_nominal: dict[str, float]
+    variants: tuple[Variant, ...]
+    seed: int
+    warnings: tuple[str, ...]
+
+    @property
+    def worst(self) -> Float[Tensor, " K"]:
+        """(K,) largest over the joints of the root mean square force error [N]."""
+        return self.errors.force_rms.amax(-1)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds that have sets, in their order."""
+        return tuple(dict.fromkeys(self.family.kind))
+
+    def rows(self, kind: str) -> list[int]:
+        """Indices of the sets of a kind."""
+        return [k for k, own in enumerate(self.family.kind) if own == kind]
+
+
+def equal_torque_study(
+    robot: Robot,
+    *,
+    per_kind: int = 200,
+    chains: int = 40,
+    kinds: Sequence[str] = KINDS,
+    setting: Setting | None = None,
+    margin: float = MARGIN,
+    motion: Motion | None = None,
+    with_variants: bool = True,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> EqualTorqueStudy:
+    """The whole question for one robot.
+
+    Args:
+        robot: with inertial parameters, groups of bounds `normal` and `loose`, and limits of motion
+            unless a motion is given.
+        per_kind, chains, kinds: see `equal_torque_sets`; `feasible` must be among the kinds.
+        setting: conditions, bounds and reference; `equal_torque_setting(robot, margin=margin)` if
+            None.
+        margin: see `equal_torque_setting`.
+        motion: states (T, n); a sinusoid within the limits if None.
+        with_variants: whether the question is asked again with other outer bounds.
+        resamples: of the bootstrap.
+        seed: of all draws.
+        progress: called with (stage, done, total).
+
+    Raises:
+        TorchidError: no bounds, no feasible set, no feasible set drawn, or `feasible` not asked
+            for.
+    """
+    if FEASIBLE not in kinds:
+        raise TorchidError("the kinds must include feasible sets.", got=list(kinds))
+    setting = setting or equal_torque_setting(robot, margin=margin)
+    motion = motion or reference_motion(robot, seed)
+    total = 3 if with_variants else 2
+    _tell(progress, "sets with equal torque", 0, total)
+    drawn = _draw(setting, motion, kinds, per_kind, chains, seed)
+    _tell(progress, "statistics and greatest errors", 1, total)
+    samples = drawn.samples()
+    reach, warnings = _reach(setting, drawn.squares)
+    truths, firm = other_truths(samples.kind, samples.degree, drawn.distances())
+    variants: tuple[Variant, ...] = ()
+    found = statistics(samples, resamples=resamples, seed=seed)
+    comparison = drawn.compared(resamples, seed)
+    if with_variants:
+        _tell(progress, "other outer bounds", 2, total)
+        variants = _variants(setting, motion, kinds, per_kind, chains, resamples, seed)
+    _tell(progress, "done", total, total)
+    return EqualTorqueStudy(
+        setting=setting,
+        motion=motion,
+        family=drawn.family,
+        checked=drawn.checked,
+        errors=drawn.errors,
+        torque_relative=_torque_relative(setting, motion, drawn.errors),
+        carried=drawn.carried,
+        comparison=comparison,
+        statistics=found,
+        truths=truths,
+        firm_truths=firm,
+        reach=reach,
+        to_nominal=_to_nominal(setting, motion, drawn.family),
+        variants=variants,
+        seed=seed,
+        warnings=(*setting.notes, *drawn.family.warnings, *warnings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """A family with its errors."""
+
+    setting: Setting
+    family: EqualTorqueSets
+    checked: Feasibility
+    errors: WrenchErrors
+    squares: Float[Tensor, "n D D"]
+    z: Float[Tensor, "K D"]
+
+    @property
+    def carried(self) -> Float[Tensor, "K n"]:
+        """(K, n) difference of the mass that each joint carries [kg]."""
+        sets, reference = self.family.sets.parameters, self.setting.reference.parameters
+        return (sets.mass - reference.mass).flip(-1).cumsum(-1).flip(-1)
+
+    def samples(self) -> Samples:
+        """For the statistics."""
+        return Samples(
+            kind=np.array(self.family.kind),
+            error=self.errors.force_rms.amax(-1).numpy(),
+            degree=self.checked.degree.numpy(),
+            carried=self.carried.abs().amax(-1).numpy(),
+            coordinates=self.checked.violated[..., 3:6].sum((1, 2)).numpy(),
+            cluster=self.family.cluster.numpy(),
+        )
+
+    def distances(self) -> np.ndarray:
+        """(F, K) force error of each set if feasible set f is the truth: by joint from z'G z."""
+        feasible = [k for k, own in enumerate(self.family.kind) if own == FEASIBLE]
+        largest = self.z.new_zeros(len(feasible), len(self.z))
+        for square in self.squares:
+            values, vectors = torch.linalg.eigh(square)
+            y = self.z @ (vectors * values.clamp(min=0.0).sqrt())
+            largest = torch.maximum(largest, torch.cdist(y[feasible], y))
+        return largest.numpy()
+
+    def compared(self, resamples: int, seed: int) -> Comparison:
+        """By class and degree."""
+        reasons = [self.checked.reasons(k) for k in range(len(self.z))]
+        return compare(
+            self.errors.force_rms.amax(-1),
+            reasons,
+            self.checked.degree,
+            cluster=self.family.cluster,
+            resamples=resamples,
+            seed=seed,
+        )
+
+
+def _draw(
+    setting: Setting, motion: Motion, kinds: Sequence[str], per_kind: int, chains: int, seed: int
+) -> _Drawn:
+    reference = setting.reference
+    family = equal_torque_sets(
+        setting.robot,
+        setting.base,
+        reference,
+        setting.conditions,
+        setting.outer,
+        kinds=kinds,
+        per_kind=per_kind,
+        seed=seed,
+        chains=chains,
+    )
+    if family.kind.count(FEASIBLE) < 2:
+        raise TorchidError(
+            "no feasible sets with the reference's torque were found beside it.",
+            got=f"bounds '{setting.geometry}' and '{setting.outer.name}'",
+            hint="wider boxes, or a reference with a larger margin",
+        )
+    space = equal_torque_space(reference, setting.base, setting.conditions, setting.outer)
+    own = InertialParameters(reference.parameters.pi[0])
+    rigid = family.sets.parameters
+    return _Drawn(
+        setting=setting,
+        family=family,
+        checked=feasibility(family.sets, setting.conditions),
+        errors=wrench_errors(setting.robot, *motion.state, rigid, own),
+        squares=force_squares(setting.robot, motion, space.directions),
+        z=(rigid.to_paper_order() - space.x) @ space.directions,
+    )
+
+
+def _reach(
+    setting: Setting, squares: Float[Tensor, "n D D"]
+) -> tuple[tuple[ForceReach, ...], tuple[str, ...]]:
+    """Greatest errors; a warning instead where the solver is not installed."""
+    space = equal_torque_space(setting.reference, setting.base, setting.conditions, setting.outer)
+    try:
+        return force_reach(space, squares), ()
+    except MissingExtraError as error:
+        return (), (f"no greatest errors: {error.problem}",)
+
+
+def _torque_relative(setting: Setting, motion: Motion, errors: WrenchErrors) -> Tensor:
+    tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
+    return errors.torque_rms / tau.square().mean(0).sqrt()
+
+
+def _first(one: ParameterSets) -> InertialParameters:
+    return InertialParameters(one.parameters.pi[0])
+
+
+def _to_nominal(setting: Setting, motion: Motion, family: EqualTorqueSets) -> dict[str, float]:
+    if setting.origin == "nominal":
+        return {}
+    own = _first(setting.nominal)
+    errors = wrench_errors(setting.robot, *motion.state, family.sets.parameters, own)
+    worst = errors.force_rms.amax(-1)
+    kinds = np.array(family.kind)
+    found = {k: float(worst[torch.from_numpy(kinds == k)].median()) for k in dict.fromkeys(kinds)}
+    reference = wrench_errors(
+        setting.robot, *motion.state, setting.reference.parameters, own
+    ).force_rms.amax()
+    return {"reference": float(reference), **{str(k): v for k, v in found.items()}}
+
+
+def _variants(
+    setting: Setting,
+    motion: Motion,
+    kinds: Sequence[str],
+    per_kind: int,
+    chains: int,
+    resamples: int,
+    seed: int,
+) -> tuple[Variant, ...]:
+    asked = (
+        ("a quarter of the way to the outer bounds", 0.25, True),
+        ("half of the way to the outer bounds", 0.5, True),
+        ("total mass unknown", 1.0, False),
+        ("total mass unknown, a quarter of the way", 0.25, False),
+    )
+    found = []
+    for name, share, total_mass in asked:
+        other = setting.widened(name, share, total_mass=total_mass)
+        drawn = _draw(other, motion, kinds, per_kind, chains, seed)
+        compared = drawn.compared(resamples, seed)
+        rho = compared.correlation.rho
+        worst, own = drawn.samples().error, np.array(drawn.family.kind)
+        found.append(
+            Variant(
+                name,
+                {k: float(np.median(worst[own == k])) for k in dict.fromkeys(drawn.family.kind)},
+                {
+                    e.first: (e.delta.value, e.delta.low, e.delta.high)
+                    for e in compared.effects
+                },
+                (rho.value, rho.low, rho.high),
+                _reach(other, drawn.squares)[0],
+            )
+        )
+    return tuple(found)
+
+
+def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
+    if progress is not None:
+        progress(stage, done, total)

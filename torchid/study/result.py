@@ -1,0 +1,134 @@
+"""What a study found."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torchid.extraction.certificate import Certificate
+from torchid.extraction.extract import Extraction
+from torchid.feasibility.margins import Feasibility
+from torchid.feasibility.sets import ParameterSets
+from torchid.identification.identify import Identification
+from torchid.identification.payload import Payload
+from torchid.log.model import Log
+from torchid.robot.model import Robot
+from torchid.study.settings import Scenario, StudySettings
+from torchid.typing import Float, Tensor
+from torchid.wrenches.compare import Comparison
+from torchid.wrenches.deviation import WrenchErrors
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioResult:
+    """One scenario: all runs, and the best set under the report's id.
+
+    Attributes:
+        scenario: bounds and loss.
+        extraction: all runs.
+        feasibility: of all runs.
+        best: the best set, K = 1, with the report's id.
+        torque_rms: (n,) its torque against the true one on a new motion [N m].
+        torque_relative: the same over the root mean square torque, largest joint.
+    """
+
+    scenario: Scenario
+    extraction: Extraction
+    feasibility: Feasibility
+    best: ParameterSets
+    torque_rms: Float[Tensor, " n"]
+    torque_relative: float
+
+    @property
+    def phi(self) -> float:
+        """Loss of the best set."""
+        return float(self.extraction.phi[self.extraction.best])
+
+    @property
+    def gamma(self) -> float:
+        """Penalty of the best set."""
+        return float(self.extraction.gamma[self.extraction.best])
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the best set is."""
+        return bool(self.feasibility.feasible[self.extraction.best])
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the best set is not feasible."""
+        return self.feasibility.reasons(self.extraction.best)
+
+    @property
+    def degree(self) -> float:
+        """Degree of the best set."""
+        return float(self.feasibility.degree[self.extraction.best])
+
+
+@dataclass(frozen=True, eq=False)
+class SetsOnMotion:
+    """Truth and sets along one motion.
+
+    Attributes:
+        motion: t, q, dq, ddq.
+        labels: `real`, then the sets' ids.
+        torque: (S + 1, T, n) [N m], real first; empty where not wanted.
+        force, moment: (S + 1, T, n) norms of the internal wrenches [N], [N m], real first.
+    """
+
+    motion: Log
+    labels: tuple[str, ...]
+    torque: Float[Tensor, "S T n"]
+    force: Float[Tensor, "S T n"]
+    moment: Float[Tensor, "S T n"]
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadResult:
+    """A payload identified from the change of base parameters, and what it does inside.
+
+    Attributes:
+        true: (10,) in the tool frame, as simulated.
+        estimate: from logs with noise of encoder and torque.
+        force, moment: (3, T, n) norms: without, with the true, with the estimated payload.
+    """
+
+    true: Float[Tensor, "10"]
+    estimate: Payload
+    force: Float[Tensor, "3 T n"]
+    moment: Float[Tensor, "3 T n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Everything a study found.
+
+    Attributes:
+        settings, robot: what was studied.
+        excitation: planned motion; log: with torque and noise.
+        identification, truth: base parameters, identified and true (B,).
+        validation: log of a new motion.
+        scenarios: six, in the settings' order.
+        certificates: by group of bounds: with all conditions, or with the bounds alone where the
+            conditions leave no set.
+        sets_motion: torques of the best sets; wrench_motion: their wrenches.
+        errors: of all runs of all scenarios, against the true set; comparison: by reason, degree.
+        payload: the last part.
+        seconds: by part.
+        warnings: sentences.
+    """
+
+    settings: StudySettings
+    robot: Robot
+    excitation: Log
+    log: Log
+    identification: Identification
+    truth: Float[Tensor, " B"]
+    validation: Log
+    scenarios: tuple[ScenarioResult, ...]
+    certificates: Mapping[str, Certificate]
+    sets_motion: SetsOnMotion
+    wrench_motion: SetsOnMotion
+    errors: WrenchErrors
+    comparison: Comparison
+    payload: PayloadResult
+    seconds: Mapping[str, float]
+    warnings: tuple[str, ...]

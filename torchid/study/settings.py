@@ -1,0 +1,158 @@
+"""What a study is made of: configs/studies/*.yaml."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchid.errors import TorchidError
+from torchid.extraction.extract import Penalty, SearchSettings
+from torchid.robot.config_files import config_folder
+
+_KEYS = (
+    "title", "robot", "section", "effects", "excitation", "validation", "sets_motion",
+    "wrench_motion", "search", "total_mass", "geometry", "scenarios", "payload",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """A motion and how it is sampled.
+
+    Attributes:
+        duration: [s].
+        rate: [Hz].
+        seed: of the motion; of its noise, the next.
+        noise_db: signal-to-noise ratio of white noise on the trajectory, or None.
+        source: `random` or `table_5_1`, for excitation.
+        count: how many trajectories, for excitation.
+    """
+
+    duration: float
+    rate: float
+    seed: int
+    noise_db: float | None = None
+    source: str = "random"
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One simulation: which bounds, which loss, and the id of its best set in the report."""
+
+    id: str
+    bounds: str
+    penalty: Penalty
+
+
+@dataclass(frozen=True)
+class PayloadSettings:
+    """A body at the tool, in the tool frame; inertia about its centre of mass (6)."""
+
+    mass: float
+    com: tuple[float, ...]
+    inertia_about_com: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """A whole study (sections 5.1 to 5.4).
+
+    Attributes:
+        name, title, section: what it is, and where the report has it.
+        robot: built-in name.
+        effects: linear effects identified with the rigid body.
+        excitation, validation, sets_motion, wrench_motion: motions.
+        search: runs, stages, generations, schedule, seed; penalty by scenario.
+        total_mass: interval of condition (2.31) [kg].
+        geometry: group of bounds whose CoM boxes are the links' geometry.
+        scenarios: six.
+        payload: held at the tool in the last part.
+    """
+
+    name: str
+    title: str
+    section: str
+    robot: str
+    effects: tuple[str, ...]
+    excitation: MotionSettings
+    validation: MotionSettings
+    sets_motion: MotionSettings
+    wrench_motion: MotionSettings
+    search: SearchSettings
+    total_mass: tuple[float, float]
+    geometry: str
+    scenarios: tuple[Scenario, ...]
+    payload: PayloadSettings
+
+    def quick(self) -> "StudySettings":
+        """The same study with a small search: a fifth of the runs, stages and generations."""
+        search = self.search
+        return replace(
+            self,
+            search=replace(
+                search,
+                runs=max(4, search.runs // 5),
+                stages=max(4, search.stages // 5),
+                generations=max(10, search.generations // 5),
+            ),
+        )
+
+
+def study_names() -> list[str]:
+    """The built-in studies, in the report's order."""
+    found = [path.stem for path in config_folder("studies").glob("*.yaml")]
+    return sorted(found, key=lambda name: load_study(name).section)
+
+
+def load_study(name: str) -> StudySettings:
+    """A built-in study by name, or one from a .yaml file.
+
+    Raises:
+        TorchidError: no such study, or a file that does not describe one.
+    """
+    path = config_folder("studies") / f"{name}.yaml"
+    if not path.is_file():
+        path = Path(name)
+    if path.suffix not in (".yaml", ".yml") or not path.is_file():
+        available = sorted(p.stem for p in config_folder("studies").glob("*.yaml"))
+        raise TorchidError(f"there is no study '{name}'.", available=[*available, "all"])
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise TorchidError(f"'{path}' is not valid yaml.", got=error) from error
+    if not isinstance(data, Mapping) or set(data) != set(_KEYS):
+        got = sorted(set(data) ^ set(_KEYS)) if isinstance(data, Mapping) else type(data).__name__
+        raise TorchidError(
+            f"'{path}' is not a study: keys missing or unknown.", got=got, expected=list(_KEYS)
+        )
+    try:
+        return _settings(path.stem, data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
+
+
+def _settings(name: str, data: Mapping[str, Any]) -> StudySettings:
+    low, high = (float(x) for x in data["total_mass"])
+    payload = data["payload"]
+    return StudySettings(
+        name=name,
+        title=str(data["title"]),
+        section=str(data["section"]),
+        robot=str(data["robot"]),
+        effects=tuple(data["effects"]),
+        excitation=MotionSettings(**data["excitation"]),
+        validation=MotionSettings(**data["validation"]),
+        sets_motion=MotionSettings(**data["sets_motion"]),
+        wrench_motion=MotionSettings(**data["wrench_motion"]),
+        search=SearchSettings(**data["search"]),
+        total_mass=(low, high if math.isfinite(high) else math.inf),
+        geometry=str(data["geometry"]),
+        scenarios=tuple(Scenario(**entry) for entry in data["scenarios"]),
+        payload=PayloadSettings(
+            float(payload["mass"]), tuple(payload["com"]), tuple(payload["inertia_about_com"])
+        ),
+    )

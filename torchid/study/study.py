@@ -1,0 +1,232 @@
+"""The report's study of one robot as one call: excite, simulate, identify, validate, extract six
+scenarios, classify, validate the sets, compare internal wrenches, and carry a payload."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import torch
+
+from torchid.errors import MissingExtraError
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.extraction.certificate import Certificate, certificate
+from torchid.extraction.extract import Extraction, extract
+from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
+from torchid.feasibility.bounds import read_bounds
+from torchid.feasibility.conditions import conditions
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import ParameterSets, joined, nominal_set
+from torchid.identification.base_parameters import nominal_values
+from torchid.identification.identify import Settings, identify
+from torchid.identification.payload import estimate_payload, with_payload
+from torchid.log.model import Log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.study.motions import excitation, new_motion, sets_torque, simulated, state, with_real
+from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
+from torchid.study.settings import Scenario, StudySettings
+from torchid.typing import Tensor
+from torchid.wrenches.compare import compare
+from torchid.wrenches.deviation import wrench_errors
+from torchid.wrenches.regressor import wrench_norms
+
+Report = Callable[[str, int, int], None]
+
+PAYLOAD_RATE = 200.0
+"""Sampling rate [Hz] of the logs of the payload part, which have the noise of real sensors and are
+filtered: the report's 29 Hz would be too slow."""
+_BELOW = 1e-6
+"""Share of phi_min by which a feasible set's loss may be below it: the solver's rounding."""
+
+
+def run_study(
+    settings: StudySettings,
+    *,
+    checkpoints: Path | None = None,
+    resume: bool = False,
+    device: torch.device | str = "cpu",
+    report: Report | None = None,
+) -> Study:
+    """Run a study.
+
+    Args:
+        settings: from `load_study`.
+        checkpoints: folder for the extractions' checkpoints.
+        resume: continue from checkpoints found there.
+        device: where populations are evaluated.
+        report: called with (part, done, in all).
+
+    Raises:
+        TorchidError: settings that do not fit the robot.
+    """
+    clock = _Clock(report)
+    robot = load_robot(settings.robot)
+    clock.start("identification")
+    motion = excitation(robot, settings.excitation)
+    log = simulated(robot, motion, settings.excitation)
+    validation = simulated(robot, new_motion(robot, settings.validation), settings.validation)
+    result = identify(
+        robot, log, held_out=validation, settings=_paper_settings(settings), device=device
+    )
+    target = two_step(result.base, result.effects, result.values)
+    clock.start("certificates")
+    groups = dict.fromkeys(scenario.bounds for scenario in settings.scenarios)
+    problems = {group: _problem(robot, target, group, settings) for group in groups}
+    proofs = {group: _certificate(problem) for group, problem in problems.items()}
+    certificates = {group: proof for group, (proof, _) in proofs.items() if proof is not None}
+    warnings = [note for _, notes in proofs.values() for note in notes]
+    scenarios = []
+    test = new_motion(robot, settings.sets_motion)
+    for k, scenario in enumerate(settings.scenarios):
+        clock.start(f"extraction {scenario.id}", k, len(settings.scenarios))
+        found = extract(
+            problems[scenario.bounds],
+            replace(settings.search, penalty=scenario.penalty),
+            checkpoint=None if checkpoints is None else checkpoints / f"{scenario.id}.npz",
+            resume=resume,
+            device=device,
+        )
+        scenarios.append(_scenario(robot, scenario, found, test))
+        warnings += _below(scenarios[-1], certificates.get(scenario.bounds))
+    clock.start("wrenches")
+    best = joined([s.best for s in scenarios])
+    reference = new_motion(robot, settings.wrench_motion)
+    every = joined([s.extraction.sets for s in scenarios])
+    real = robot.require_parameters("the study")
+    errors = wrench_errors(robot, *state(reference), every.parameters, real)
+    runs = settings.search.runs
+    comparison = compare(
+        errors.force_rms.amax(-1),
+        [s.feasibility.reasons(k) for s in scenarios for k in range(runs)],
+        torch.cat([s.feasibility.degree for s in scenarios]),
+    )
+    on_sets, on_reference = (_on_motion(robot, best, plan) for plan in (test, reference))
+    clock.start("payload")
+    payload = _payload(robot, settings, reference)
+    return Study(
+        settings=settings,
+        robot=robot,
+        excitation=motion,
+        log=log,
+        identification=result,
+        truth=nominal_values(robot, result.base),
+        validation=validation,
+        scenarios=tuple(scenarios),
+        certificates=MappingProxyType(certificates),
+        sets_motion=on_sets,
+        wrench_motion=on_reference,
+        errors=errors,
+        comparison=comparison,
+        payload=payload,
+        seconds=MappingProxyType(clock.stop()),
+        warnings=tuple(dict.fromkeys(warnings)),
+    )
+
+
+class _Clock:
+    """Seconds of each part, and progress."""
+
+    def __init__(self, report: Report | None):
+        self._report = report
+        self._seconds: dict[str, float] = {}
+        self._part, self._began = "", 0.0
+
+    def start(self, part: str, done: int = 0, total: int = 1) -> None:
+        """The next part begins."""
+        self.stop()
+        self._part, self._began = part, time.monotonic()
+        if self._report is not None:
+            self._report(part, done, total)
+
+    def stop(self) -> dict[str, float]:
+        """Seconds of all parts so far."""
+        if self._part:
+            self._seconds[self._part] = time.monotonic() - self._began
+        return self._seconds
+
+
+def _paper_settings(settings: StudySettings) -> Settings:
+    """The report's least squares: every row, no filter, no weights, no bounds on signs."""
+    return Settings(effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free")
+
+
+def _problem(robot: Robot, target: Target, bounds: str, settings: StudySettings) -> Problem:
+    geometry = read_bounds(robot, settings.geometry).com
+    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
+    return extraction_problem(robot, target, read_bounds(robot, bounds), asked)
+
+
+def _certificate(problem: Problem) -> tuple[Certificate | None, list[str]]:
+    """phi_min under all conditions, or under the bounds alone where those exclude each other."""
+    try:
+        found = certificate(problem)
+    except MissingExtraError as error:
+        return None, [f"no certificate: {error}"]
+    if found.feasible:
+        return found, []
+    note = (
+        f"no set within the bounds '{problem.bounds.name}' meets the conditions "
+        f"({', '.join(found.conflict)}): phi_min is that of the bounds alone"
+    )
+    return certificate(problem, with_conditions=False), [note]
+
+
+def _scenario(robot: Robot, scenario: Scenario, found: Extraction, motion: Log) -> ScenarioResult:
+    best = replace(found.sets.part([found.best]), ids=(scenario.id,))
+    torque = sets_torque(robot, with_real(best, nominal_set(robot)), motion)
+    rms = (torque[1] - torque[0]).square().mean(0).sqrt()
+    return ScenarioResult(
+        scenario=scenario,
+        extraction=found,
+        feasibility=feasibility(found.sets, found.problem.conditions),
+        best=best,
+        torque_rms=rms,
+        torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
+    )
+
+
+def _below(result: ScenarioResult, proof: Certificate | None) -> list[str]:
+    """A feasible set with less loss than is possible: a fault, never to be passed over."""
+    if proof is None:
+        return []
+    allowed = proof.phi_min * (1 - _BELOW)
+    below = result.feasibility.feasible & (result.extraction.phi < allowed)
+    return [
+        f"{result.scenario.id}: {int(below.sum())} sets are feasible and have a loss below phi_min"
+    ] * bool(below.any())
+
+
+def _on_motion(robot: Robot, sets: ParameterSets, motion: Log) -> SetsOnMotion:
+    everything = with_real(sets, nominal_set(robot))
+    force, moment = wrench_norms(robot, *state(motion), everything.parameters)
+    torque = sets_torque(robot, everything, motion)
+    return SetsOnMotion(motion, everything.ids, torque, force, moment)
+
+
+def _payload(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResult:
+    """The same exciting motion with and without a payload, with the noise of real sensors."""
+    body = settings.payload
+    com = torch.tensor([body.com], dtype=torch.float64)
+    inertia = torch.tensor([body.inertia_about_com], dtype=torch.float64)
+    mass = torch.tensor([body.mass], dtype=torch.float64)
+    true = InertialParameters.from_com(mass, com, inertia).pi[0]
+    loaded = with_payload(robot, true)
+    plan = excitation(robot, replace(settings.excitation, rate=PAYLOAD_RATE))
+    chosen = Settings(effects=settings.effects, signs="free")
+    results = []
+    for k, arm in enumerate((robot, loaded)):
+        log = synthetic_log(arm, plan, HonestNoise(), settings.excitation.seed + 10 + k)
+        results.append(identify(arm, log, settings=chosen))
+        chosen = replace(chosen, cutoff=results[0].cutoff)
+    estimate = estimate_payload(*results)
+    guessed = with_payload(robot, estimate.tool.parameters.value.nan_to_num(0.0))
+    pi = torch.stack([_pi(arm) for arm in (robot, loaded, guessed)])
+    force, moment = wrench_norms(robot, *state(motion), InertialParameters(pi))
+    return PayloadResult(true, estimate, force, moment)
+
+
+def _pi(robot: Robot) -> Tensor:
+    return robot.require_parameters("the study").pi
