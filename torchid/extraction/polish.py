@@ -4,16 +4,15 @@ An interior-point method for all runs in one batch: Newton steps on
 
     phi(x) + mu D(x, x0),     D(x, x0) = B(x) - B(x0) - B'(x0) (x - x0),     mu -> 0,
 
-with B = - sum log(slack_j),
-in x = (m, m c, J about the link frames) and coefficients. There phi is a quadratic with a constant
-Hessian, and positive masses, CoM boxes, cylinders, spheres, total mass and positive definite
-pseudo-inertias are convex conditions, with the usual self-concordant barriers. The barrier enters as its
-Bregman distance from the start x0: of all minimisers of phi it picks the one nearest to what the
-search found, so runs stay different where the loss leaves a choice. Only the bounds on the
-*barycentric* inertias are not convex in x: their barrier's Hessian is replaced by its positive
-semidefinite part, so every step is a Cholesky solve and a descent direction all the same. Where
-those bounds are not active, the method ends at the minimum over all feasible sets, which the
-certificate confirms from the outside.
+with B = - sum log(slack_j), in x = (m, m c, J about the link frames) and coefficients. There phi is
+a quadratic with a constant Hessian, and positive masses, CoM boxes, cylinders, spheres, total mass
+and positive definite pseudo-inertias are convex conditions, with the usual self-concordant
+barriers. The barrier enters as its Bregman distance from the start x0: of all minimisers of phi it
+picks the one nearest to what the search found, so runs stay different where the loss leaves a
+choice. Only the bounds on the *barycentric* inertias are not convex in x: their barrier's Hessian
+is replaced by its positive semidefinite part, so every step is a Cholesky solve and a descent
+direction all the same. Where those bounds are not active, the method ends at the minimum over all
+feasible sets, which the certificate confirms from the outside.
 """
 
 from collections.abc import Callable
@@ -61,27 +60,32 @@ def polish(
     usable = torch.isfinite(p).all(-1)
     first = barrier.entered(torch.where(usable.unsqueeze(-1), p, region.inside.to(p)), _INWARD)
     pull = barrier.derivatives(first)[0]
-    x, ended = _follow(problem, barrier, first, pull, _GAP[region.physical], steps)
-    if not bool(ended.all()):
-        # The plain barrier forgets the start, but converges from anywhere.
-        again = _follow(
-            problem, barrier, x[~ended], 0 * pull[~ended], _GAP[region.physical], steps
-        )[0]
-        x = x.index_put((torch.nonzero(~ended).flatten(),), again)
+    gap = _GAP[region.physical]
+    x, ended = _follow(problem, barrier, first, pull, ~usable, gap, steps)
+    # The plain barrier forgets the start, but converges from anywhere.
+    x, _ = _follow(problem, barrier, x, 0 * pull, ended, gap, steps)
     return torch.where(usable.unsqueeze(-1), barrier.search_vector(x), p)
 
 
 def _follow(
-    problem: Problem, barrier: Barrier, first: Tensor, pull: Tensor, gap: float, steps: int
+    problem: Problem,
+    barrier: Barrier,
+    first: Float[Tensor, "R P"],
+    pull: Float[Tensor, "R P"],
+    ended: Bool[Tensor, " R"],
+    gap: float,
+    steps: int,
 ) -> tuple[Float[Tensor, "R P"], Bool[Tensor, " R"]]:
-    """Follow the path of minimisers as mu falls: x, and which runs reached its end."""
+    """Follow the path of minimisers as mu falls: x, and which runs reached its end.
+
+    A run that has ended stays where it is, so that none depends on how long its neighbours take.
+    """
     x, a, t = first, barrier.weight.to(first), problem.target.offset.to(first)
     quadratic = 2 * a.T @ a
     # With the start 1 % inside, phi is above its minimum by at most about 100 mu a slack.
     count = barrier.count / _INWARD
     phi = _phi(a, t, x)
     mu = 0.1 * phi.clamp(min=_SMALLEST) / barrier.count
-    ended = torch.zeros_like(phi, dtype=torch.bool)
 
     def merit(at: Tensor) -> Tensor:
         return _phi(a, t, at) + mu * (barrier.value(at) - ((at - first) * pull).sum(-1))
@@ -90,10 +94,12 @@ def _follow(
         slope, curve = barrier.derivatives(x)
         gradient = 2 * (x @ a.T - t) @ a + mu.unsqueeze(-1) * (slope - pull)
         step, decrement = _newton(gradient, quadratic + mu[:, None, None] * curve)
-        ended = (mu * count <= gap * phi) & (decrement <= gap * phi) | (phi <= _SMALLEST)
+        small = (mu * count <= gap * phi) & (decrement <= gap * phi) | (phi <= _SMALLEST)
+        ended = ended | small
         if bool(ended.all()):
             break
-        x, moved = _advance(barrier, merit, x, step, (gradient * step).sum(-1))
+        tried, moved = _advance(barrier, merit, x, step, (gradient * step).sum(-1))
+        x = torch.where(ended.unsqueeze(-1), x, tried)
         phi = _phi(a, t, x)
         # On the path (decrement below mu) the barrier shrinks; also when no step is possible.
         near = (decrement <= mu) | ~moved
@@ -114,8 +120,9 @@ def _newton(gradient: Tensor, hessian: Tensor) -> tuple[Tensor, Tensor]:
     scaled = hessian * scale.unsqueeze(-1) * scale.unsqueeze(-2)
     scaled.diagonal(dim1=-2, dim2=-1).add_(_DAMPING)
     factor, info = torch.linalg.cholesky_ex(scaled)
-    if bool((info > 0).any()):
-        scaled.diagonal(dim1=-2, dim2=-1).add_(1e-10)
+    failed = info > 0
+    if bool(failed.any()):
+        scaled.diagonal(dim1=-2, dim2=-1).add_(1e-10 * failed.unsqueeze(-1))
         factor, info = torch.linalg.cholesky_ex(scaled)
     step = torch.cholesky_solve((-gradient * scale).unsqueeze(-1), factor).squeeze(-1) * scale
     step = torch.where((info > 0).unsqueeze(-1) | ~torch.isfinite(step), 0.0, step)

@@ -12,8 +12,8 @@ parameters explain is left out of phi.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 
@@ -25,10 +25,7 @@ from torchid.feasibility.sets import ParameterSets
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from torchid.identification.result import Identification
+from torchid.typing import Bool, Float, Tensor
 
 LossName = Literal["two-step", "one-step"]
 
@@ -53,8 +50,19 @@ class Target:
     loss: LossName
 
 
-def two_step(base: BaseParameters, effects: Sequence[Effect], values: Tensor) -> Target:
+def two_step(
+    base: BaseParameters,
+    effects: Sequence[Effect],
+    values: Tensor,
+    known: Bool[Tensor, " B"] | None = None,
+) -> Target:
     """The two-step loss (2.28): squared distance to identified coefficients (B,).
+
+    Args:
+        base, effects: what the coefficients are.
+        values: (B,) identified.
+        known: (B,) those that count; all if None. A coefficient that the log did not determine
+            asks for nothing.
 
     Raises:
         TorchidError: not one finite number a base parameter.
@@ -65,14 +73,24 @@ def two_step(base: BaseParameters, effects: Sequence[Effect], values: Tensor) ->
             got=f"{tuple(values.shape)} values, {int((~torch.isfinite(values)).sum())} not finite",
             expected=f"({len(base)},) finite values",
         )
-    eye = torch.eye(len(base), dtype=values.dtype, device=values.device)
-    return Target(base, tuple(effects), values, eye, values, "two-step")
+    weight = torch.eye(len(base), dtype=values.dtype, device=values.device)
+    weight = weight if known is None else weight[known]
+    return Target(base, tuple(effects), values, weight, weight @ values, "two-step")
 
 
-def one_step(result: "Identification") -> Target:
-    """The one-step loss (2.29), with the rows weighted as in the fit that found `result`."""
-    r = result.factor
-    return Target(result.base, result.effects, result.values, r[:-1, :-1], r[:-1, -1], "one-step")
+def one_step(
+    base: BaseParameters,
+    effects: Sequence[Effect],
+    values: Tensor,
+    factor: Float[Tensor, "C C"],
+) -> Target:
+    """The one-step loss (2.29), with the rows weighted as in the fit.
+
+    Args:
+        base, effects, values: as for `two_step`.
+        factor: (B + 1, B + 1) of the fit, `Identification.factor`.
+    """
+    return Target(base, tuple(effects), values, factor[:-1, :-1], factor[:-1, -1], "one-step")
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,3 +192,31 @@ def extraction_problem(
             expected=f"{expected}: 10 a link and the effects' coefficients",
         )
     return Problem(robot, target, bounds, conditions, bounds.box(target.effects))
+
+
+def with_coefficient_bounds(
+    bounds: Bounds, base: BaseParameters, effects: Sequence[Effect], values: Float[Tensor, " B"]
+) -> tuple[Bounds, tuple[str, ...]]:
+    """Bounds with an interval for every coefficient of the effects, and the names of those added.
+
+    A coefficient without bounds gets twice the largest absolute value that was identified for its
+    kind on any joint, from zero where physics forbids a negative one.
+    """
+    position = {k: b for b, k in enumerate(base.independent)}
+    start = base.n_rigid_parameters
+    largest: dict[str, float] = {}
+    signs: dict[str, bool] = {}
+    for effect in effects:
+        for c in effect.coefficients:
+            own = float(values[position[start]]) if start in position else 0.0
+            largest[c.name] = max(largest.get(c.name, 0.0), abs(own))
+            signs[c.name] = c.non_negative
+            start += 1
+    added = tuple(name for name in largest if name not in bounds.coefficients)
+    n = bounds.mass.shape[0]
+    extra = {}
+    for name in added:
+        high = max(2 * largest[name], 1e-3)
+        low = 0.0 if signs[name] else -high
+        extra[name] = torch.tensor([[low, high]] * n, dtype=bounds.mass.dtype)
+    return replace(bounds, coefficients={**bounds.coefficients, **extra}), added

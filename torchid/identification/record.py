@@ -42,6 +42,7 @@ def record(result: Identification) -> dict[str, Any]:
             "matrix": result.base.grouping.tolist(),
         },
         "base_names": list(result.base.names),
+        "base_values": result.values.tolist(),
         "covariance": result.covariance.tolist(),
         "factor": result.factor.tolist(),
         "statistics": {

@@ -1,0 +1,208 @@
+"""`torchid extract`: physical parameter sets from base parameters."""
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from torchid.app.options import (
+    Device,
+    Json,
+    Out,
+    Output,
+    Quiet,
+    RobotArgument,
+    Seed,
+    Threads,
+    Tip,
+    device,
+    open_output,
+    progress_bar,
+)
+from torchid.app.problems import (
+    BoundsOption,
+    GeometryOption,
+    LossOption,
+    ResultArgument,
+    ShapesOption,
+    TotalMassOption,
+    build_problem,
+)
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.extraction.certificate import Certificate
+    from torchid.extraction.extract import SearchSettings
+    from torchid.extraction.problem import Problem
+    from torchid.report.extraction import Found
+
+
+def extract_command(
+    robot: RobotArgument,
+    result: ResultArgument = None,
+    method: Annotated[
+        Literal["cma-es", "log-cholesky", "sdp"],
+        typer.Option(help="Population search (Algorithm 1), gradient, or convex optimum."),
+    ] = "cma-es",
+    bounds: BoundsOption = None,
+    penalty: Annotated[
+        Literal["full", "partial"],
+        typer.Option(help="Full loss phi + xi gamma, or phi alone (sets may be infeasible)."),
+    ] = "full",
+    loss: LossOption = "two-step",
+    geometry: GeometryOption = None,
+    shapes: ShapesOption = False,
+    total_mass: TotalMassOption = None,
+    runs: Annotated[int, typer.Option(help="Independent starts.")] = 30,
+    stages: Annotated[int, typer.Option(help="Stages of Algorithm 1.")] = 25,
+    generations: Annotated[int, typer.Option(help="Generations of each stage.")] = 100,
+    population: Annotated[
+        int | None, typer.Option(help="Of each run (default: 4 + 3 ln D).")
+    ] = None,
+    schedule: Annotated[
+        Literal["linear", "geometric"], typer.Option(help="xi = 10 k, or ten times more a stage.")
+    ] = "linear",
+    engine: Annotated[
+        Literal["batched", "cma"],
+        typer.Option(help="Ours, all runs at once; or pycma."),
+    ] = "batched",
+    polish: Annotated[bool, typer.Option(help="Gradient polish after the search.")] = True,
+    proof: Annotated[
+        bool, typer.Option("--certificate/--no-certificate", help="Least loss possible, beside it.")
+    ] = True,
+    search_anyway: Annotated[
+        bool,
+        typer.Option("--search-anyway", help="Also where no point of the bounds can be feasible."),
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue from the checkpoint in --out.")
+    ] = False,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    device_name: Device = "cpu",
+) -> None:
+    """Extract physical parameter sets that give the identified base parameters, and classify them.
+
+    Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.extraction.extract import SearchSettings, require_possible
+    from torchid.robot.library import load_robot
+
+    settings = SearchSettings(
+        runs, stages, generations, population, penalty, schedule, engine, polish, seed
+    )
+    if resume and out is None:
+        raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
+    arm = load_robot(robot, tip=tip)
+    problem, _, notes = build_problem(
+        arm, result, bounds=bounds, geometry=geometry, shapes=shapes, total_mass=total_mass,
+        loss=loss,
+    )  # fmt: skip
+    if penalty == "full" and not search_anyway:
+        require_possible(problem)
+    certificate = _certificate(problem, output) if proof or method == "sdp" else None
+    if method == "sdp":
+        found = _convex(problem, certificate)
+    elif method == "log-cholesky":
+        found = _log_cholesky(problem, settings)
+    else:
+        found = _searched(problem, settings, output, resume, device(device_name))
+    _show(found, certificate, notes, output)
+    _write(found, certificate, notes, output)
+
+
+def _certificate(problem: "Problem", output: Output) -> "Certificate | None":
+    """The convex bound; only said to be missing where Clarabel is not installed."""
+    from torchid.errors import MissingExtraError
+    from torchid.extraction.certificate import certificate
+
+    try:
+        proof = certificate(problem)
+        return proof if proof.feasible else certificate(problem, with_conditions=False)
+    except MissingExtraError as error:
+        output.warn((f"no certificate of the least loss: {error}",))
+        return None
+
+
+def _convex(problem: "Problem", proof: "Certificate | None") -> "Found":
+    from torchid.extraction.certificate import certificate
+    from torchid.report.extraction import Found, judged
+
+    proof = certificate(problem) if proof is None else proof
+    if proof.sets is None:
+        raise TorchidError(
+            "no feasible set exists within these bounds.",
+            got=", ".join(proof.conflict) or proof.status,
+            hint="other --bounds, --geometry or --total-mass",
+        )
+    return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds)
+
+
+def _log_cholesky(problem: "Problem", settings: "SearchSettings") -> "Found":
+    import time
+
+    from torchid.extraction.log_cholesky import extract_log_cholesky
+    from torchid.report.extraction import Found, judged
+
+    began = time.monotonic()
+    found = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
+    sets = problem.sets(found.p, [f"run_{k + 1}" for k in range(len(found.p))])
+    return Found(problem, "log-cholesky", *judged(problem, sets), None, time.monotonic() - began)
+
+
+def _searched(
+    problem: "Problem", settings: "SearchSettings", output: Output, resume: bool, where: str
+) -> "Found":
+    from torchid.extraction.extract import extract
+    from torchid.report.extraction import Found, judged
+
+    checkpoint = None if output.folder is None else output.folder / "checkpoint.npz"
+    with progress_bar(output) as progress:
+        found = extract(
+            problem,
+            settings,
+            checkpoint=checkpoint,
+            resume=resume,
+            device=where,
+            report=None
+            if progress is None
+            else (lambda done, total: progress("stages", done, total)),
+        )
+    return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
+
+
+def _show(
+    found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
+) -> None:
+    from torchid.report.extraction import headline, tables
+
+    for table in tables(found, proof):
+        output.say(table)
+    output.warn(notes)
+    output.say(f"\n{headline(found, proof)}")
+
+
+def _write(
+    found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
+) -> None:
+    import json
+
+    from torchid.feasibility.sets import to_record
+    from torchid.log.files import atomic_write
+    from torchid.report.extraction import extraction_record
+    from torchid.report.figures import save
+
+    data: dict[str, Any] = extraction_record(found, proof, notes)
+    output.write_json(data, "extraction.json")
+    if output.folder is None:
+        return
+    with atomic_write(output.folder / "sets.json", "w") as stream:
+        stream.write(json.dumps(to_record(found.sets, found.problem.robot.name), indent=1) + "\n")
+    if found.search is not None:
+        from torchid.report.extraction import search_figure
+
+        save(search_figure(found.search, proof), output.folder / "search.png")

@@ -1,0 +1,131 @@
+"""Options that `extract` and `atlas` share: whose base parameters, which bounds and conditions."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from torchid.app.options import number
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.extraction.problem import Problem
+    from torchid.feasibility.bounds import Bounds
+    from torchid.identification.reading import BaseValues
+    from torchid.robot.model import Robot
+
+FROM_ROBOT = "from-robot"
+
+ResultArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[RESULT]",
+        help="JSON of `torchid identify`; without it, the base parameters of the robot's nominal "
+        "parameters.",
+    ),
+]
+BoundsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--bounds",
+        metavar="GROUP|from-robot",
+        help="Group of bounds in the robot's yaml, or bounds derived from its nominal parameters "
+        "and shapes. Default: normal, else from-robot.",
+    ),
+]
+GeometryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--geometry",
+        metavar="GROUP|none",
+        help="Bounds whose boxes of the centres of mass are the links' geometry. Default: normal "
+        "where there is one, else the bounds' own.",
+    ),
+]
+ShapesOption = Annotated[
+    bool, typer.Option("--shapes", help="Centres of mass inside the links' cylinders and spheres.")
+]
+TotalMassOption = Annotated[
+    str | None, typer.Option("--total-mass", metavar="LO,HI", help="Interval of the total mass.")
+]
+LossOption = Annotated[
+    Literal["two-step", "one-step"],
+    typer.Option(
+        help="Distance to the coefficients (2.28), or to the torques of the log (2.29), by the "
+        "fit's triangular factor."
+    ),
+]
+
+
+def build_problem(
+    robot: "Robot",
+    result: Path | None,
+    *,
+    bounds: str | None,
+    geometry: str | None,
+    shapes: bool,
+    total_mass: str | None,
+    loss: str,
+) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
+    """The problem that the options describe, the base parameters, and notes for the user."""
+    from torchid.extraction.problem import extraction_problem, one_step, two_step
+    from torchid.feasibility.conditions import conditions
+    from torchid.identification.reading import nominal_base, read_base
+
+    found = nominal_base(robot) if result is None else read_base(result, robot)
+    limits, notes = _bounds(robot, bounds, found)
+    if loss == "one-step":
+        if found.factor is None:
+            raise TorchidError(
+                "the one-step loss needs a log.",
+                got="the robot's nominal parameters",
+                expected="the JSON of `torchid identify`",
+            )
+        target = one_step(found.base, found.effects, found.values, found.factor)
+    else:
+        target = two_step(found.base, found.effects, found.values, found.known)
+    asked = conditions(
+        robot,
+        com_box=_geometry(robot, geometry, limits),
+        shapes=shapes,
+        total_mass=None if total_mass is None else interval("--total-mass", total_mass),
+    )
+    return extraction_problem(robot, target, limits, asked), found, notes
+
+
+def _bounds(
+    robot: "Robot", asked: str | None, found: "BaseValues"
+) -> "tuple[Bounds, tuple[str, ...]]":
+    from torchid.extraction.problem import with_coefficient_bounds
+    from torchid.feasibility.bounds import bounds_groups, read_bounds
+    from torchid.feasibility.derived_bounds import derive_bounds
+
+    group = asked or ("normal" if "normal" in bounds_groups(robot) else FROM_ROBOT)
+    limits = derive_bounds(robot) if group == FROM_ROBOT else read_bounds(robot, group)
+    full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
+    note = f"bounds of {', '.join(added)}: within twice the largest identified" if added else ""
+    return full, (note,) if note else ()
+
+
+def _geometry(robot: "Robot", asked: str | None, limits: "Bounds"):  # type: ignore[no-untyped-def]
+    """Boxes of the centres of mass to check: None lets the robot's own decide."""
+    from torchid.feasibility.bounds import bounds_groups, read_bounds
+    from torchid.feasibility.conditions import physics_only
+
+    if asked == "none":
+        return physics_only(robot.n).com_box
+    if asked is not None:
+        return read_bounds(robot, asked).com
+    return None if "normal" in bounds_groups(robot) else limits.com
+
+
+def interval(option: str, text: str) -> tuple[float, float]:
+    """LO,HI from the command line.
+
+    Raises:
+        TorchidError: not two numbers in order.
+    """
+    parts = [number(option, part, "LO,HI") for part in text.split(",")]
+    if len(parts) != 2 or not parts[0] < parts[1]:
+        raise TorchidError(f"{option} is not an interval.", got=text, expected="LO,HI with LO < HI")
+    return parts[0], parts[1]

@@ -1,0 +1,131 @@
+"""`torchid study`: the report's studies as one command."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torchid.app.options import (
+    Device,
+    Json,
+    Out,
+    Output,
+    Quiet,
+    Threads,
+    device,
+    open_output,
+    progress_bar,
+)
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.study.result import Study
+    from torchid.study.settings import StudySettings
+
+
+def study_command(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all; or a study's yaml file.",
+        ),
+    ],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A fifth of the runs, stages and generations.")
+    ] = False,
+    runs: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
+    stages: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
+    generations: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
+    schedule: Annotated[
+        str | None, typer.Option(metavar="linear|geometric", help="Instead of the study's own.")
+    ] = None,
+    engine: Annotated[
+        str | None, typer.Option(metavar="batched|cma", help="Instead of the study's own.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue from the checkpoints in --out.")
+    ] = False,
+    figures: Annotated[bool, typer.Option(help="Draw the figures into --out.")] = True,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Of the searches.")] = None,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    device_name: Device = "cpu",
+) -> None:
+    """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
+
+    Example: `torchid study kuka_lwr4 --quick --out study`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.study.settings import load_study, study_names
+
+    if resume and out is None:
+        raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
+    names = study_names() if name == "all" else [name]
+    asked = {
+        "runs": runs, "stages": stages, "generations": generations, "schedule": schedule,
+        "engine": engine, "seed": seed,
+    }  # fmt: skip
+    all_settings = [_asked(load_study(n), quick, asked) for n in names]
+    where = device(device_name)
+    records = []
+    for settings in all_settings:
+        folder = None if out is None else out / settings.name
+        found = _run(settings, folder, resume, where, output)
+        records.append(_finish(found, folder, figures, output))
+    output.write_json(
+        records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
+        "study.json",
+    )
+
+
+def _asked(settings: "StudySettings", quick: bool, asked: dict[str, Any]) -> "StudySettings":
+    from dataclasses import replace
+
+    settings = settings.quick() if quick else settings
+    given = {key: value for key, value in asked.items() if value is not None}
+    return replace(settings, search=replace(settings.search, **given))
+
+
+def _run(
+    settings: "StudySettings", folder: Path | None, resume: bool, where: str, output: Output
+) -> "Study":
+    from torchid.study.study import run_study
+
+    checkpoints = None
+    if folder is not None:
+        checkpoints = folder / "checkpoints"
+        checkpoints.mkdir(parents=True, exist_ok=True)
+    with progress_bar(output) as progress:
+        return run_study(
+            settings,
+            checkpoints=checkpoints,
+            resume=resume,
+            device=where,
+            report=None
+            if progress is None
+            else (lambda part, done, total: progress(f"{settings.name}: {part}", done, total)),
+        )
+
+
+def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
+    import json
+
+    from torchid.log.files import atomic_write
+    from torchid.report.study import headline, tables, write_study
+    from torchid.study.record import record
+
+    for table in tables(found):
+        output.say(table)
+    output.warn(found.warnings)
+    output.say(f"\n{headline(found)}\n")
+    data = record(found)
+    if folder is not None:
+        with atomic_write(folder / "study.json", "w") as stream:
+            stream.write(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        if figures:
+            write_study(found, folder)
+        output.say(f"results of {found.settings.name} are in {folder}")
+    return data

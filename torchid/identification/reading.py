@@ -1,0 +1,119 @@
+"""An identification read back from its JSON (schema torchid.identification/1)."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.effects.base import Effect
+from torchid.effects.registry import nominal_effects, on_every_joint
+from torchid.errors import TorchidError
+from torchid.identification.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    nominal_values,
+)
+from torchid.identification.record import SCHEMA
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class BaseValues:
+    """Values of base parameters, and what is known of their accuracy.
+
+    Attributes:
+        base, effects: which they are.
+        values: (B,).
+        known: (B,) those that the log determined.
+        covariance: (B, B), or None where the values are exact.
+        factor: (B + 1, B + 1) of the fit, or None where there was none.
+    """
+
+    base: BaseParameters
+    effects: tuple[Effect, ...]
+    values: Float[Tensor, " B"]
+    known: Bool[Tensor, " B"]
+    covariance: Float[Tensor, "B B"] | None
+    factor: Float[Tensor, "C C"] | None
+
+
+def nominal_base(robot: Robot) -> BaseValues:
+    """The base parameters of the robot's nominal parameters and effects, exact.
+
+    Raises:
+        RobotError: the robot has no nominal parameters.
+    """
+    effects = tuple(effect for effect, _ in nominal_effects(robot))
+    base = base_parameters(robot, effects)
+    known = torch.ones(len(base), dtype=torch.bool)
+    return BaseValues(base, effects, nominal_values(robot, base), known, None, None)
+
+
+def read_base(path: Path, robot: Robot) -> BaseValues:
+    """The result of `torchid identify ... --json PATH`, for the same robot.
+
+    Raises:
+        TorchidError: not such a file, another robot's, or values that are not finite.
+    """
+    data = _load(path)
+    effects = tuple(on_every_joint(data["settings"]["effects"], robot.n))
+    base = base_parameters(robot, effects)
+    if list(base.names) != data["base_names"]:
+        differing = [n for n in data["base_names"] if n not in base.names]
+        raise TorchidError(
+            f"'{path}' holds base parameters of another robot.",
+            got=f"{len(data['base_names'])} of '{data['robot']}'"
+            + (f", e.g. {differing[0]}" if differing else ""),
+            expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
+        )
+    b = len(base)
+    values = _tensor(data, "base_values", (b,), path)
+    unknown = set(data["undetermined"])
+    known = torch.tensor([name not in unknown for name in base.names])
+    return BaseValues(
+        base,
+        effects,
+        values,
+        known,
+        _tensor(data, "covariance", (b, b), path),
+        _tensor(data, "factor", (b + 1, b + 1), path),
+    )
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    hint = "torchid identify ROBOT LOG... --json FILE"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
+    except ValueError as error:
+        raise TorchidError(f"'{path}' is not JSON.", got=error, hint=hint) from error
+    schema = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+    needed = {"settings", "base_names", "base_values", "undetermined", "covariance", "factor"}
+    if schema != SCHEMA or not needed <= set(data):
+        missing = sorted(needed - set(data)) if isinstance(data, Mapping) else []
+        raise TorchidError(
+            f"'{path}' is not a result of an identification.",
+            got=f"schema {schema}" + (f", without {', '.join(missing)}" if missing else ""),
+            expected=f"schema {SCHEMA}",
+            hint=hint,
+        )
+    return data
+
+
+def _tensor(data: Mapping[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Tensor:
+    try:
+        values = torch.tensor(data[key], dtype=torch.float64)
+    except (TypeError, ValueError) as error:
+        raise TorchidError(f"'{path}': {key} is not a table of numbers.") from error
+    if tuple(values.shape) != shape or not bool(torch.isfinite(values).all()):
+        raise TorchidError(
+            f"'{path}': {key} has the wrong size or is not finite.",
+            got=tuple(values.shape),
+            expected=shape,
+        )
+    return values

@@ -1,0 +1,190 @@
+"""An extraction for people: verdict, tables, the search's course."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from torchid.extraction.certificate import Certificate
+from torchid.extraction.extract import Extraction
+from torchid.extraction.penalty import gamma
+from torchid.extraction.problem import Problem
+from torchid.extraction.record import (
+    SCHEMA,
+    certificate_record,
+    noticeable,
+    problem_record,
+    sets_record,
+)
+from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.sets import ParameterSets
+from torchid.report.figures import BLUE, GREY, INK, RED, new_figure, styled
+from torchid.report.identification import compact
+from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SHOWN = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Sets of any method, judged.
+
+    Attributes:
+        problem: what was asked for.
+        method: cma-es, log-cholesky or sdp.
+        sets: K of them.
+        phi, gamma: (K,) loss and penalty.
+        verdict: feasibility.
+        search: the course of a population search, or None.
+        seconds: it took.
+    """
+
+    problem: Problem
+    method: str
+    sets: ParameterSets
+    phi: Float[Tensor, " K"]
+    gamma: Float[Tensor, " K"]
+    verdict: Feasibility
+    search: Extraction | None
+    seconds: float
+
+    @property
+    def best(self) -> int:
+        """The set with the lowest final loss."""
+        if self.search is not None:
+            return self.search.best
+        return int(self.phi.argmin())
+
+
+def judged(
+    problem: Problem, sets: ParameterSets
+) -> tuple[ParameterSets, Tensor, Tensor, Feasibility]:
+    """Sets with loss, penalty and feasibility."""
+    p = problem.search_vector(sets)
+    verdict = feasibility(sets, problem.conditions)
+    return (
+        sets,
+        problem.residual_of_vector(sets.vector).square().sum(-1),
+        gamma(problem, p),
+        verdict,
+    )
+
+
+def headline(found: Found, proof: Certificate | None) -> str:
+    """One or two sentences: what came out."""
+    k, count = found.best, int(found.verdict.feasible.sum())
+    verdict = (
+        f"feasible (degree {float(found.verdict.degree[k]):.2g})"
+        if bool(found.verdict.feasible[k])
+        else f"infeasible: {', '.join(found.verdict.reasons(k))}"
+    )
+    text = (
+        f"{len(found.sets)} sets of {found.problem.robot.name} by {found.method}, {count} of them "
+        f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}."
+    )
+    if proof is None or not proof.feasible:
+        return text
+    if proof.phi_min <= 0:
+        return text + " Some feasible set reproduces the base parameters exactly (phi_min = 0)."
+    text += f" No feasible set has a loss below phi_min = {proof.phi_min:.5g}"
+    return text + (f", forced by {', '.join(proof.forcing)}." if proof.forcing else ".")
+
+
+def tables(found: Found, proof: Certificate | None) -> list[Table]:
+    """The best sets, and what forces the least loss."""
+    table = compact(f"best sets within the bounds '{found.problem.bounds.name}'")
+    for heading in ("set", "phi", "gamma", "feasible", "degree", "reasons"):
+        table.add_column(heading, justify="left" if heading in ("set", "reasons") else "right")
+    verdict = found.verdict.feasible.tolist()
+    order = sorted(range(len(found.sets)), key=lambda k: (not verdict[k], float(found.phi[k])))
+    for k in order[:_SHOWN]:
+        table.add_row(
+            found.sets.ids[k],
+            f"{float(found.phi[k]):.5g}",
+            f"{float(found.gamma[k]):.2g}",
+            "yes" if verdict[k] else "no",
+            f"{float(found.verdict.degree[k]):.2g}",
+            ", ".join(found.verdict.reasons(k)),
+        )
+    out = [table]
+    if proof is not None and noticeable(proof):
+        forced = compact(f"what forces phi_min = {proof.phi_min:.5g}")
+        forced.add_column("without the condition")
+        forced.add_column("phi_min would be", justify="right")
+        for name, value in list(noticeable(proof).items())[:_SHOWN]:
+            forced.add_row(name, f"{value:.5g}")
+        out.append(forced)
+    return out
+
+
+def extraction_record(
+    found: Found, proof: Certificate | None, warnings: tuple[str, ...]
+) -> dict[str, Any]:
+    """JSON-ready data."""
+    search = None
+    if found.search is not None:
+        s = found.search
+        search = {
+            "runs": s.settings.runs,
+            "stages": s.settings.stages,
+            "generations": s.settings.generations,
+            "population": s.settings.population,
+            "penalty": s.settings.penalty,
+            "schedule": s.settings.schedule,
+            "engine": s.settings.engine,
+            "polish": s.settings.polish,
+            "seed": s.settings.seed,
+            "phi_before_polish": s.searched_phi.tolist(),
+            "gamma_before_polish": s.searched_gamma.tolist(),
+            "contradictions": list(s.contradictions),
+        }
+    return {
+        "schema": SCHEMA,
+        **problem_record(found.problem),
+        "method": found.method,
+        "search": search,
+        "certificate": certificate_record(proof),
+        "best": found.sets.ids[found.best],
+        "sets": sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
+        "seconds": found.seconds,
+        "warnings": list(warnings),
+    }
+
+
+def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
+    """Loss and penalty of all runs against the stage, and the loss after the polish."""
+    figure = new_figure(9, 5.4)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    stages = range(1, search.settings.stages + 1)
+    best = search.best
+    for axes, history, label in (
+        (styled(upper), search.history_phi, "loss $\\varphi$ of the best so far"),
+        (styled(lower), search.history_gamma, "penalty $\\gamma$"),
+    ):
+        shown = history.clamp(min=1e-34).numpy()
+        axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
+        axes.plot(stages, shown[best], color=BLUE, linewidth=1.6, label="best run")
+        axes.set_ylabel(label, fontsize=8, color=INK)
+    upper.set_yscale("log")
+    lower.set_yscale("symlog", linthresh=1e-8)
+    lower.set_ylim(bottom=-1e-9)
+    if search.settings.polish:
+        end = [search.settings.stages + 0.6] * len(search.phi)
+        upper.scatter(
+            end, search.phi.clamp(min=1e-34).numpy(), s=10, color=BLUE, label="after the polish"
+        )
+    if proof is not None and proof.feasible and proof.phi_min > 0:
+        upper.axhline(
+            proof.phi_min, color=RED, linewidth=1.0, label="least possible, $\\varphi_{min}$"
+        )
+    upper.legend(fontsize=8, frameon=False, loc="best")
+    lower.set_xlabel("stage of Algorithm 1", fontsize=8, color=INK)
+    figure.suptitle(
+        f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
+        f"'{search.problem.bounds.name}', {search.settings.penalty} loss",
+        fontsize=11, color=INK, x=0.01, ha="left",
+    )  # fmt: skip
+    return figure

@@ -1,0 +1,97 @@
+"""A study as plain data: the schema torchid.study/1."""
+
+from typing import Any
+
+import torch
+
+from torchid.extraction.record import certificate_record, number
+from torchid.identification.payload import record as payload_record
+from torchid.study.result import ScenarioResult, Study
+
+SCHEMA = "torchid.study/1"
+
+
+def record(study: Study) -> dict[str, Any]:
+    """The result as JSON-ready data."""
+    result = study.identification
+    search = study.settings.search
+    return {
+        "schema": SCHEMA,
+        "study": study.settings.name,
+        "robot": study.robot.name,
+        "section": study.settings.section,
+        "identification": {
+            "names": list(result.base.names),
+            "values": result.values.tolist(),
+            "true": study.truth.tolist(),
+            "largest_error": float((result.values - study.truth).abs().max()),
+            "rows": int(study.log.samples * study.robot.n),
+            "validation_error_percent": _held_out(study),
+        },
+        "sets": [_scenario(study, s) for s in study.scenarios],
+        "certificate": {
+            group: certificate_record(proof) for group, proof in study.certificates.items()
+        },
+        "wrenches": {
+            "classes": [
+                {
+                    "class": c.name,
+                    "sets": c.sets,
+                    "force_error_median": c.median,
+                    "quartiles": [c.lower_quartile, c.upper_quartile],
+                }
+                for c in study.comparison.classes
+            ],
+            "unit": "N, largest joint's rms against the true set, all runs of all scenarios",
+        },
+        "payload": {
+            "true": study.payload.true.tolist(),
+            **payload_record(study.payload.estimate),
+        },
+        "search": {
+            "runs": search.runs,
+            "stages": search.stages,
+            "generations": search.generations,
+            "schedule": search.schedule,
+            "engine": search.engine,
+            "polish": search.polish,
+            "seed": search.seed,
+        },
+        "seconds": dict(study.seconds),
+        "warnings": list(study.warnings),
+    }
+
+
+def _held_out(study: Study) -> list[float | None]:
+    errors = study.identification.held_out
+    return [] if errors is None else [number(x) for x in errors.relative_percent.tolist()]
+
+
+def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
+    found = result.extraction
+    at = study.wrench_motion.labels.index(result.scenario.id)
+    force = study.wrench_motion.force
+    difference = (force[at] - force[0]).square().mean(0).sqrt()
+    return {
+        "id": result.scenario.id,
+        "bounds": result.scenario.bounds,
+        "loss": result.scenario.penalty,
+        "phi": result.phi,
+        "gamma": result.gamma,
+        "feasible": result.feasible,
+        "reasons": list(result.reasons),
+        "degree": number(result.degree),
+        "torque_rms": result.torque_rms.tolist(),
+        "force_norm_difference_rms": difference.tolist(),
+        "runs": {
+            "phi": found.phi.tolist(),
+            "gamma": found.gamma.tolist(),
+            "phi_before_polish": found.searched_phi.tolist(),
+            "gamma_before_polish": found.searched_gamma.tolist(),
+            "feasible": int(result.feasibility.feasible.sum()),
+            "gamma_zero": int(torch.count_nonzero(found.gamma == 0)),
+            "reasons": [list(result.feasibility.reasons(k)) for k in range(len(found.phi))],
+            "degree": [number(x) for x in result.feasibility.degree.tolist()],
+        },
+        "contradictions": list(found.contradictions),
+    }
