@@ -81,8 +81,9 @@ def read_bounds(robot: Robot, group: str) -> Bounds:
         )
     data = robot.bounds[group]
     where = f"robot '{robot.name}': bounds {group}"
-    if not isinstance(data, Mapping) or not {"lower", "upper"} <= set(data):
-        raise RobotError(f"{where}: must have `lower` and `upper`.", got=data)
+    sides = [data.get(side) for side in ("lower", "upper")] if isinstance(data, Mapping) else []
+    if not sides or not all(isinstance(side, Mapping) for side in sides):
+        raise RobotError(f"{where}: must have `lower` and `upper`, each with mass, com, inertia.")
     n = robot.n
     shapes = {"mass": (n,), "com": (n, 3), "inertia": (n, 6)}
     known = {key: (n,) for key in COEFFICIENT_KEYS if key in data["lower"] or key in data["upper"]}
@@ -106,7 +107,7 @@ def read_total_mass(robot: Robot) -> tuple[float, float] | None:
     if data is None:
         return None
     where = f"robot '{robot.name}': bounds total_mass"
-    values = _tensor(data, (2,), where)
+    values = finite_tensor(data, (2,), where)
     if not values[0] < values[1]:
         raise RobotError(f"{where}: the lower bound is not below the upper.", got=data)
     return float(values[0]), float(values[1])
@@ -115,10 +116,9 @@ def read_total_mass(robot: Robot) -> tuple[float, float] | None:
 def _pair(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Tensor:
     sides = []
     for side in ("lower", "upper"):
-        if not isinstance(data[side], Mapping) or key not in data[side]:
-            available = list(data[side]) if isinstance(data[side], Mapping) else []
-            raise RobotError(f"{where}: `{side}` has no '{key}'.", available=available)
-        sides.append(_tensor(data[side][key], shape, f"{where}.{side}.{key}"))
+        if key not in data[side]:
+            raise RobotError(f"{where}: `{side}` has no '{key}'.", available=list(data[side]))
+        sides.append(finite_tensor(data[side][key], shape, f"{where}.{side}.{key}"))
     pair = torch.stack(sides, -1)
     wrong = ~(pair[..., 0] < pair[..., 1])
     if bool(wrong.any()):
@@ -133,10 +133,15 @@ def _pair(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str)
     return pair
 
 
-def _tensor(data: Any, shape: tuple[int, ...], where: str) -> Tensor:
+def finite_tensor(data: Any, shape: tuple[int, ...], where: str) -> Tensor:
+    """Numbers of a yaml entry as a tensor of that shape.
+
+    Raises:
+        RobotError: not numbers, another shape, or values that are not finite.
+    """
     try:
         values = torch.tensor(data, dtype=torch.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RobotError(f"{where}: not numbers, or rows of unequal length.", got=data) from error
     if tuple(values.shape) != shape:
         raise RobotError(f"{where}: wrong size.", got=tuple(values.shape), expected=shape)

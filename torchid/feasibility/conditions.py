@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from torchid.errors import RobotError
-from torchid.feasibility.bounds import bounds_groups, read_bounds
+from torchid.feasibility.bounds import bounds_groups, finite_tensor, read_bounds
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -117,11 +117,12 @@ def _round_shapes(robot: Robot, box: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     if "cylinder_radius" in geometry:
         _cylinder_table(geometry, box, robot.n, where, centre, axes, radius)
     for key, default in (("cylinders", None), ("spheres", "all")):
-        for entry in geometry.get(key, ()):
-            link, own = _entry(entry, default, robot.n, where)
-            centre[link] = torch.tensor(entry.get("centre", [0.0, 0.0, 0.0]), dtype=centre.dtype)
-            axes[link] = own
-            radius[link] = float(entry["radius"])
+        entries = geometry.get(key, [])
+        if not isinstance(entries, list):
+            raise RobotError(f"{where}: {key} must be a list.", got=entries)
+        for entry in entries:
+            link, *shape = _entry(entry, default, robot.n, where)
+            axes[link], radius[link], centre[link] = shape
     return centre, axes, radius
 
 
@@ -135,28 +136,37 @@ def _cylinder_table(
     radius: Tensor,
 ) -> None:
     """Cylinders given by radius and length, about the axis in which the box is that long."""
+    tables = []
     for key in ("cylinder_radius", "cylinder_length"):
-        if len(geometry.get(key, ())) != n:
-            raise RobotError(f"{where}: {key} needs one number a link.", got=geometry.get(key))
+        values = finite_tensor(geometry.get(key), (n,), f"{where}.{key}")
+        if not bool((values > 0).all()):
+            raise RobotError(f"{where}: {key} must be positive.", got=geometry[key])
+        tables.append(values)
     if not torch.isfinite(box).all():
         raise RobotError(f"{where}: cylinders by length need the boxes of the centres of mass.")
     size = box[..., 1] - box[..., 0]
-    length = torch.tensor(geometry["cylinder_length"], dtype=box.dtype)
-    long_side = (size - length.unsqueeze(-1)).abs().argmin(-1)
+    long_side = (size - tables[1].unsqueeze(-1)).abs().argmin(-1)
     axes.fill_(1.0)
     axes[torch.arange(n), long_side] = 0.0
     centre.copy_(box.mean(-1))
-    radius.copy_(torch.tensor(geometry["cylinder_radius"], dtype=box.dtype))
+    radius.copy_(tables[0])
 
 
-def _entry(entry: Any, default: str | None, n: int, where: str) -> tuple[int, Tensor]:
+def _entry(
+    entry: Any, default: str | None, n: int, where: str
+) -> tuple[int, Tensor, Tensor, Tensor]:
+    """Link (from 0), axes (3,) in which the radius counts, radius, centre (3,)."""
     expected = "{link: 1, axis: x|y|z (cylinders), radius: m, centre: [x, y, z]}"
     axis = entry.get("axis", default) if isinstance(entry, Mapping) else None
-    if axis not in ("x", "y", "z", "all") or "radius" not in entry or "link" not in entry:
+    known = ("x", "y", "z") if default is None else (default,)
+    if axis not in known or "radius" not in entry or "link" not in entry:
         raise RobotError(f"{where}: not a cylinder or sphere.", got=entry, expected=expected)
-    if not 1 <= entry["link"] <= n or not float(entry["radius"]) > 0:
+    link = entry["link"]
+    radius = finite_tensor(entry["radius"], (), f"{where}.radius")
+    if not isinstance(link, int) or not 1 <= link <= n or not radius > 0:
         raise RobotError(f"{where}: no such link or no such radius.", got=entry, expected=expected)
-    own = torch.ones(3, dtype=torch.float64)
+    axes = torch.ones(3, dtype=torch.float64)
     if axis != "all":
-        own["xyz".index(axis)] = 0.0
-    return int(entry["link"]) - 1, own
+        axes["xyz".index(axis)] = 0.0
+    centre = finite_tensor(entry.get("centre", [0.0, 0.0, 0.0]), (3,), f"{where}.centre")
+    return link - 1, axes, radius, centre

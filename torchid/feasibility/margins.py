@@ -2,8 +2,9 @@
 
 Every condition has a signed margin, in its own unit, positive inside, and a *degree*: the margin
 over a scale of its own, so that conditions, links and arms can be compared. A set is feasible when
-no margin is negative; its degree is the smallest of its conditions', so a firmly feasible set has a
-large one, a set on the boundary 0, and an infeasible one a negative one.
+masses and inertias have positive margins and no other margin is negative; its degree is the
+smallest of its conditions', so a firmly feasible set has a large one, a set on the boundary 0, and
+an infeasible one a negative one.
 
 | condition   | margin                                | equation | scale of the degree            |
 |-------------|---------------------------------------|----------|--------------------------------|
@@ -47,7 +48,7 @@ class Feasibility:
         margins, degrees: (K, n, C) per link and condition, in the order of `LINK_CONDITIONS`.
         total_mass, total_mass_degree: (K,) [kg], [-].
         coefficients, coefficient_degrees: (K, E) of the effects; infinite where any sign will do.
-        coefficient_names: (E,) e.g. Fv6.
+        coefficient_names, coefficient_reasons: (E,) e.g. Fv6, and Fv_6 as in the reasons.
         violated: (K, n, C), violated_total (K,), violated_coefficients (K, E).
     """
 
@@ -59,6 +60,7 @@ class Feasibility:
     coefficients: Float[Tensor, "K E"]
     coefficient_degrees: Float[Tensor, "K E"]
     coefficient_names: tuple[str, ...]
+    coefficient_reasons: tuple[str, ...]
     violated: Bool[Tensor, "K n C"]
     violated_total: Bool[Tensor, " K"]
     violated_coefficients: Bool[Tensor, "K E"]
@@ -93,7 +95,7 @@ class Feasibility:
             found += [f"shape_{link}"] if shape else []
         found += ["total_mass"] if bool(self.violated_total[k]) else []
         out = self.violated_coefficients[k].tolist()
-        found += [_split(n) for n, bad in zip(self.coefficient_names, out, strict=True) if bad]
+        found += [n for n, bad in zip(self.coefficient_reasons, out, strict=True) if bad]
         return tuple(found)
 
     def inertia_violation(self, k: int, link: int) -> str | None:
@@ -102,12 +104,6 @@ class Feasibility:
         if bool(self.violated[k, link, 1]):
             return "eigenvalue"
         return "triangle" if bool(self.violated[k, link, 2]) else None
-
-
-def _split(name: str) -> str:
-    """Fv6 -> Fv_6, as the other reasons are written; Fc_plus12 -> Fc_plus_12."""
-    head = name.rstrip("0123456789")
-    return f"{head}_{name[len(head) :]}"
 
 
 def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
@@ -131,6 +127,9 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
         coefficients=coefficients,
         coefficient_degrees=_over(coefficients, coefficient_scale),
         coefficient_names=sets.coefficient_names(),
+        coefficient_reasons=tuple(
+            f"{c.name}_{e.joint + 1}" for e in sets.effects for c in e.coefficients
+        ),
         violated=~kept,
         violated_total=~(total >= -_ROUNDING * total_scale),
         violated_coefficients=~(coefficients >= 0),
@@ -162,7 +161,7 @@ def link_margins(
     )
     mass_scale = mass.abs().mean(-1, keepdim=True).expand_as(mass)
     second_scale = second.abs().mean(-1)
-    com_scale = ((box[..., 1] - box[..., 0]) / 2).expand_as(com)
+    com_scale = _half(box[..., 0], box[..., 1]).expand_as(com)
     scales = torch.cat(
         [
             torch.stack([mass_scale, second_scale, second_scale], -1),
@@ -189,16 +188,24 @@ def total_mass_margin(
     """Distance (...) of the total mass to the ends of its interval [kg], and half its length."""
     low, high = conditions.total_mass.to(parameters.pi).unbind(-1)
     total = parameters.mass.sum(-1)
-    return torch.minimum(total - low, high - total), (high - low) / 2
+    return torch.minimum(total - low, high - total), _half(low, high)
+
+
+def _half(low: Tensor, high: Tensor) -> Tensor:
+    """Half of intervals; of one that is open to one side, the size of its end."""
+    half = (high - low) / 2
+    end = torch.where(torch.isfinite(low), low, high).abs()
+    return torch.where(torch.isfinite(half), half, end)
 
 
 def _coefficient_margins(sets: ParameterSets) -> tuple[Tensor, Tensor]:
     values = sets.coefficients
     kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
-    margins, scales = values.clone(), torch.ones_like(values)
+    finite = torch.isfinite(values)
+    margins, scales = torch.where(finite, values, torch.nan), torch.ones_like(values)
     for k, (kind, non_negative) in enumerate(kinds):
         if not non_negative:
-            margins[:, k] = torch.inf
+            margins[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
             scales[:, k] = torch.inf
             continue
         same = [j for j, (other, _) in enumerate(kinds) if other == kind]

@@ -11,7 +11,7 @@ import torch
 from torchid.effects.base import Effect
 from torchid.effects.registry import effect_kind, nominal_effects
 from torchid.errors import TorchidError
-from torchid.robot.inertia import InertialParameters
+from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -174,8 +174,8 @@ def _read_set(entry: Any, k: int, robot: Robot, source: str) -> ParameterSets:
     pi = torch.cat([mass.unsqueeze(-1), moment, inertia], -1)
     if inertia_key == "inertia_about_com":
         com = InertialParameters(pi).com if com_key == "first_moment" else place
-        pi = InertialParameters.from_com(mass, com, inertia).pi
-    effects, values = _read_effects(entry.get("effects") or [], robot, where)
+        pi[:, 4:] += parallel_axis(mass, com)
+    effects, values = _read_effects(entry.get("effects"), robot, where)
     return ParameterSets(
         (str(entry.get("id", k)),),
         InertialParameters(pi.unsqueeze(0)),
@@ -198,7 +198,7 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
         values = torch.tensor(entry[key], dtype=torch.float64)
     except KeyError as error:
         raise TorchidError(f"{where} has no '{key}'.", available=list(entry)) from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise TorchidError(f"{where}: {key} is not a table of numbers.", got=entry[key]) from error
     if tuple(values.shape) != shape:
         raise TorchidError(
@@ -212,6 +212,7 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
 
 
 def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[Effect, ...], Tensor]:
+    data = [] if data is None else data
     if not isinstance(data, list):
         raise TorchidError(f"{where}: effects must be a list.", got=type(data).__name__)
     effects: list[Effect] = []
@@ -231,6 +232,8 @@ def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[Effect, ..
                 got=joint,
                 available=list(range(1, robot.n + 1)),
             )
+        if kind(joint - 1) in effects:
+            raise TorchidError(f"{where}: {kind.name} of joint {joint} is listed twice.")
         effects.append(kind(joint - 1))
         values += [float(_numbers(record, c.name, (), where)) for c in kind.coefficients]
     return tuple(effects), torch.tensor(values, dtype=torch.float64)
