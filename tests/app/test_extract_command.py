@@ -1,0 +1,156 @@
+"""torchid extract and torchid atlas from the outside."""
+
+import json
+
+import pytest
+
+SMALL = ("--runs", "3", "--stages", "3", "--generations", "4")
+
+
+@pytest.fixture(scope="session")
+def identified(folder, tmp_path_factory):
+    """The JSON of an identification of the 3R with friction."""
+    from torchid.identification.identify import Settings, identify
+    from torchid.identification.record import record
+    from torchid.log.readers import read_log
+    from torchid.robot.library import load_robot
+
+    settings = Settings(
+        effects=("viscous_friction", "coulomb_friction", "torque_offset"), cutoff=8.0, reversal=0.05
+    )
+    result = identify(
+        load_robot("3r_friction"), read_log([folder / "fit.parquet"]), settings=settings
+    )
+    path = tmp_path_factory.mktemp("result") / "identification.json"
+    path.write_text(json.dumps(record(result)))
+    return path
+
+
+def test_nominal_parameters_are_recovered_as_feasible_sets(command, tmp_path):
+    shown = command("extract", "3r", *SMALL, "--out", tmp_path)
+    assert shown.code == 0, shown.err
+    data = json.loads((tmp_path / "extraction.json").read_text())
+    assert data["schema"] == "torchid.extraction/1"
+    assert data["certificate"]["phi_min"] < 1e-18
+    assert [s["id"] for s in data["sets"]] == ["run_1", "run_2", "run_3"]
+    assert all(s["phi"] < 1e-18 and s["gamma"] == 0 and s["feasible"] for s in data["sets"])
+    assert (tmp_path / "search.png").read_bytes().startswith(b"\x89PNG")
+    assert not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_sets_written_can_be_read_back(command, tmp_path):
+    from torchid.feasibility.sets import read_sets
+    from torchid.robot.library import load_robot
+
+    assert command("extract", "3r", *SMALL, "--out", tmp_path).code == 0
+    sets = read_sets(tmp_path / "sets.json", load_robot("3r"))
+    assert sets.ids == ("run_1", "run_2", "run_3")
+
+
+def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path):
+    target = tmp_path / "x.json"
+    shown = command("extract", "kuka_lwr4", *SMALL, "--json", target)
+    data = json.loads(target.read_text())
+    assert data["certificate"]["phi_min"] == pytest.approx(1.0312e-4, rel=0.01)
+    assert "inertia_7" in data["certificate"]["forcing"]
+    assert "phi_min" in shown.out
+    least = min(s["phi"] for s in data["sets"] if s["feasible"])
+    assert data["certificate"]["phi_min"] * (1 - 1e-6) <= least
+    assert least <= 1.02 * data["certificate"]["phi_min"]
+
+
+@pytest.mark.parametrize("method", ["sdp", "log-cholesky"])
+def test_other_methods(command, tmp_path, method):
+    target = tmp_path / "x.json"
+    assert command("extract", "3r", "--method", method, "--runs", "2", "--json", target).code == 0
+    data = json.loads(target.read_text())
+    assert data["method"] == method
+    assert all(s["feasible"] and s["phi"] < 1e-15 for s in data["sets"])
+
+
+@pytest.mark.parametrize("loss", ["two-step", "one-step"])
+def test_from_an_identification(command, tmp_path, identified, loss):
+    target = tmp_path / "x.json"
+    shown = command(
+        "extract", "3r_friction", identified, "--loss", loss, *SMALL, "--json", target
+    )
+    assert shown.code == 0, shown.err
+    data = json.loads(target.read_text())
+    assert data["loss"] == loss
+    best = next(s for s in data["sets"] if s["id"] == data["best"])
+    assert best["feasible"]
+    assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
+
+
+def test_atlas(command, tmp_path, identified):
+    shown = command("atlas", "3r_friction", identified, "--out", tmp_path)
+    assert shown.code == 0, shown.err
+    data = json.loads((tmp_path / "atlas.json").read_text())
+    rows = {p["name"]: p for p in data["parameters"]}
+    assert rows["m3"]["low"] < 1.2 < rows["m3"]["high"]
+    assert rows["Fv1"]["low"] < 0.0665 < rows["Fv1"]["high"]
+    assert rows["J2xy"]["share_of_bounds"] < 0.05
+    assert (tmp_path / "atlas.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypatch):
+    import torchid.extraction.extract as module
+
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    assert command("extract", "3r", *SMALL, "--out", whole).code == 0
+    save, calls = module.save, []
+
+    def interrupted(*arguments):
+        save(*arguments)
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "save", interrupted)
+    assert command("extract", "3r", *SMALL, "--out", halves).code == 130
+    assert not (halves / "sets.json").exists()
+    assert command("extract", "3r", *SMALL, "--out", halves, "--resume").code == 0
+    assert len(calls) == 3
+    assert (whole / "sets.json").read_bytes() == (halves / "sets.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["kuka_lwr4", "--bounds", "loose"], "com_7z"),
+        (["kuka_lwr4", "--total-mass", "200,300"], "total_mass"),
+        (["3r", "--bounds", "lose"], "available: loose, normal, tight"),
+        (["3r", "--total-mass", "6,5"], "LO < HI"),
+        (["3r", "--total-mass", "a,5"], "not a number"),
+        (["3r", "--runs", "0"], "runs"),
+        (["3r", "--stages", "0"], "stages"),
+        (["3r", "--loss", "one-step"], "needs a log"),
+        (["3r", "--resume"], "--out"),
+        (["kuka_lwr4", "--shapes"], "shapes"),
+        (["panda"], "parameters"),
+        (["3r", "no-such.json"], "cannot be read"),
+    ],
+)
+def test_bad_input(command, arguments, said):
+    shown = command("extract", *arguments)
+    assert shown.code == 1
+    assert said in shown.err
+    assert shown.err.startswith("error: ")
+
+
+def test_base_parameters_of_another_robot(command, identified):
+    shown = command("extract", "kuka_lwr4_friction", identified)
+    assert shown.code == 1
+    assert "another robot" in shown.err
+
+
+def test_a_changed_result_is_refused(command, identified, tmp_path):
+    data = json.loads(identified.read_text())
+    data["base_values"][0] = None
+    broken = tmp_path / "broken.json"
+    broken.write_text(json.dumps(data))
+    shown = command("extract", "3r_friction", broken)
+    assert shown.code == 1
+    assert "base_values" in shown.err
+    broken.write_text("{}")
+    assert "not a result of an identification" in command("extract", "3r_friction", broken).err
