@@ -167,6 +167,6 @@ def _entry(
         raise RobotError(f"{where}: no such link or no such radius.", got=entry, expected=expected)
     axes = torch.ones(3, dtype=torch.float64)
     if axis != "all":
-        axes["xyz".index(axis)] = 0.0
+        axes["xyz".index(str(axis))] = 0.0
     centre = finite_tensor(entry.get("centre", [0.0, 0.0, 0.0]), (3,), f"{where}.centre")
     return link - 1, axes, radius, centre
