@@ -1,0 +1,132 @@
+"""Boxes of the links' geoms in an MJCF, through MuJoCo's compiled model.
+
+Geoms that can collide count; for a body without any, all of them do. Primitive geoms are exact,
+meshes are their corners, anything else is the box that MuJoCo has of it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.errors import RobotError
+from torchid.robot.model import Robot
+from torchid.robot.placement import pose, quaternion
+from torchid.robot.solids import (
+    LinkShapes,
+    Solid,
+    assembled,
+    box,
+    capsule,
+    cylinder,
+    ellipsoid,
+    points,
+)
+from torchid.typing import Tensor
+
+
+def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
+    """Shapes of the links of a robot read from an MJCF; a body without geoms has none.
+
+    Planes and height fields have no end: a link with one has no known box, nor has one of whose
+    bodies one has mass and no geom. The first links of a
+    body with several joints are massless and have none either.
+
+    Args:
+        path: the MJCF.
+        robot: what was read from it; its link names are those of bodies.
+
+    Raises:
+        RobotError: MuJoCo cannot compile the file any more.
+    """
+    # The robot was read with it: `torchid.robot.mjcf` says how to get it where it is missing.
+    import mujoco
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f"{path}: MuJoCo cannot compile it: {error}") from error
+    own = [_body_shapes(mujoco, model, body) for body in range(model.nbody)]
+    parts: dict[str, tuple[list[Solid], str] | None] = {}
+    problems = []
+    for body in range(1, model.nbody):
+        if model.body_jntnum[body] == 0:
+            continue
+        name = _name(mujoco, model, body)
+        members = [b for b in range(body, model.nbody) if _moved_by(model, b) == body]
+        shapes = [own[b] for b in members]
+        solids = [s for part in shapes if part for s in part[0]]
+        kinds = dict.fromkeys(part[1] for part in shapes if part and part[0])
+        whole = all(part is not None for part in shapes) and not (
+            solids and any(model.body_mass[b] and not model.body_geomnum[b] for b in members)
+        )
+        parts[name] = (solids, " and ".join(kinds)) if whole and solids else None
+        if not whole and name in robot.link_names:
+            problems.append(f"'{name}'")
+    warning = (
+        f"shapes of {', '.join(problems)} are unknown: a geom has no end (plane, height field), or "
+        "a body has mass and no geom."
+    )
+    return assembled([parts.get(name) for name in robot.link_names], (warning,) * bool(problems))
+
+
+def _name(mujoco: Any, model: Any, body: int) -> str:
+    return mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"body_{body}"
+
+
+def _moved_by(model: Any, body: int) -> int:
+    """The body with joints that a body is fixed to; 0 for those fixed to the world."""
+    while body and model.body_jntnum[body] == 0:
+        body = int(model.body_parentid[body])
+    return body
+
+
+def _placed(model: Any, body: int) -> Tensor:
+    """Pose (4, 4) of a body in the frame of the body that moves it."""
+    out = pose()
+    while body and model.body_jntnum[body] == 0:
+        out = pose(quaternion(model.body_quat[body]), model.body_pos[body].tolist()) @ out
+        body = int(model.body_parentid[body])
+    return out
+
+
+def _body_shapes(mujoco: Any, model: Any, body: int) -> tuple[list[Solid], str] | None:
+    """Solids of a body's geoms in the frame of the body that moves it; None where one has no
+    end."""
+    first = int(model.body_geomadr[body])
+    geoms = range(first, first + int(model.body_geomnum[body]))
+    colliding = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+    kinds = mujoco.mjtGeom
+    endless = {int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)}
+    chosen = colliding or list(geoms)
+    if any(int(model.geom_type[g]) in endless for g in chosen):
+        return None
+    placed = _placed(model, body)
+    return [_solid(mujoco, model, g, placed) for g in chosen], (
+        "collision" if colliding else "visual"
+    )
+
+
+def _solid(mujoco: Any, model: Any, geom: int, placed: Tensor) -> Solid:
+    kinds = mujoco.mjtGeom
+    at = placed @ pose(quaternion(model.geom_quat[geom]), model.geom_pos[geom].tolist())
+    size = torch.tensor(model.geom_size[geom].tolist(), dtype=torch.float64)
+    radius, half = float(size[0]), float(size[1])
+    kind = int(model.geom_type[geom])
+    if kind == kinds.mjGEOM_BOX:
+        return box(at, size)
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return ellipsoid(at, size)
+    if kind == kinds.mjGEOM_CYLINDER:
+        return cylinder(at, radius, 2 * half)
+    if kind == kinds.mjGEOM_CAPSULE:
+        return capsule(at, radius, 2 * half)
+    if kind == kinds.mjGEOM_SPHERE:
+        return capsule(at, radius, 0.0)
+    if kind == kinds.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        corners = model.mesh_vert[first : first + count].tolist()
+        return points(at, torch.tensor(corners, dtype=torch.float64))
+    centre, extent = torch.tensor(model.geom_aabb[geom].tolist(), dtype=torch.float64).split(3)
+    return box(at @ pose(None, centre), extent)

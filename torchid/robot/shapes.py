@@ -1,0 +1,96 @@
+"""Where the matter of each link can be: boxes of the shapes in a URDF or MJCF, and, for a robot
+without shapes, the lengths of its links.
+
+A link's shapes are its <collision> elements; where it has none, or they cannot be read, its
+<visual> ones. Links behind fixed joints move with the link before them, so their shapes are put
+together in that link's frame, as `torchid.robot.assemble` puts their masses together. A box is
+known only if all shapes of all those links are: part of a link would say nothing about where its
+centre of mass can be.
+"""
+
+from pathlib import Path
+
+import torch
+
+from torchid.robot.mjcf_shapes import mjcf_shapes
+from torchid.robot.model import JointType, Robot
+from torchid.robot.solids import LinkShapes
+from torchid.robot.urdf_shapes import OwnInertial, own_inertials, urdf_shapes
+from torchid.typing import Float, Tensor
+
+__all__ = [
+    "SHORTEST",
+    "LinkShapes",
+    "OwnInertial",
+    "joint_points",
+    "link_boxes",
+    "link_lengths",
+    "link_shapes",
+    "own_inertials",
+    "reach",
+]
+
+SHORTEST = 0.1
+"""Length that every link is given at least [m]: a joint's housing."""
+
+
+def link_shapes(robot: Robot) -> LinkShapes | None:
+    """Shapes of the file a robot was read from, or None where such a file has none (yaml).
+
+    Raises:
+        RobotError: the file is no longer what the robot was read from.
+    """
+    path = Path(robot.source)
+    suffix = path.suffix.lower()
+    if suffix == ".urdf":
+        return urdf_shapes(path, robot)
+    if suffix == ".xml":
+        return mjcf_shapes(path, robot)
+    return None
+
+
+def link_boxes(robot: Robot) -> Float[Tensor, "n 3 2"]:
+    """Boxes (n, 3, 2) of the links' shapes in the link frames [m]; nan where unknown."""
+    shapes = link_shapes(robot)
+    if shapes is None:
+        return torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
+    return shapes.boxes
+
+
+def joint_points(robot: Robot) -> Float[Tensor, "n 2 3"]:
+    """Origins (n, 2, 3) of each link's own joint and of the next joint (of the tool for the last
+    link), in the link's frame [m]."""
+    own = torch.linalg.inv(robot.after)[:, :3, 3]
+    following = torch.cat([robot.before[1:, :3, 3], robot.tool[None, :3, 3]])
+    return torch.stack([own, following], 1)
+
+
+def link_lengths(robot: Robot) -> Float[Tensor, " n"]:
+    """Lengths (n,) of the links [m]: from joint to next joint, and at least the mean of them.
+
+    Joints that meet in a point, as in a wrist, are no distance apart though a link is between
+    them: such a link is taken as long as the robot's links are on average, and none as shorter
+    than `SHORTEST`.
+    """
+    ends = joint_points(robot)
+    lengths = (ends[:, 1] - ends[:, 0]).norm(dim=-1)
+    return torch.clamp(torch.maximum(lengths, lengths.mean()), min=SHORTEST)
+
+
+def reach(robot: Robot) -> float:
+    """Length of the whole chain [m]: each link at least `SHORTEST`, each prismatic joint drawn out
+    as far as its limits say. No link is larger."""
+    ends = joint_points(robot)
+    base = float(robot.before[0, :3, 3].norm())
+    return (
+        base + _slides(robot) + float((ends[:, 1] - ends[:, 0]).norm(dim=-1).clamp(SHORTEST).sum())
+    )
+
+
+def _slides(robot: Robot) -> float:
+    limits = robot.limits.position
+    if limits is None:
+        return 0.0
+    slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
+    furthest = limits.abs().amax(-1)
+    return float(furthest[slides & torch.isfinite(furthest)].sum())
