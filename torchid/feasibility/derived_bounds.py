@@ -1,0 +1,185 @@
+"""Bounds of the physical parameters from a robot's own description (`--bounds from-robot`).
+
+For link i with nominal mass m, centre of mass c and a box B of what it is made of:
+
+- mass: m (1 -+ mass_percent / 100);
+- centre of mass: the box of the link's shapes where there is one, else c -+ com_margin;
+- barycentric inertia: matter of mass at most m_max between a and b along an axis has a second
+  moment about its own mean of at most m_max (b - a)^2 / 4, half of it at each end (Popoviciu's
+  inequality), and products of inertia obey Cauchy and Schwarz. With l the sides of B,
+
+      0 <= I_xx <= m_max (l_y^2 + l_z^2) / 4,    |I_xy| <= m_max l_x l_y / 4,    and so on,
+
+  which no body in the box can break. Without shapes B holds the link's joints and c, with
+  com_margin around;
+- coefficients of the robot's effects: 0 to 10 times the nominal, both signs where physics allows
+  both.
+"""
+
+from collections.abc import Mapping
+
+import torch
+
+from torchid.effects.base import Coefficient
+from torchid.effects.registry import nominal_effects
+from torchid.errors import RobotError, TorchidError
+from torchid.feasibility.bounds import Bounds
+from torchid.feasibility.sets import nominal_set
+from torchid.robot.model import Robot
+from torchid.robot.shapes import LinkShapes, joint_points, link_lengths, link_shapes
+from torchid.typing import Float, Tensor
+
+NAME = "from-robot"
+"""Name of derived bounds, where groups of a robot's yaml have theirs."""
+MASS_PERCENT = 30.0
+COEFFICIENT_FACTOR = 10.0
+MARGIN_OF_LENGTH = 0.5
+"""Default margin of the centres of mass, as a share of the link's length (`link_lengths`)."""
+_THINNEST = 1e-3
+"""Smallest side of a box [m]: a flat shape still has a thickness."""
+
+
+def derive_bounds(
+    robot: Robot,
+    *,
+    mass_percent: float = MASS_PERCENT,
+    com_margin: float | None = None,
+    shapes: LinkShapes | None = None,
+) -> Bounds:
+    """Bounds from a robot's nominal parameters, its shapes or link lengths, and its effects.
+
+    Args:
+        robot: with nominal inertial parameters.
+        mass_percent: by how much masses may differ from nominal, up and down; lower bounds stop
+            at 0.
+        com_margin: where a link has no shape: by how much each coordinate of its centre of mass
+            may differ from nominal [m]; half the link's length (`link_lengths`) if None.
+        shapes: of the links; those of the file the robot was read from if None.
+
+    Raises:
+        RobotError: no nominal parameters, or a link whose nominal mass is not positive.
+        TorchidError: a percentage or margin that is not positive.
+    """
+    parameters = robot.require_parameters("deriving bounds")
+    _positive("mass_percent", mass_percent)
+    if com_margin is not None:
+        _positive("com_margin", com_margin)
+    mass, com = parameters.mass.double(), parameters.com.double()
+    if not bool((mass > 0).all()):
+        link = int((~(mass > 0)).nonzero()[0])
+        raise RobotError(
+            f"robot '{robot.name}': bounds cannot be derived from the nominal mass of link "
+            f"{link + 1} ('{robot.link_names[link]}').",
+            got=float(mass[link]),
+            expected="a positive mass",
+            hint="give `bounds` in the robot's yaml",
+        )
+    share = mass_percent / 100
+    mass_bounds = torch.stack([mass * max(1 - share, 0.0), mass * (1 + share)], -1)
+    margin = _margins(robot, com_margin)
+    boxes = _boxes(robot, shapes)
+    known = torch.isfinite(boxes).all(-1).all(-1)[:, None, None]
+    around = torch.stack([com - margin, com + margin], -1)
+    matter = torch.where(known, boxes, _extents(robot, com, margin))
+    return Bounds(
+        NAME,
+        mass_bounds,
+        torch.where(known, boxes, around),
+        inertia_bounds(mass_bounds[:, 1], matter[..., 1] - matter[..., 0]),
+        _coefficient_bounds(robot),
+    )
+
+
+def inertia_bounds(
+    mass: Float[Tensor, "*batch"], sides: Float[Tensor, "*batch 3"]
+) -> Float[Tensor, "*batch 6 2"]:
+    """Bounds (..., 6, 2) of the barycentric inertia [kg m^2] of any body of at most this mass
+    (...) [kg] in a box with these sides (..., 3) [m], in the box's axes (see the module)."""
+    x, y, z = sides.unbind(-1)
+    zero = torch.zeros_like(x)
+    upper = torch.stack([y * y + z * z, x * y, x * z, x * x + z * z, y * z, x * x + y * y], -1)
+    lower = torch.stack([zero, -x * y, -x * z, zero, -y * z, zero], -1)
+    return torch.stack([lower, upper], -1) * (mass / 4)[..., None, None]
+
+
+def bounds_notes(robot: Robot, bounds: Bounds, shapes: LinkShapes | None = None) -> tuple[str, ...]:
+    """What a person should know of derived bounds, one sentence each: where the boxes are from,
+    and which nominal parameters lie outside.
+
+    Args:
+        robot: with nominal parameters.
+        bounds: derived from it.
+        shapes: as given to `derive_bounds`.
+    """
+    found = link_shapes(robot) if shapes is None else shapes
+    known = (False,) * robot.n if found is None else found.known
+    notes = [] if found is None else list(found.warnings)
+    without = [str(i) for i, k in enumerate(known, start=1) if not k]
+    if without:
+        many = len(without) > 1
+        notes.append(
+            f"link{'s' * many} {', '.join(without)}: no shape, so {'their' if many else 'its'} "
+            f"centre{'s' * many} of mass may differ from nominal by a margin"
+        )
+    sets = nominal_set(robot)
+    p = sets.parameters
+    values = torch.cat([p.com, p.inertia_about_com], -1)[0].double()
+    limits = torch.cat([bounds.com, bounds.inertia], 1)
+    outside = (values < limits[..., 0]) | (values > limits[..., 1])
+    names = ("cx", "cy", "cz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+    lying = [f"{names[k][0]}{i + 1}{names[k][1:]}" for i, k in outside.nonzero().tolist()]
+    coefficients = [(effect.joint, c.name) for effect in sets.effects for c in effect.coefficients]
+    for (joint, name), value in zip(coefficients, sets.coefficients[0].tolist(), strict=True):
+        low, high = bounds.coefficients[name][joint].tolist()
+        lying += [] if low <= value <= high else [f"{name}{joint + 1}"]
+    if lying:
+        notes.append(f"the nominal {', '.join(lying)} lie outside the bounds derived from the rest")
+    return tuple(notes)
+
+
+def _positive(name: str, value: float) -> None:
+    if not 0 < value < float("inf"):
+        raise TorchidError(f"{name} must be a positive number.", got=value)
+
+
+def _margins(robot: Robot, com_margin: float | None) -> Float[Tensor, "n 1"]:
+    if com_margin is None:
+        return MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
+    return torch.full((robot.n, 1), com_margin, dtype=torch.float64)
+
+
+def _boxes(robot: Robot, shapes: LinkShapes | None) -> Float[Tensor, "n 3 2"]:
+    """Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown."""
+    found = link_shapes(robot) if shapes is None else shapes
+    if found is None:
+        return torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
+    low, high = found.boxes.unbind(-1)
+    grow = ((_THINNEST - (high - low)) / 2).clamp(min=0)
+    return torch.stack([low - grow, high + grow], -1)
+
+
+def _extents(
+    robot: Robot, com: Float[Tensor, "n 3"], margin: Float[Tensor, "n 1"]
+) -> Float[Tensor, "n 3 2"]:
+    """Boxes of each link's joints and centre of mass, with a margin around."""
+    ends = torch.cat([joint_points(robot), com.unsqueeze(1)], 1)
+    return torch.stack([ends.amin(1) - margin, ends.amax(1) + margin], -1)
+
+
+def _coefficient_bounds(robot: Robot) -> Mapping[str, Tensor]:
+    """(n, 2) for each coefficient of the robot's effects. A joint without the effect, or with a
+    nominal 0, has the bounds of the joint where it is largest; 1 in its unit where all are 0."""
+    nominal: dict[str, Tensor] = {}
+    kinds: dict[str, Coefficient] = {}
+    for effect, values in nominal_effects(robot):
+        for c, value in zip(effect.coefficients, values, strict=True):
+            sizes = nominal.setdefault(c.name, torch.zeros(robot.n, dtype=torch.float64))
+            sizes[effect.joint] = abs(value)
+            kinds[c.name] = c
+    out = {}
+    for name, sizes in nominal.items():
+        largest = COEFFICIENT_FACTOR * sizes.max() if bool(sizes.any()) else torch.ones_like(sizes)
+        upper = torch.where(sizes > 0, COEFFICIENT_FACTOR * sizes, largest)
+        lower = torch.zeros_like(upper) if kinds[name].non_negative else -upper
+        out[name] = torch.stack([lower, upper], -1)
+    return out
