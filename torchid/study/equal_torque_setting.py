@@ -62,7 +62,9 @@ class Setting:
         boxes to the outer ones; and without the condition on the total mass, if asked for."""
         box, outer = self.conditions.com_box, self.outer.com
         low, high = (torch.minimum, torch.maximum)
-        widest = torch.stack([low(box[..., 0], outer[..., 0]), high(box[..., 1], outer[..., 1])], -1)
+        widest = torch.stack(
+            [low(box[..., 0], outer[..., 0]), high(box[..., 1], outer[..., 1])], -1
+        )
         own = read_bounds(self.robot, self.geometry).mass
         free = self.conditions.total_mass.new_tensor([-torch.inf, torch.inf])
         return replace(
@@ -73,9 +75,7 @@ class Setting:
                 com=box + share * (widest - box),
                 mass=own + share * (self.outer.mass - own),
             ),
-            conditions=self.conditions
-            if total_mass
-            else replace(self.conditions, total_mass=free),
+            conditions=self.conditions if total_mass else replace(self.conditions, total_mass=free),
         )
 
 

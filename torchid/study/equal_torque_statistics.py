@@ -5,8 +5,8 @@ of the carried mass, all with intervals that resample whole chains of the sample
 
 The force at a joint does not depend on J (eq. 2.32): at rest it is the weight of what the joint
 carries, M_i = m_i + ... + m_n, and in motion the first moments add to it. So a degree can matter
-only as far as it goes with a difference of the carried masses; `matched` and `partial` ask whether
-anything is left beside that.
+only as far as it goes with a difference of the carried masses; `matched` asks whether anything is
+left beside that.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +27,11 @@ from torchid.wrenches.resampling import (
 
 THIRDS = ("nearest the boundary", "middle", "furthest from it")
 """Thirds of a kind's sets by the size of their degree."""
-STRATA = 10
+STRATA = 20
+NEAR = 0.02
+"""Degree up to which a set is near the boundary."""
+TIGHTEST = ("inertia", "com", "mass", "total_mass")
+"""Kinds of a single condition, which a feasible set can be near to violating."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class Samples:
         degree: (K,) signed: the firmest have the largest, infeasible ones negative.
         carried: (K,) largest difference of the carried mass over the joints [kg].
         coordinates: (K,) centres of mass's coordinates that are out of their box.
+        tightest: (K,) kind of the condition with the smallest degree: inertia, com, mass, ...
         cluster: (K,) chain of the sampler.
     """
 
@@ -48,6 +53,7 @@ class Samples:
     degree: Array
     carried: Array
     coordinates: Array
+    tightest: Array
     cluster: Array
 
     def of(self, kind: str) -> Array:
@@ -91,7 +97,6 @@ class KindCorrelations:
         degree: Spearman's rho with the degree: negative when firmer sets, and less infeasible ones,
             have smaller errors.
         carried: rho with the difference of the carried mass.
-        partial: rho with the degree for equal difference of the carried mass.
         coordinates: rho with the number of coordinates of centres of mass out of their box.
     """
 
@@ -99,7 +104,6 @@ class KindCorrelations:
     sets: int
     degree: Estimate
     carried: Estimate
-    partial: Estimate
     coordinates: Estimate
 
 
@@ -121,12 +125,33 @@ class Matched:
 
 
 @dataclass(frozen=True)
+class Across:
+    """Just infeasible against just feasible: the sets of a kind whose degree is within `NEAR` of
+    the boundary, against the feasible ones of which a condition of the same kind is as near.
+
+    Attributes:
+        kind: which.
+        sets: just infeasible ones, just feasible ones.
+        medians: of their errors [N]; nan where there is none.
+        ratio, delta: of the errors, infeasible to feasible; without an interval where there are too
+            few sets or chains.
+    """
+
+    kind: str
+    sets: tuple[int, int]
+    medians: tuple[float, float]
+    ratio: Estimate
+    delta: Estimate
+
+
+@dataclass(frozen=True)
 class Statistics:
     """All of them, for one family of sets."""
 
     thirds: tuple[ThirdSummary, ...]
     correlations: tuple[KindCorrelations, ...]
     matched: tuple[Matched, ...]
+    across: tuple[Across, ...]
 
 
 def statistics(samples: Samples, *, resamples: int = 1000, seed: int = 0) -> Statistics:
@@ -144,15 +169,8 @@ def statistics(samples: Samples, *, resamples: int = 1000, seed: int = 0) -> Sta
         thirds=tuple(ask.third(kind, t) for kind in large for t in range(3)),
         correlations=tuple(ask.correlations(kind) for kind in ("all", *large)),
         matched=tuple(ask.matched(kind) for kind in large if kind != "feasible"),
+        across=tuple(ask.across(kind) for kind in large if kind in TIGHTEST),
     )
-
-
-def partial_spearman(x: Array, y: Array, given: Array) -> float:
-    """Rank correlation of x and y with that of `given` taken out of both; nan when `given` leaves
-    nothing of one of them."""
-    xy, xg, yg = spearman(x, y), spearman(x, given), spearman(y, given)
-    left = (1 - xg**2) * (1 - yg**2)
-    return float((xy - xg * yg) / np.sqrt(left)) if left > 1e-12 else float("nan")
 
 
 def stratified_delta(a: Array, b: Array, by_a: Array, by_b: Array) -> float:
@@ -201,7 +219,6 @@ class _Asker:
             len(own),
             rho(s.degree),
             rho(s.carried),
-            self._estimate(lambda k: partial_spearman(s.degree[k], s.error[k], s.carried[k]), [own]),
             rho(s.coordinates) if s.coordinates[own].any() else NO_ESTIMATE,
         )
 
@@ -222,15 +239,27 @@ class _Asker:
             self._against(cliffs_delta, own, base),
         )
 
+    def across(self, kind: str) -> Across:
+        s = self.samples
+        own, base = s.of(kind), s.of("feasible")
+        own = own[np.abs(s.degree[own]) < NEAR]
+        base = base[(s.degree[base] < NEAR) & (s.tightest[base] == kind)]
+        middle = [float(np.median(s.error[k])) if len(k) else float("nan") for k in (own, base)]
+        return Across(
+            kind,
+            (len(own), len(base)),
+            (middle[0], middle[1]),
+            self._against(hodges_lehmann_ratio, own, base),
+            self._against(cliffs_delta, own, base),
+        )
+
     def _against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
         inside = np.zeros(len(self.samples.kind), dtype=bool)
         inside[a] = True
         error = self.samples.error
         return self._estimate(lambda k: function(error[k[inside[k]]], error[k[~inside[k]]]), [a, b])
 
-    def _estimate(
-        self, statistic: Callable[[Array], float], members: Sequence[Array]
-    ) -> Estimate:
+    def _estimate(self, statistic: Callable[[Array], float], members: Sequence[Array]) -> Estimate:
         if min(len(m) for m in members) < LEAST_SETS:
             return NO_ESTIMATE
         clusters = self.samples.cluster

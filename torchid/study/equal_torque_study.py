@@ -16,17 +16,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.extraction.equal_torque import FEASIBLE, KINDS, EqualTorqueSets, equal_torque_sets
+from torchid.extraction.equal_torque import FEASIBLE, KINDS, EqualTorqueSets
 from torchid.extraction.equal_torque_space import equal_torque_space
-from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.margins import Feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
+from torchid.study.equal_torque_family import Drawn, draw
 from torchid.study.equal_torque_setting import (
     MARGIN,
     Setting,
@@ -34,10 +34,10 @@ from torchid.study.equal_torque_setting import (
     reference_motion,
 )
 from torchid.study.equal_torque_statistics import Samples, Statistics, statistics
-from torchid.study.force_reach import ForceReach, force_reach, force_squares
+from torchid.study.force_reach import ForceReach, force_reach
 from torchid.study.other_truths import FirmTruths, OtherTruths, other_truths
 from torchid.typing import Float, Tensor
-from torchid.wrenches.compare import RESAMPLES, Comparison, compare
+from torchid.wrenches.compare import RESAMPLES, Comparison
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
 
 Progress = Callable[[str, int, int], None]
@@ -79,8 +79,11 @@ class EqualTorqueStudy:
         statistics: thirds of the degree, correlations, comparison at equal carried mass.
         truths, firm_truths: with every feasible set as the truth.
         reach: greatest force errors of any set of each kind.
-        to_nominal: medians per kind of the force error against the robot's nominal parameters [N],
+        static_share: median, and range of 95 %, of what the weight of `carried` is of the largest
+            force error.
+        to_nominal: the same comparison with the errors against the robot's nominal parameters,
             where these are not the reference; the torque then differs by `setting.torque_change`.
+        reference_to_nominal: force error between reference and nominal parameters [N].
         variants: with other outer bounds.
         seed: of everything.
         warnings: sentences for the user.
@@ -98,7 +101,9 @@ class EqualTorqueStudy:
     truths: tuple[OtherTruths, ...]
     firm_truths: tuple[FirmTruths, ...]
     reach: tuple[ForceReach, ...]
-    to_nominal: dict[str, float]
+    static_share: tuple[float, float, float]
+    to_nominal: Comparison | None
+    reference_to_nominal: float
     variants: tuple[Variant, ...]
     seed: int
     warnings: tuple[str, ...]
@@ -157,9 +162,10 @@ def equal_torque_study(
     motion = motion or reference_motion(robot, seed)
     total = 3 if with_variants else 2
     _tell(progress, "sets with equal torque", 0, total)
-    drawn = _draw(setting, motion, kinds, per_kind, chains, seed)
+    drawn = draw(setting, motion, kinds, per_kind, chains, seed)
     _tell(progress, "statistics and greatest errors", 1, total)
     samples = drawn.samples()
+    to_nominal, offset = _to_nominal(drawn, motion, resamples, seed)
     reach, warnings = _reach(setting, drawn.squares)
     truths, firm = other_truths(samples.kind, samples.degree, drawn.distances())
     variants: tuple[Variant, ...] = ()
@@ -182,95 +188,12 @@ def equal_torque_study(
         truths=truths,
         firm_truths=firm,
         reach=reach,
-        to_nominal=_to_nominal(setting, motion, drawn.family),
+        static_share=_static_share(samples, setting.robot),
+        to_nominal=to_nominal,
+        reference_to_nominal=offset,
         variants=variants,
         seed=seed,
         warnings=(*setting.notes, *drawn.family.warnings, *warnings),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """A family with its errors."""
-
-    setting: Setting
-    family: EqualTorqueSets
-    checked: Feasibility
-    errors: WrenchErrors
-    squares: Float[Tensor, "n D D"]
-    z: Float[Tensor, "K D"]
-
-    @property
-    def carried(self) -> Float[Tensor, "K n"]:
-        """(K, n) difference of the mass that each joint carries [kg]."""
-        sets, reference = self.family.sets.parameters, self.setting.reference.parameters
-        return (sets.mass - reference.mass).flip(-1).cumsum(-1).flip(-1)
-
-    def samples(self) -> Samples:
-        """For the statistics."""
-        return Samples(
-            kind=np.array(self.family.kind),
-            error=self.errors.force_rms.amax(-1).numpy(),
-            degree=self.checked.degree.numpy(),
-            carried=self.carried.abs().amax(-1).numpy(),
-            coordinates=self.checked.violated[..., 3:6].sum((1, 2)).numpy(),
-            cluster=self.family.cluster.numpy(),
-        )
-
-    def distances(self) -> np.ndarray:
-        """(F, K) force error of each set if feasible set f is the truth: by joint from z'G z."""
-        feasible = [k for k, own in enumerate(self.family.kind) if own == FEASIBLE]
-        largest = self.z.new_zeros(len(feasible), len(self.z))
-        for square in self.squares:
-            values, vectors = torch.linalg.eigh(square)
-            y = self.z @ (vectors * values.clamp(min=0.0).sqrt())
-            largest = torch.maximum(largest, torch.cdist(y[feasible], y))
-        return largest.numpy()
-
-    def compared(self, resamples: int, seed: int) -> Comparison:
-        """By class and degree."""
-        reasons = [self.checked.reasons(k) for k in range(len(self.z))]
-        return compare(
-            self.errors.force_rms.amax(-1),
-            reasons,
-            self.checked.degree,
-            cluster=self.family.cluster,
-            resamples=resamples,
-            seed=seed,
-        )
-
-
-def _draw(
-    setting: Setting, motion: Motion, kinds: Sequence[str], per_kind: int, chains: int, seed: int
-) -> _Drawn:
-    reference = setting.reference
-    family = equal_torque_sets(
-        setting.robot,
-        setting.base,
-        reference,
-        setting.conditions,
-        setting.outer,
-        kinds=kinds,
-        per_kind=per_kind,
-        seed=seed,
-        chains=chains,
-    )
-    if family.kind.count(FEASIBLE) < 2:
-        raise TorchidError(
-            "no feasible sets with the reference's torque were found beside it.",
-            got=f"bounds '{setting.geometry}' and '{setting.outer.name}'",
-            hint="wider boxes, or a reference with a larger margin",
-        )
-    space = equal_torque_space(reference, setting.base, setting.conditions, setting.outer)
-    own = InertialParameters(reference.parameters.pi[0])
-    rigid = family.sets.parameters
-    return _Drawn(
-        setting=setting,
-        family=family,
-        checked=feasibility(family.sets, setting.conditions),
-        errors=wrench_errors(setting.robot, *motion.state, rigid, own),
-        squares=force_squares(setting.robot, motion, space.directions),
-        z=(rigid.to_paper_order() - space.x) @ space.directions,
     )
 
 
@@ -294,18 +217,25 @@ def _first(one: ParameterSets) -> InertialParameters:
     return InertialParameters(one.parameters.pi[0])
 
 
-def _to_nominal(setting: Setting, motion: Motion, family: EqualTorqueSets) -> dict[str, float]:
+def _to_nominal(
+    drawn: Drawn, motion: Motion, resamples: int, seed: int
+) -> tuple[Comparison | None, float]:
+    """The comparison against the nominal parameters, and how far the reference is from them."""
+    setting = drawn.setting
     if setting.origin == "nominal":
-        return {}
+        return None, 0.0
     own = _first(setting.nominal)
-    errors = wrench_errors(setting.robot, *motion.state, family.sets.parameters, own)
-    worst = errors.force_rms.amax(-1)
-    kinds = np.array(family.kind)
-    found = {k: float(worst[torch.from_numpy(kinds == k)].median()) for k in dict.fromkeys(kinds)}
-    reference = wrench_errors(
-        setting.robot, *motion.state, setting.reference.parameters, own
-    ).force_rms.amax()
-    return {"reference": float(reference), **{str(k): v for k, v in found.items()}}
+    errors, offset = (
+        wrench_errors(setting.robot, *motion.state, sets.parameters, own)
+        for sets in (drawn.family.sets, setting.reference)
+    )
+    return drawn.compared(resamples, seed, errors), float(offset.force_rms.amax())
+
+
+def _static_share(samples: Samples, robot: Robot) -> tuple[float, float, float]:
+    share = samples.carried * float(robot.gravity.norm()) / samples.error
+    low, middle, high = np.percentile(share, [2.5, 50, 97.5]).tolist()
+    return middle, low, high
 
 
 def _variants(
@@ -318,15 +248,14 @@ def _variants(
     seed: int,
 ) -> tuple[Variant, ...]:
     asked = (
-        ("a quarter of the way to the outer bounds", 0.25, True),
-        ("half of the way to the outer bounds", 0.5, True),
+        ("outer bounds a quarter as far", 0.25, True),
         ("total mass unknown", 1.0, False),
-        ("total mass unknown, a quarter of the way", 0.25, False),
+        ("both", 0.25, False),
     )
     found = []
     for name, share, total_mass in asked:
         other = setting.widened(name, share, total_mass=total_mass)
-        drawn = _draw(other, motion, kinds, per_kind, chains, seed)
+        drawn = draw(other, motion, kinds, per_kind, chains, seed)
         compared = drawn.compared(resamples, seed)
         rho = compared.correlation.rho
         worst, own = drawn.samples().error, np.array(drawn.family.kind)
@@ -337,6 +266,7 @@ def _variants(
                 {
                     e.first: (e.delta.value, e.delta.low, e.delta.high)
                     for e in compared.effects
+                    if e.second == "feasible"
                 },
                 (rho.value, rho.low, rho.high),
                 _reach(other, drawn.squares)[0],
