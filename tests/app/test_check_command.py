@@ -97,6 +97,32 @@ def test_many_sets_are_one_row_each(tmp_path):
     assert "principal inertias" not in said(got)
 
 
+def test_very_many_sets_are_cut_off_and_all_in_the_record(tmp_path):
+    file = sets_file(tmp_path / "s.json", count=60)
+    got = call(file, "--robot", "3r", "--json", tmp_path / "f.json")
+    assert "1 of 60 sets are feasible" in said(got)
+    assert "the first 50" in said(got)
+    assert "s49" in said(got)
+    assert "s50" not in said(got)
+    assert len(json.loads((tmp_path / "f.json").read_text())["sets"]) == 60
+
+
+def test_mjcf(tmp_path):
+    pytest.importorskip("mujoco")
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="a"><joint axis="0 0 1"/><geom type="box" '
+        'size="0.1 0.2 0.3" pos="0 0 0.2" density="1000"/></body></worldbody></mujoco>'
+    )
+    got = call(path, "--json", tmp_path / "f.json")
+    assert got.exit_code == 0, got.output
+    data = json.loads((tmp_path / "f.json").read_text())
+    assert data["conditions"]["geometry"] == "shapes (collision)"
+    assert data["sets"][0]["margins"]["com_1x"] == pytest.approx(0.1)
+    assert data["sets"][0]["links"][0]["mass"] == pytest.approx(48)
+    assert data["sets"][0]["plausibility"] == []
+
+
 def test_names_with_brackets_are_printed_as_they_are(tmp_path):
     def rename(data):
         data["sets"][0]["id"] = "run[/3]"

@@ -15,6 +15,8 @@ NEAR = 0.05
 """Degree below which a condition is shown as near its boundary."""
 MOST_TABLES = 3
 """Sets that have a table each; more are one row a set."""
+MOST_ROWS = 50
+"""Rows of the table of sets."""
 DEGREE = (
     "degree: the smallest margin of all conditions, each over a scale of its own (a link's mean "
     "second moment, half a box's side, the mean mass): negative outside, 0 on the boundary"
@@ -195,15 +197,16 @@ def _coefficient_table(check: Check, k: int) -> Table:
 
 
 def _set_table(check: Check) -> Table:
-    """One row a set."""
-    found = check.feasibility
-    table = compact(escape(f"{len(check.sets)} sets of {check.robot.name}"))
+    """One row a set, for the first ones."""
+    found, count = check.feasibility, len(check.sets)
+    shown = f", the first {MOST_ROWS} (all with --json)" if count > MOST_ROWS else ""
+    table = compact(escape(f"{count} sets of {check.robot.name}{shown}"))
     for heading in ("set", "feasible", "degree", "total mass \\[kg]", "findings"):
         table.add_column(heading, justify="left" if heading == "set" else "right", no_wrap=True)
     table.add_column("violated", overflow="fold", ratio=1)
     feasible, degrees = found.feasible.tolist(), found.degree.tolist()
     masses = check.sets.parameters.mass.sum(-1).tolist()
-    for k, name in enumerate(check.sets.ids):
+    for k, name in enumerate(check.sets.ids[:MOST_ROWS]):
         table.add_row(
             escape(name),
             "yes" if feasible[k] else "[red]no[/]",
