@@ -70,7 +70,7 @@ def load(path: Path, problem: Problem, settings: "SearchSettings") -> Progress |
         state = SearchState.from_arrays(
             {k.removeprefix("state_"): v for k, v in arrays.items() if k.startswith("state_")}
         )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise TorchidError(f"'{path}' is not a checkpoint of an extraction.", got=error) from error
     if of != fingerprint(problem, settings):
         raise TorchidError(

@@ -32,7 +32,7 @@ class Region:
         inside: (D,) a point strictly inside.
         contradictions: names of conditions that no point of the bounds meets, e.g. com_7z.
         round_links: (n,) links whose cylinder or sphere counts.
-        total_mass: (2,) interval of the total mass; infinite where not asked for.
+        total_mass: (2,) interval of the total mass within the bounds; infinite where not asked for.
     """
 
     box: Float[Tensor, "D 2"]
@@ -104,7 +104,8 @@ def _masses(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:
         return box.mean(-1), no_total, ["total_mass"]
     span = box[:, 1] - box[:, 0]
     share = ((low + high) / 2 - box[:, 0].sum()) / span.sum()
-    return box[:, 0] + share * span, asked, []
+    within = torch.stack([low, high]) if bool(torch.isfinite(asked).any()) else asked
+    return box[:, 0] + share * span, within, []
 
 
 def _centres(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:
@@ -117,13 +118,15 @@ def _centres(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:
     reach = ((nearest - centre) * axes).norm(dim=-1)
     possible = reach < radius
     # Towards the shape's axis until it is inside, keeping away from the box's faces if possible.
-    for share in (0.0, 0.5, 0.9, 0.99, 0.999):
-        point = com + share * (nearest - com)
-        out = ((point - centre) * axes).norm(dim=-1) >= radius
-        if not bool((out & asked & possible).any()):
-            break
-    missed = (asked & ~possible).nonzero().flatten().tolist()
-    return point, asked & possible, [f"shape_{i + 1}" for i in missed]
+    point, out = com, asked & possible
+    for share in (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999):
+        tried = com + share * (nearest - com)
+        point = torch.where(out.unsqueeze(-1), tried, point)
+        out &= ((point - centre) * axes).norm(dim=-1) >= radius
+    # What overlaps by less than that leaves no room to search in.
+    met = asked & possible & ~out
+    missed = (asked & ~met).nonzero().flatten().tolist()
+    return point, met, [f"shape_{i + 1}" for i in missed]
 
 
 def _inertias(box: Tensor) -> tuple[Tensor, list[str]]:

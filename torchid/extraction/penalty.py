@@ -3,11 +3,11 @@
 Each condition h >= 0 adds max(0, -h) / s, with h the margins of `feasibility.margins` and a scale s
 fixed by the bounds, so that a violation across the whole box counts about 1 whatever its unit:
 
-- mass (2.22): s = upper bound of the mass;
+- mass (2.22): s = largest size that the bounds allow the mass;
 - smallest eigenvalue (2.24) and triangle inequality (2.26) of the barycentric inertia: s = largest
-  upper bound of the link's diagonal entries;
+  size that the bounds allow the link's diagonal entries;
 - box of the centre of mass (2.27): s = side of the search box; cylinder or sphere: its radius;
-- total mass (2.31): s = length of its interval.
+- total mass (2.31): s = length of its interval; of one open to one side, its end or 1 kg.
 
 A sum of violations, not of their squares: it is an exact penalty, so from some xi on the minimiser
 of phi + xi gamma has gamma = 0, not merely a small one.
@@ -47,7 +47,7 @@ def _short(margin: Tensor, scale: Tensor) -> Tensor:
 
 
 def _mass(problem: Problem, mass: Tensor) -> Tensor:
-    return _short(mass, problem.bounds.mass[:, 1].to(mass)).sum(-1)
+    return _short(mass, problem.bounds.mass.abs().amax(-1).to(mass)).sum(-1)
 
 
 def _inertia(problem: Problem, inertia: Tensor, exact: bool) -> Tensor:
@@ -56,7 +56,7 @@ def _inertia(problem: Problem, inertia: Tensor, exact: bool) -> Tensor:
     else:
         smallest, largest = extreme_eigenvalues(inertia)
     half_trace = (inertia[..., 0] + inertia[..., 3] + inertia[..., 5]) / 2
-    scale = problem.bounds.inertia[:, [0, 3, 5], 1].amax(-1).to(inertia)
+    scale = problem.bounds.inertia[:, [0, 3, 5]].abs().amax((-1, -2)).to(inertia)
     return (_short(smallest, scale) + _short(half_trace - largest, scale)).sum(-1)
 
 
@@ -76,10 +76,12 @@ def _com(problem: Problem, com: Tensor) -> Tensor:
 
 def _total_mass(problem: Problem, mass: Tensor) -> Tensor:
     low, high = problem.conditions.total_mass.tolist()
-    if not math.isfinite(high - low):
+    ends = [abs(end) for end in (low, high) if math.isfinite(end)]
+    if not ends:
         return torch.zeros_like(mass[..., 0])
+    scale = high - low if len(ends) == 2 else ends[0] or 1.0
     total = mass.sum(-1)
-    return ((low - total).clamp(min=0.0) + (total - high).clamp(min=0.0)) / (high - low)
+    return ((low - total).clamp(min=0.0) + (total - high).clamp(min=0.0)) / scale
 
 
 def extreme_eigenvalues(inertia: Float[Tensor, "*batch 6"]) -> tuple[Tensor, Tensor]:

@@ -67,12 +67,7 @@ def two_step(
     Raises:
         TorchidError: not one finite number a base parameter.
     """
-    if values.shape != (len(base),) or not bool(torch.isfinite(values).all()):
-        raise TorchidError(
-            "the base parameters do not belong to this robot and these effects, or are not finite.",
-            got=f"{tuple(values.shape)} values, {int((~torch.isfinite(values)).sum())} not finite",
-            expected=f"({len(base)},) finite values",
-        )
+    _check(base, values)
     weight = torch.eye(len(base), dtype=values.dtype, device=values.device)
     weight = weight if known is None else weight[known]
     return Target(base, tuple(effects), values, weight, weight @ values, "two-step")
@@ -89,8 +84,28 @@ def one_step(
     Args:
         base, effects, values: as for `two_step`.
         factor: (B + 1, B + 1) of the fit, `Identification.factor`.
+
+    Raises:
+        TorchidError: values or a factor that are not of these base parameters, or not finite.
     """
+    _check(base, values)
+    size = len(base) + 1
+    if factor.shape != (size, size) or not bool(torch.isfinite(factor).all()):
+        raise TorchidError(
+            "the factor does not belong to these base parameters, or is not finite.",
+            got=f"{tuple(factor.shape)}, {int((~torch.isfinite(factor)).sum())} not finite",
+            expected=f"({size}, {size}) finite numbers",
+        )
     return Target(base, tuple(effects), values, factor[:-1, :-1], factor[:-1, -1], "one-step")
+
+
+def _check(base: BaseParameters, values: Tensor) -> None:
+    if values.shape != (len(base),) or not bool(torch.isfinite(values).all()):
+        raise TorchidError(
+            "the base parameters do not belong to this robot and these effects, or are not finite.",
+            got=f"{tuple(values.shape)} values, {int((~torch.isfinite(values)).sum())} not finite",
+            expected=f"({len(base)},) finite values",
+        )
 
 
 @dataclass(frozen=True, eq=False)

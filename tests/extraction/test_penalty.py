@@ -1,0 +1,227 @@
+"""gamma: zero exactly where the margins say so, continuous, and fast without being wrong."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.arms import arm
+from tests.extraction.setups import (
+    BUILT_IN,
+    asking,
+    bounded,
+    nothing_asked,
+    problem_of,
+    random_vectors,
+)
+from torchid.extraction.interior import region
+from torchid.extraction.penalty import extreme_eigenvalues, gamma
+from torchid.extraction.problem import Problem
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import nominal_set
+from torchid.robot.inertia import six, symmetric
+
+NEAR = 1e-8
+"""What the closed form may be off, as a share of the largest eigenvalue's size."""
+
+
+# ---- eigenvalues in closed form -------------------------------------------------------------
+
+
+def assert_as_lapack(inertia: torch.Tensor) -> None:
+    smallest, largest = extreme_eigenvalues(inertia)
+    expected = torch.linalg.eigvalsh(symmetric(inertia))
+    # Cubes of what is smaller than 1e-100 are no numbers any more.
+    size = expected.abs().amax(-1) + 1e-90
+    assert float(((smallest - expected[..., 0]).abs() / size).max()) < NEAR
+    assert float(((largest - expected[..., 2]).abs() / size).max()) < NEAR
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    values=st.lists(st.floats(-10, 10), min_size=3, max_size=3),
+    seed=st.integers(0, 2**31),
+    exponent=st.integers(-8, 8),
+)
+def test_eigenvalues_of_any_tensor(values: list[float], seed: int, exponent: int) -> None:
+    g = torch.Generator().manual_seed(seed)
+    q = torch.linalg.qr(torch.randn(3, 3, generator=g, dtype=torch.float64)).Q
+    tensor = q @ torch.diag(10.0**exponent * torch.tensor(values)) @ q.T
+    assert_as_lapack(six((tensor + tensor.T) / 2))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    first=st.floats(0.1, 10),
+    gap=st.floats(-16, -1),
+    pattern=st.sampled_from([(0, 0, 1), (0, 1, 1), (0, 1, 2), (0, 0, 0), (1, 0, -1)]),
+    seed=st.integers(0, 2**31),
+)
+def test_eigenvalues_nearly_equal(
+    first: float, gap: float, pattern: tuple[int, ...], seed: int
+) -> None:
+    """Two or three eigenvalues 10^gap apart, where acos has no slope."""
+    g = torch.Generator().manual_seed(seed)
+    q = torch.linalg.qr(torch.randn(3, 3, generator=g, dtype=torch.float64)).Q
+    values = first + 10.0**gap * torch.tensor(pattern, dtype=torch.float64)
+    tensor = q @ torch.diag(values) @ q.T
+    assert_as_lapack(six((tensor + tensor.T) / 2))
+
+
+def test_eigenvalues_of_special_tensors() -> None:
+    rows = [
+        [0.0, 0, 0, 0, 0, 0],
+        [1.0, 0, 0, 1, 0, 1],
+        [2.0, 0, 0, 1, 0, 1],
+        [0.0, 1, 0, 0, 0, 0],
+        [1.0, 1, 1, 1, 1, 1],
+        [-3.0, 0, 0, 0, 0, 0],
+        [1e-80, 0, 0, 2e-80, 0, 3e-80],
+    ]
+    assert_as_lapack(torch.tensor(rows))
+
+
+# ---- gamma ----------------------------------------------------------------------------------
+
+
+def whole(name: str, group: str = "normal") -> Problem:
+    """All conditions at once: boxes, cylinders or spheres, total mass."""
+    p = problem_of(name, group)
+    n = p.n
+    axes = torch.tensor([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]).repeat(n, 1)[:n]
+    total = p.bounds.mass.sum(0) * torch.tensor([1.0, 0.6]) + torch.tensor([1.0, 0.0])
+    return asking(p, round_axes=axes, round_radius=torch.full((n,), 0.35), total_mass=total)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_zero_exactly_where_no_margin_is_negative(name: str) -> None:
+    """On random sets, moved towards the interior until some are feasible, and beyond."""
+    p = whole(name)
+    inside = region(p, conditions=True)
+    assert inside.contradictions == ()
+    share = torch.linspace(0, 1, 400).unsqueeze(-1) ** 0.3
+    q = random_vectors(p, 400)
+    q = q + share * (inside.inside - q)
+    # Physics and geometry, not the coefficients, which gamma leaves to their bounds.
+    found = feasibility(p.sets(q, [str(k) for k in range(400)]), p.conditions)
+    fulfilled = ~(found.violated.flatten(1).any(-1) | found.violated_total)
+    assert 20 < int(fulfilled.sum()) < 390
+    for exact in (True, False):
+        assert torch.equal(gamma(p, q, exact=exact) == 0, fulfilled)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_fast_is_exact_enough(name: str) -> None:
+    p = whole(name)
+    q = random_vectors(p, 500)
+    torch.testing.assert_close(gamma(p, q, exact=False), gamma(p, q), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4"])
+def test_continuous(name: str, exact: bool) -> None:
+    """Along lines through the bounds, in steps that halve: so do the largest changes."""
+    p = whole(name)
+    a, b = random_vectors(p, 2, seed=3)
+    changes = []
+    for steps in (1000, 2000, 4000):
+        t = torch.linspace(0, 1, steps + 1).unsqueeze(-1)
+        changes.append(float(gamma(p, a + t * (b - a), exact=exact).diff().abs().max()))
+    assert changes[1] < 0.6 * changes[0]
+    assert changes[2] < 0.6 * changes[1]
+
+
+def feasible_3r() -> tuple[Problem, torch.Tensor]:
+    p = problem_of("3r")
+    return p, p.search_vector(nominal_set(arm("3r")))[0]
+
+
+def test_scaled_violations_by_hand() -> None:
+    """Each condition alone, violated by a known amount, counts what the table says."""
+    p, good = feasible_3r()
+    assert float(gamma(p, good)) == 0.0
+    n = p.n
+
+    def at(index: int, value: float) -> float:
+        q = good.clone()
+        q[index] = value
+        return float(gamma(p, q))
+
+    assert at(1, -0.5) == pytest.approx(0.5 / 2.0)  # mass of link 2, of at most 2 kg
+    assert at(n + 3 * 2, 0.03) == pytest.approx(0.03 / 0.15)  # c3x in [-0.15, 0]
+    q = good.clone()
+    q[4 * n : 4 * n + 6] = torch.tensor([0.1, 0.0, 0.0, 0.1, 0.0, 0.3])
+    assert float(gamma(p, q)) == pytest.approx(0.05 / 0.5)  # tr/2 - 0.3 = -0.05
+    q[4 * n : 4 * n + 6] = torch.tensor([-0.1, 0.0, 0.0, 0.2, 0.0, 0.2])
+    assert float(gamma(p, q)) == pytest.approx((0.1 + 0.05) / 0.5)
+    total = asking(p, total_mass=torch.tensor([6.0, 7.0]))
+    assert float(gamma(total, good)) == pytest.approx(0.5)  # 5.5 kg
+
+
+@pytest.mark.parametrize(
+    ("interval", "expected"),
+    [
+        ((6.0, math.inf), 0.5 / 6.0),
+        ((-math.inf, 5.0), 0.5 / 5.0),
+        ((5.0, math.inf), 0.0),
+        ((-math.inf, 0.0), 5.5),
+        ((-math.inf, math.inf), 0.0),
+        ((0.0, math.inf), 0.0),
+    ],
+)
+def test_total_mass_open_to_one_side(interval: tuple[float, float], expected: float) -> None:
+    p, good = feasible_3r()
+    asked = asking(p, total_mass=torch.tensor(interval))
+    assert float(gamma(asked, good)) == pytest.approx(expected)
+
+
+def test_shape_by_hand() -> None:
+    p = problem_of("3r", shapes=True)
+    good = p.search_vector(nominal_set(arm("3r")))[0]
+    assert float(gamma(p, good)) == 0.0
+    q = good.clone()
+    q[p.n + 1 * 3 + 1] = 0.03
+    q[p.n + 1 * 3 + 2] = 0.03  # c2y, c2z: within the box of +-0.035, outside the circle
+    assert float(gamma(p, q)) == pytest.approx((math.hypot(0.03, 0.03) - 0.035) / 0.035)
+
+
+def test_never_negative_whatever_the_bounds() -> None:
+    """Also where they allow nothing but negative masses and inertias."""
+
+    def negative(b):  # type: ignore[no-untyped-def]
+        mass, inertia = b.mass, b.inertia
+        mass[0] = torch.tensor([-2.0, -1.0])
+        mass[1] = torch.tensor([-2.0, 0.0])
+        inertia[2] = torch.tensor([-1.0, -0.5])
+        inertia[1] = torch.tensor([-1.0, 0.0])
+        return b
+
+    p = bounded(problem_of("3r"), negative)
+    q = random_vectors(p, 200)
+    for exact in (True, False):
+        value = gamma(p, q, exact=exact)
+        assert bool(value.isfinite().all())
+        assert bool((value > 1.0).all())
+    high = p.box[:, 1]
+    assert math.isfinite(float(gamma(p, high)))
+
+
+def test_batches_and_devices(device: torch.device) -> None:
+    p = whole("3r")
+    q = random_vectors(p, 6)
+    expected = gamma(p, q)
+    found = gamma(p, q.reshape(2, 3, -1).to(device))
+    assert found.shape == (2, 3)
+    torch.testing.assert_close(found.cpu().flatten(), expected, rtol=1e-12, atol=1e-15)
+
+
+def test_without_boxes_only_physics_counts() -> None:
+    p = problem_of("3r")
+    free = replace(p, conditions=nothing_asked(p.conditions))
+    q = p.search_vector(nominal_set(arm("3r")))[0]
+    q[p.n : 4 * p.n] = 100.0
+    assert float(gamma(p, q)) > 100
+    assert float(gamma(free, q)) == 0.0
