@@ -321,7 +321,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name, runs):
         hits.append((low <= TRUE) & (high >= TRUE))
         assert found.seen
         assert found.consistent_within
-    share = torch.stack(hits)
+    share = torch.stack(hits).double()
     assert 0.93 < float(share.mean()) < 0.995
     assert float(share.mean(0).min()) > 0.82
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from torchid.identification.identify import Identification, Settings, identify
+from torchid.identification.payload import estimate_payload
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
@@ -142,3 +143,18 @@ def test_standstill_is_said():
     """On the UR10e it holds most of the squared error of all rows."""
     found = identified("ur10e_ptp", LINES["ur10e_ptp"].settings)
     assert any("rows at rest hold" in w and w.startswith("held-out") for w in found.warnings)
+
+
+@pytest.mark.parametrize("empty", [("unloaded_dec23",), ("est_30s_12harm", "exc_40s_12harm")])
+def test_the_ur10e_load_of_2p6_kg_lies_in_its_interval(empty):
+    """The same reference motion without and with a known load; and two other motions without."""
+    line = LINES["ur10e_ptp"]
+    robot = load_robot(DATA / line.folder / line.robot)
+    settings = Settings(cutoff=7.0, rows="moving")
+    without, carrying = (
+        identify(robot, read(line, names), settings=settings)
+        for names in (empty, ("loaded_2p6kg_jan13",))
+    )
+    mass = estimate_payload(without, carrying).tool.mass
+    assert float(mass.low) <= 2.6 <= float(mass.high)
+    assert float(mass.std) < 0.1

@@ -60,6 +60,12 @@ def payload_command(
         str | None,
         typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
     ] = None,
+    rows: Annotated[
+        Literal["all", "moving"],
+        typer.Option(
+            help="Rows fitted. At rest friction can hold any torque, and so part of a payload's."
+        ),
+    ] = "moving",
     method: Annotated[
         Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
     ] = "huber",
@@ -88,7 +94,11 @@ def payload_command(
     from torchid.robot.library import load_robot
 
     settings = Settings(
-        effects=effect_names(effects), cutoff=_cutoff(cutoff), method=method, signs=signs
+        effects=effect_names(effects),
+        cutoff=_cutoff(cutoff),
+        rows=rows,
+        method=method,
+        signs=signs,
     )
     found = load_robot(robot, tip=tip)
     gains = None if gain is None else numbers("--gain", gain, found.n)

@@ -22,6 +22,7 @@ from torchid.identification.payload_fit import (
     fit_payload,
     last_link_columns,
     nearest_consistent,
+    root_of,
     weighting,
 )
 from torchid.identification.payload_result import (
@@ -74,7 +75,7 @@ def estimate_payload(
     """
     _require_same(unloaded, loaded)
     degrees = min(r.uncertainty.blocks for r in (unloaded, loaded)) - 1
-    noise = (unloaded.fit.rmse.square() + loaded.fit.rmse.square()).sqrt()
+    estimated = unloaded.free & loaded.free
     return payload_from_change(
         unloaded.robot,
         unloaded.base,
@@ -82,9 +83,21 @@ def estimate_payload(
         unloaded.covariance + loaded.covariance,
         float(max(1, degrees)),
         model=model,
-        estimated=unloaded.free & loaded.free,
-        noise=noise,
+        estimated=estimated,
+        nominal=_nominal(unloaded, estimated) + _nominal(loaded, estimated),
     )
+
+
+def _nominal(result: Identification, estimated: Tensor) -> Float[Tensor, "B B"]:
+    """Covariance (B, B) that the fit's own rows promise if their errors are independent: 0 for what
+    is not estimated. Far too small on real logs, but its correlations are the log's."""
+    rows = result.factor[:-1, :-1][:, estimated]
+    scale = torch.linalg.vector_norm(rows, dim=0)
+    inverse = torch.linalg.pinv(rows / scale) / scale.unsqueeze(-1)
+    out = torch.zeros_like(result.covariance)
+    index = estimated.nonzero().flatten()
+    out[index.unsqueeze(-1), index] = inverse @ inverse.T
+    return out
 
 
 def payload_from_change(
@@ -96,7 +109,7 @@ def payload_from_change(
     *,
     model: Model = "general",
     estimated: Bool[Tensor, " B"] | None = None,
-    noise: Float[Tensor, " n"] | None = None,
+    nominal: Float[Tensor, "B B"] | None = None,
 ) -> Payload:
     """The payload behind a change of base parameters.
 
@@ -106,8 +119,9 @@ def payload_from_change(
         degrees_of_freedom: of the covariance.
         model: see `Payload`.
         estimated: (B,) which are known in both runs; all if None.
-        noise: (n,) of the joint torques, to a common scale; equal if None. It steers the weighting
-            only, never the standard deviations.
+        nominal: (B, B) covariance by which the changes are weighted, to any scale; that of random
+            states of the arm if None. It never enters the standard deviations. (`covariance` itself
+            is no weighting: from some dozen blocks it is known too roughly to be inverted.)
 
     Raises:
         TorchidError: an unknown model; no rigid base parameter known in both runs.
@@ -124,7 +138,7 @@ def payload_from_change(
             expected="logs that excite the wrist",
         )
     own, std = covariance[used][:, used], covariance.diagonal().clamp(min=0).sqrt()
-    root = weighting(robot, base, used, std[used], noise)
+    root = weighting(robot, base, used, std[used]) if nominal is None else root_of(nominal, used)
     fitted = fit_payload(model, robot, change[used], own, columns, root)
     quantile = _quantile(LEVEL, degrees_of_freedom)
     # All rows of the residual are tested at once (Bonferroni).

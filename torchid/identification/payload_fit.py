@@ -4,12 +4,12 @@ A payload moves with the last link, so it adds its ten parameters to that link's
 parameters change by G_n theta, G_n being the last link's columns of the grouping matrix (Gaz and
 De Luca, IROS 2017).
 
-The estimate is generalised least squares with a weighting that does not depend on the noise in the
-estimated covariance: correlations of the base parameters from the robot's regressor at random
-states, standard deviations from the data. Its covariance is P C P', with the estimated covariance C
-of the change and the estimator P. Weighting by C's own inverse would be a little sharper and far
-too sure of itself: a jackknife of some thirty blocks holds next to nothing of the inverse of a 43 x
-43 matrix (on the 7R with one trajectory, 71 % of the nominal 95 % intervals held the truth).
+The estimate is generalised least squares, weighted by the covariance that both fits' own rows
+promise, or, where none is given, by that of random states of the arm. Its covariance is P C P',
+with the block-robust covariance C of the change and the estimator P. Weighting by C's own inverse
+would be far too sure of itself: a jackknife of some thirty blocks holds next to nothing of the
+inverse of a 43 x 43 matrix (on the 7R with one trajectory, 71 % of the nominal 95 % intervals held
+the truth).
 """
 
 import math
@@ -36,6 +36,9 @@ Model = Literal["general", "symmetric", "point_mass"]
 
 _VANISHES = 1e-9
 """Relative size below which a change along a direction, or a variance, counts as none."""
+
+_LEAST = 1e-12
+"""Smallest variance of a direction, relative to the largest, that a weighting believes."""
 
 _SHARPEST = 1e8
 _SHARPER = 10.0
@@ -89,7 +92,6 @@ def weighting(
     base: BaseParameters,
     used: Bool[Tensor, " B"],
     std: Float[Tensor, " R"],
-    noise: Float[Tensor, " n"] | None,
 ) -> Float[Tensor, "R R"]:
     """A root V of the weighting W = V'V of the rigid base parameters that are used.
 
@@ -97,13 +99,10 @@ def weighting(
         robot, base: whose structure gives the correlations.
         used: which of the base parameters; rigid ones only.
         std: standard deviations of their changes.
-        noise: of the joint torques [N m; N], to any common scale; equal ones if None.
     """
     motion = _typical_motion(robot)
     pi = torch.tensor(base.independent)[used]
     rows = regressor(robot, *motion.state)[..., pi]
-    if noise is not None and bool((noise > 0).any()):
-        rows = rows / noise.clamp(min=1e-6 * float(noise.max())).unsqueeze(-1)
     root = torch.linalg.qr(rows.flatten(0, 1), mode="r").R
     structural = torch.linalg.inv(root).square().sum(-1).sqrt()
     ratio = std / structural
@@ -111,6 +110,16 @@ def weighting(
     if typical == 0:
         return root
     return root / ratio.clamp(min=1e-6 * typical)
+
+
+def root_of(nominal: Float[Tensor, "B B"], used: Bool[Tensor, " B"]) -> Float[Tensor, "R R"]:
+    """A root V of the weighting W = V'V, the inverse of a covariance of the changes."""
+    own = nominal[used][:, used]
+    scale = own.diagonal().clamp(min=1e-300).sqrt()
+    values, axes = torch.linalg.eigh(own / scale / scale.unsqueeze(-1))
+    # Directions that the rows promise to know perfectly are rounding.
+    inverse = values.clamp(min=_LEAST * float(values[-1])).rsqrt()
+    return inverse.unsqueeze(-1) * axes.T / scale
 
 
 def _typical_motion(robot: Robot) -> Motion:
