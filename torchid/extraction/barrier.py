@@ -11,7 +11,8 @@ from torchid.extraction.problem import Problem
 from torchid.robot.inertia import InertialParameters, paper_order
 from torchid.typing import Bool, Float, Tensor
 
-_STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
+_STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 0.99, 1.0)
+"""Shares of the way to the interior point; the last is that point, which is always inside."""
 _EDGE = 1e-7
 """Share of a span, or of a link's second moments, that a start keeps from the boundary."""
 
