@@ -106,7 +106,7 @@ def plausibility(
     own = bodies(sets.parameters)
     _densities(found, own, sets.parameters.mass, shapes)
     _sizes(found, own, sets.parameters, robot, shapes)
-    _gyrations(found, own, reach(robot))
+    _gyrations(found, own, _longest(robot, shapes))
     _distances(found, sets.parameters, robot, shapes)
     add_boundaries(found, feasibility)
     if bounds is not None:
@@ -177,6 +177,14 @@ def _ellipsoids(
             f"centre of mass; going by its joints, the link ends within {1e3 * limit:.0f} mm"
         )
         found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
+
+
+def _longest(robot: Robot, shapes: LinkShapes | None) -> float:
+    """The arm's reach, or the diagonal of its largest box where that is longer [m]."""
+    if shapes is None or not any(shapes.known):
+        return reach(robot)
+    diagonals = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
+    return max(reach(robot), float(diagonals.max()))
 
 
 def _gyrations(found: list[list[Finding]], own: Bodies, longest: float) -> None:
