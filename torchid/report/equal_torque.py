@@ -6,12 +6,14 @@ import torch
 from rich.table import Table
 
 from torchid.report.identification import compact
+from torchid.study.equal_torque_statistics import Across
 from torchid.study.equal_torque_study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.compare import EffectSize
 from torchid.wrenches.resampling import Estimate
 
 _AGAINST_EACH_OTHER = ("CoM only", "inertia only")
+_WORDS = {"inertia": "inertia", "com": "centres of mass"}
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
@@ -38,6 +40,7 @@ def findings(study: EqualTorqueStudy) -> list[str]:
     for c in study.statistics.correlations:
         if c.kind in ("feasible", "inertia", "com"):
             told.append(_degree_sentence(c.kind, c.degree))
+    told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
     told += _reach_sentences(study)
     return told
 
@@ -228,8 +231,7 @@ def _effect_sentence(effect: EffectSize) -> str:
 
 
 def _degree_sentence(kind: str, rho: Estimate) -> str:
-    names = {"inertia": "inertia", "com": "centres of mass"}
-    among = "feasible sets" if kind == "feasible" else f"sets that violate {names[kind]} only"
+    among = "feasible sets" if kind == "feasible" else f"sets that violate {_WORDS[kind]} only"
     if math.isnan(rho.low):
         return f"Among {among}: too few independent chains to tell whether the degree matters."
     how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
@@ -240,6 +242,17 @@ def _degree_sentence(kind: str, rho: Estimate) -> str:
     return f"Among {among} {which} ones have {side} errors: {how}."
 
 
+def _across_sentence(across: Across) -> str:
+    what = f"Just outside and just inside the boundary of {_WORDS[across.kind]}"
+    low, high = across.ratio.low, across.ratio.high
+    if math.isnan(low):
+        return f"{what}: too few independent chains to tell whether the error jumps."
+    how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
+    if low <= 1 <= high:
+        return f"{what} no jump of the error can be told: {how}."
+    return f"{what} the errors differ: {how}."
+
+
 def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
     found = {r.kind: r for r in study.reach}
     if "feasible" not in found:
@@ -248,11 +261,11 @@ def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
     told = [f"Even feasible sets can be off by {_newton(found['feasible'].reached.max())}."]
     for kind in ("inertia", "com"):
         if kind in found:
-            times = float((found[kind].reached / feasible).max())
-            joint = int((found[kind].reached / feasible).argmax()) + 1
+            times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
+            listed = ", ".join(f"{t:.2f}" for t in times)
             told.append(
-                f"Violating {label(kind)} alone can take the force at most "
-                f"{max(times, 1.0):.2f} times as far as feasible sets go (joint {joint})."
+                f"With {_WORDS[kind]} violated alone, the greatest error of any set is {listed} "
+                "times that of feasible ones (joint by joint)."
             )
     return told
 

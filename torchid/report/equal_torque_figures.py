@@ -8,7 +8,6 @@ import torch
 from torchid.report.equal_torque import label
 from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, styled
 from torchid.robot.inertia import InertialParameters
-from torchid.study.equal_torque_setting import RATE
 from torchid.study.equal_torque_study import EqualTorqueStudy
 from torchid.wrenches.regressor import wrench_norms
 
@@ -135,7 +134,7 @@ def time_figure(study: EqualTorqueStudy) -> "Figure":
     lines = -(-n // columns)
     figure = new_figure(7.0 if columns == 1 else 11.0, 1.5 * lines + 1.2)
     grid = figure.subplots(lines, columns, sharex=True, squeeze=False)
-    t = np.arange(force.shape[1]) / RATE
+    t = np.arange(force.shape[1]) / (study.rate or 1.0)
     for j, axes in enumerate(grid.T.flat):
         if j >= n:
             axes.set_visible(False)
@@ -146,7 +145,7 @@ def time_figure(study: EqualTorqueStudy) -> "Figure":
         axes.plot(t, force[0, :, j].numpy(), color=INK, linewidth=1.8)
         axes.set_ylabel(f"joint {j + 1} [N]", fontsize=_SMALL, color=INK)
     for axes in grid[-1]:
-        axes.set_xlabel("time [s]", fontsize=_SMALL, color=INK)
+        axes.set_xlabel("sample" if study.rate is None else "time [s]", fontsize=_SMALL, color=INK)
         axes.tick_params(labelbottom=True)
     handles = [_line(INK, 1.8), *(_line(_colour(k), 1.1) for k in kinds)]
     names = ["reference", *(f"{label(k)}, median set" for k in kinds)]

@@ -103,8 +103,8 @@ def equal_torque_setting(
         MissingExtraError: Clarabel is needed to find one, and not installed.
     """
     nominal = nominal_set(robot)
-    geometry = geometry or _corrected(robot, "normal")
-    outer_bounds = read_bounds(robot, outer or _corrected(robot, "loose"))
+    geometry = geometry or corrected_group(robot, "normal")
+    outer_bounds = read_bounds(robot, outer or corrected_group(robot, "loose"))
     mass = float(nominal.parameters.mass.sum())
     interval = total_mass or read_total_mass(robot) or (TOTAL_MASS[0] * mass, TOTAL_MASS[1] * mass)
     asked = conditions(robot, com_box=read_bounds(robot, geometry).com, total_mass=interval)
@@ -137,7 +137,9 @@ def reference_motion(robot: Robot, seed: int = 0, *, duration: float = 10.0) -> 
     return Motion(sampled.q, sampled.dq, sampled.ddq)
 
 
-def _corrected(robot: Robot, group: str) -> str:
+def corrected_group(robot: Robot, group: str) -> str:
+    """`group`_corrected where the robot has such bounds, as where printed ones are known to exclude
+    the true parameters; else the group itself."""
     name = f"{group}_corrected"
     return name if name in bounds_groups(robot) else group
 

@@ -29,6 +29,7 @@ from torchid.robot.model import Robot
 from torchid.study.equal_torque_family import Drawn, draw
 from torchid.study.equal_torque_setting import (
     MARGIN,
+    RATE,
     Setting,
     equal_torque_setting,
     reference_motion,
@@ -69,6 +70,7 @@ class EqualTorqueStudy:
     Attributes:
         setting: robot, conditions, outer bounds, reference.
         motion: on which forces were compared.
+        rate: samples per second of the motion [Hz]; None for a motion that was given.
         family: the sets.
         checked: their feasibility.
         errors: of their wrenches, per set and joint.
@@ -91,6 +93,7 @@ class EqualTorqueStudy:
 
     setting: Setting
     motion: Motion
+    rate: float | None
     family: EqualTorqueSets
     checked: Feasibility
     errors: WrenchErrors
@@ -159,6 +162,7 @@ def equal_torque_study(
     if FEASIBLE not in kinds:
         raise TorchidError("the kinds must include feasible sets.", got=list(kinds))
     setting = setting or equal_torque_setting(robot, margin=margin)
+    rate = RATE if motion is None else None
     motion = motion or reference_motion(robot, seed)
     total = 3 if with_variants else 2
     _tell(progress, "sets with equal torque", 0, total)
@@ -178,6 +182,7 @@ def equal_torque_study(
     return EqualTorqueStudy(
         setting=setting,
         motion=motion,
+        rate=rate,
         family=drawn.family,
         checked=drawn.checked,
         errors=drawn.errors,

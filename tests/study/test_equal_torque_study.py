@@ -1,0 +1,376 @@
+"""The study of sets with equal torque: closed forms, linear programs by hand, planted answers."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from tests.arms import mixed_arm, states
+from tests.oracles import PinocchioOracle
+from torchid.effects.base import Motion
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.extraction.equal_torque import null_space
+from torchid.extraction.equal_torque_space import equal_torque_space
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import nominal_set
+from torchid.identification.base_parameters import base_parameters
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import JointType, Robot
+from torchid.study import equal_torque_study as study_module
+from torchid.study.equal_torque_family import Drawn, draw
+from torchid.study.equal_torque_setting import (
+    Setting,
+    equal_torque_setting,
+    reference_motion,
+)
+from torchid.study.equal_torque_statistics import Samples, statistics, stratified_delta
+from torchid.study.equal_torque_study import EqualTorqueStudy, equal_torque_study
+from torchid.study.force_reach import force_reach, force_squares
+from torchid.study.given_sets import given_sets
+from torchid.study.other_truths import other_truths
+from torchid.study.wrenches_record import given_record, study_record
+from torchid.wrenches.deviation import wrench_errors
+from torchid.wrenches.regressor import internal_wrenches
+
+ROBOTS = ("3r", "kuka_lwr4_friction")
+KINDS = ("feasible", "inertia", "com", "total_mass")
+GRAVITY = 9.81
+SLOW_FOR_THE_LWR = ("3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.slow))
+
+
+@lru_cache
+def setting(name: str) -> Setting:
+    return equal_torque_setting(load_robot(name))
+
+
+@lru_cache
+def drawn(name: str) -> Drawn:
+    case = setting(name)
+    return draw(case, reference_motion(case.robot), KINDS, 24, 12, 0)
+
+
+@lru_cache
+def study() -> EqualTorqueStudy:
+    return equal_torque_study(
+        load_robot("3r"), per_kind=24, chains=12, kinds=KINDS, with_variants=False, resamples=50
+    )
+
+
+def at_rest(robot: Robot) -> Motion:
+    q, _, _ = states(robot, 5)
+    return Motion(q, torch.zeros_like(q), torch.zeros_like(q))
+
+
+def test_reference_is_the_nominal_set_where_it_is_feasible() -> None:
+    case = setting("3r")
+    assert case.origin == "nominal"
+    assert torch.equal(case.reference.vector, nominal_set(case.robot).vector)
+    assert float(case.torque_change.abs().max()) == 0.0
+
+
+def test_reference_of_the_lwr_is_feasible_and_says_what_changed() -> None:
+    case = setting("kuka_lwr4_friction")
+    assert case.origin == "nearest"
+    assert bool(feasibility(case.reference, case.conditions).feasible[0])
+    names = case.reference.coefficient_names()
+    assert float(case.nominal.coefficients[0, names.index("Fv6")]) < 0
+    assert float(case.reference.coefficients[0, names.index("Fv6")]) >= 0
+    text = " ".join(case.notes)
+    for expected in ("inertia_3", "Fv6", "nearest in torque"):
+        assert expected in text
+    assert 0 < float(case.torque_change.square().mean().sqrt()) < 0.05
+    # The printed box of link 7 excludes the true centre of mass.
+    assert case.geometry == "normal_corrected"
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_torque_is_equal_by_pinocchio(name: str) -> None:
+    found = drawn(name)
+    robot, sets = found.setting.robot, found.family.sets
+    motion = states(robot, 4)
+    expected = PinocchioOracle(found.setting.reference.to_robot(robot, 0)).inverse_dynamics(*motion)
+    expected = np.asarray(expected)
+    for kind in KINDS:
+        k = found.family.kind.index(kind)
+        tau = np.asarray(PinocchioOracle(sets.to_robot(robot, k)).inverse_dynamics(*motion))
+        scale = np.abs(expected).max()
+        assert np.abs(tau - expected).max() < 1e-9 * scale
+    relative = found.errors.torque_rms / found.errors.reference_moment_rms
+    assert float(relative.max()) < 1e-9
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_forces_do_not_depend_on_the_inertias(name: str) -> None:
+    found = drawn(name)
+    robot = found.setting.robot
+    motion = states(robot, 4)
+    own = found.family.sets.parameters
+    pi = own.pi.clone()
+    pi[..., 4:] = found.setting.reference.parameters.pi[..., 4:]
+    forces, others = (
+        internal_wrenches(robot, *motion, p)[..., :3] for p in (own, InertialParameters(pi))
+    )
+    torch.testing.assert_close(forces, others, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_at_rest_the_error_is_the_weight_of_the_carried_mass(name: str) -> None:
+    case = setting(name)
+    found = draw(case, at_rest(case.robot), ("feasible", "inertia"), 10, 6, 0)
+    mass = found.family.sets.parameters.mass - case.reference.parameters.mass
+    for joint in range(case.robot.n):
+        expected = GRAVITY * mass[:, joint:].sum(-1).abs()
+        torch.testing.assert_close(found.errors.force_rms[:, joint], expected, rtol=1e-7, atol=1e-7)
+        torch.testing.assert_close(found.carried[:, joint], mass[:, joint:].sum(-1))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_errors_against_other_truths_are_those_of_the_wrenches(name: str) -> None:
+    found = drawn(name)
+    motion = reference_motion(found.setting.robot)
+    distances = found.distances()
+    feasible = [k for k, kind in enumerate(found.family.kind) if kind == "feasible"]
+    for place in (0, len(feasible) - 1):
+        truth = InertialParameters(found.family.sets.parameters.pi[feasible[place]])
+        own = wrench_errors(
+            found.setting.robot, *motion.state, found.family.sets.parameters, truth
+        ).force_rms.amax(-1)
+        np.testing.assert_allclose(distances[place], own.numpy(), rtol=1e-5, atol=1e-5)
+
+
+def carried_by_linear_program(case: Setting, joint: int) -> float:
+    """Largest |difference of the carried mass| [kg] over all sets with the reference's base
+    parameters, masses and |J| within the outer bounds, centres of mass in their boxes and the total
+    mass in its interval: written in (m, mc, J), without the null space."""
+    n = case.robot.n
+    grouping = case.base.grouping[:, : 10 * n].numpy()
+    x0 = case.reference.parameters.to_paper_order()[0].numpy()
+    rows, right = [], []
+    for link in range(n):
+        for axis in range(3):
+            low, high = case.conditions.com_box[link, axis].tolist()
+            for sign, edge in ((1, high), (-1, low)):
+                row = np.zeros(10 * n)
+                row[n + 3 * link + axis], row[link] = sign, -sign * edge
+                rows.append(row)
+                right.append(0.0)
+    total = np.r_[np.ones(n), np.zeros(9 * n)]
+    low, high = case.conditions.total_mass.tolist()
+    rows += [total, -total]
+    right += [high, -low]
+    masses = [(0.0, float(m)) for m in case.outer.mass[:, 1]]
+    inertia = case.outer.inertia.abs().amax(-1).T.flatten().tolist()
+    limits = [*masses, *[(None, None)] * (3 * n), *[(-j, j) for j in inertia]]
+    cost = np.zeros(10 * n)
+    cost[joint:n] = 1.0
+    best = 0.0
+    for sign in (1.0, -1.0):
+        found = linprog(
+            sign * cost, A_ub=np.array(rows), b_ub=right, A_eq=grouping, b_eq=grouping @ x0,
+            bounds=limits, method="highs",
+        )  # fmt: skip
+        assert found.status == 0
+        best = max(best, abs(float(cost @ (found.x - x0))))
+    return best
+
+
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4"])
+def test_reach_at_rest_is_a_linear_program(name: str) -> None:
+    """With inertias free and at rest, the greatest force is the weight of a linear program."""
+    case = setting(name)
+    space = equal_torque_space(case.reference, case.base, case.conditions, case.outer)
+    squares = force_squares(case.robot, at_rest(case.robot), space.directions)
+    found = force_reach(space, squares, ("inertia",))[0]
+    for joint in range(case.robot.n):
+        expected = GRAVITY * carried_by_linear_program(case, joint)
+        assert float(found.reached[joint]) == pytest.approx(expected, rel=1e-4)
+        assert float(found.bound[joint]) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", SLOW_FOR_THE_LWR)
+def test_no_drawn_set_exceeds_the_reach(name: str) -> None:
+    found = drawn(name)
+    case = found.setting
+    space = equal_torque_space(case.reference, case.base, case.conditions, case.outer)
+    reach = {r.kind: r for r in force_reach(space, found.squares)}
+    kinds = np.array(found.family.kind)
+    for kind in KINDS:
+        errors = found.errors.force_rms[torch.from_numpy(kinds == kind)]
+        assert bool((reach[kind].reached <= reach[kind].bound * (1 + 1e-6)).all())
+        assert bool((errors <= reach[kind].bound * (1 + 1e-5) + 1e-6).all()), kind
+        # What may be violated need not be: more is allowed, more is reached.
+        assert bool((reach[kind].bound >= reach["feasible"].reached * (1 - 1e-4)).all())
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 1000), letters=st.sampled_from(["RP", "PRR", "RPRR", "PPR", "RRRP"]))
+def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
+    """The torque of a prismatic joint is that force: no set with equal torque changes it."""
+    robot = mixed_arm(letters, seed)
+    rigid = base_parameters(robot, nominal_set(robot).effects)
+    n = 10 * robot.n
+    directions = InertialParameters.from_paper_order(null_space(rigid).T[:, :n].contiguous())
+    errors = wrench_errors(
+        robot,
+        *states(robot, 6, seed=seed),
+        directions,
+        InertialParameters(torch.zeros(robot.n, 10)),
+    )
+    prismatic = [kind is JointType.PRISMATIC for kind in robot.joint_types]
+    assert float(errors.torque_rms[:, prismatic].max()) < 1e-9
+
+
+def test_study_answers_every_question_for_the_3r() -> None:
+    found = study()
+    assert found.kinds == KINDS
+    assert float(found.torque_relative.max()) < 1e-9
+    middle, low, high = found.static_share
+    assert 0.9 < low <= middle <= high < 1.1
+    assert {c.name for c in found.comparison.classes} == {
+        "feasible", "inertia only", "CoM only", "total mass only",
+    }  # fmt: skip
+    pairs = [(e.first, e.second) for e in found.comparison.effects]
+    assert ("CoM only", "inertia only") in pairs
+    assert found.to_nominal is None
+    assert {t.kind for t in found.truths} == set(KINDS) - {"feasible"}
+    assert [t.third for t in found.statistics.thirds].count("middle") == len(KINDS)
+
+
+def test_same_seed_same_study() -> None:
+    again = equal_torque_study(
+        load_robot("3r"), per_kind=24, chains=12, kinds=KINDS, with_variants=False, resamples=50
+    )
+    assert study_record(again) == study_record(study())
+
+
+def test_other_outer_bounds_change_the_setting() -> None:
+    case = setting("3r")
+    near = case.widened("near", 0.0, total_mass=False)
+    assert torch.equal(near.outer.com, case.conditions.com_box)
+    assert not bool(torch.isfinite(near.conditions.total_mass).any())
+    same = case.widened("same", 1.0)
+    assert torch.equal(same.outer.mass, case.outer.mass)
+    assert torch.equal(same.conditions.total_mass, case.conditions.total_mass)
+
+
+def planted(error: np.ndarray, **changes: np.ndarray) -> Samples:
+    """60 feasible and 60 inertia-only sets in clusters of 3."""
+    k = np.arange(120)
+    degree = np.where(k < 60, 1.0, -1.0) * (k % 60 + 1) / 60
+    base = Samples(
+        kind=np.where(k < 60, "feasible", "inertia"),
+        error=error,
+        degree=degree,
+        carried=error,
+        coordinates=np.zeros(120),
+        tightest=np.full(120, "inertia"),
+        cluster=k // 3,
+    )
+    return replace(base, **changes)
+
+
+def test_statistics_find_a_planted_effect_of_the_degree() -> None:
+    rng = np.random.default_rng(0)
+    degree = planted(np.ones(120)).degree
+    error = np.exp(-degree + 0.01 * rng.normal(size=120))
+    found = statistics(planted(error), resamples=100)
+    by = {c.kind: c for c in found.correlations}
+    for kind in ("all", "feasible", "inertia"):
+        assert by[kind].degree.value < -0.99
+        assert by[kind].degree.high < -0.9
+    medians = {(t.kind, t.third): t.median for t in found.thirds}
+    assert medians["inertia", "furthest from it"] > medians["inertia", "nearest the boundary"]
+    assert medians["feasible", "furthest from it"] < medians["feasible", "nearest the boundary"]
+
+
+def test_statistics_find_none_where_there_is_none() -> None:
+    error = np.exp(np.random.default_rng(1).normal(size=120))
+    found = statistics(planted(error), resamples=200)
+    for c in found.correlations:
+        assert c.degree.low < 0 < c.degree.high
+    assert found.matched[0].unmatched.low < 0 < found.matched[0].unmatched.high
+
+
+def test_matching_takes_out_what_the_carried_mass_explains() -> None:
+    """Infeasible sets are further away in mass, and the error is a function of the mass only."""
+    rng = np.random.default_rng(2)
+    carried = rng.uniform(1, 3, 120) + np.where(np.arange(120) < 60, 0.0, 0.7)
+    noisy = carried * np.exp(0.1 * rng.normal(size=120))
+    found = statistics(planted(noisy, carried=carried), resamples=200).matched[0]
+    assert found.unmatched.low > 0.2
+    assert found.delta.low < 0 < found.delta.high
+
+
+def test_stratified_delta_by_hand() -> None:
+    by = np.repeat([0.0, 1.0], 50)
+    low, high = np.where(by > 0, 10.0, 1.0), np.where(by > 0, 11.0, 2.0)
+    assert stratified_delta(high, low, by, by) == 1.0
+    assert stratified_delta(low, low, by, by) == 0.0
+    assert np.isnan(stratified_delta(low, low, by, by + 5))
+
+
+def test_other_truths_on_a_line() -> None:
+    """Sets at points of a line: five feasible within 0..4, infeasible at 10 and -6."""
+    place = np.array([0.0, 1, 2, 3, 4, 10, 10, -6, -6])
+    kind = np.array(["feasible"] * 5 + ["com"] * 4)
+    degree = np.array([0.1, 0.2, 0.3, 0.2, 0.1, -1, -1, -1, -1])
+    distances = np.abs(place[:5, None] - place)
+    (com,), firm = other_truths(kind, degree, distances)
+    assert com.kind == "com"
+    assert com.better == (0.0, 0.0, 0.0)
+    # Medians: 8 of the infeasible; of the other feasible 2.5 seen from the ends, else 1.5.
+    assert com.ratio[0] == pytest.approx(8 / 1.5)
+    assert com.ratio[1] == pytest.approx(8 / 2.5)
+    assert len(firm) == 3
+
+
+def test_study_without_the_solver_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> None:
+        raise MissingExtraError("clarabel", "sdp", "this")
+
+    monkeypatch.setattr(study_module, "force_reach", missing)
+    found = equal_torque_study(
+        load_robot("3r"),
+        per_kind=15,
+        chains=6,
+        kinds=("feasible", "inertia"),
+        with_variants=False,
+        resamples=10,
+    )
+    assert found.reach == ()
+    assert any("clarabel" in w for w in found.warnings)
+
+
+def test_bad_requests_are_refused() -> None:
+    with pytest.raises(TorchidError, match="include feasible"):
+        equal_torque_study(load_robot("3r"), kinds=("com",))
+    with pytest.raises(TorchidError, match="no bounds 'loose'"):
+        equal_torque_setting(mixed_arm("RR", 0))
+    case = setting("3r")
+    with pytest.raises(TorchidError, match="one set"):
+        given_sets(
+            case.robot,
+            case.nominal,
+            drawn("3r").family.sets,
+            case.conditions,
+            reference_motion(case.robot),
+        )
+
+
+def test_given_sets_have_the_errors_of_their_wrenches() -> None:
+    found = drawn("3r")
+    case = found.setting
+    motion = reference_motion(case.robot)
+    sets = found.family.sets
+    got = given_sets(case.robot, sets, case.nominal, case.conditions, motion, resamples=20)
+    torch.testing.assert_close(got.errors.force_rms, found.errors.force_rms)
+    record = given_record(got, ["sets.json"])
+    assert record["schema"] == "torchid.wrenches/1"
+    assert [s["id"] for s in record["sets"]] == list(sets.ids)
+    assert record["sets"][0]["force_rms"] == got.errors.force_rms[0].tolist()

@@ -1,0 +1,253 @@
+"""`torchid wrenches`: internal forces and moments of sets with the same torque."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchid.app.options import (
+    Json,
+    Out,
+    Output,
+    Quiet,
+    RobotArgument,
+    Seed,
+    Threads,
+    Tip,
+    numbers,
+    open_output,
+    progress_bar,
+)
+from torchid.errors import LogError, TorchidError
+
+if TYPE_CHECKING:
+    from torchid.effects.base import Motion
+    from torchid.feasibility.conditions import Conditions
+    from torchid.feasibility.sets import ParameterSets
+    from torchid.robot.model import Robot
+    from torchid.study.equal_torque_setting import Setting
+
+_MARGIN = 1e-3  # torchid.study.equal_torque_setting.MARGIN; importing it would import torch
+_CUTOFF = 8.0
+
+
+def wrenches_command(
+    robot: RobotArgument,
+    sets: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--sets",
+            metavar="FILE",
+            help="Sets to compare with the robot's nominal parameters. May be given several times. "
+            "Without: families of sets with equal torque, feasible and not, are drawn.",
+        ),
+    ] = None,
+    per_kind: Annotated[
+        int, typer.Option("--per-kind", min=15, help="Sets of each kind of violation.")
+    ] = 200,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG", help="Motion to compare on. Default: a sinusoid within the limits."
+        ),
+    ] = None,
+    geometry: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GROUP",
+            help="Bounds whose CoM boxes are the links' geometry. Default: normal_corrected, or "
+            "normal.",
+        ),
+    ] = None,
+    total_mass: Annotated[
+        str | None,
+        typer.Option(
+            "--total-mass",
+            metavar="LO,HI",
+            help="Interval of the total mass [kg]. Default: the robot's, or 0.9 to 1.25 times the "
+            "nominal one (not with --sets).",
+        ),
+    ] = None,
+    margin: Annotated[
+        float,
+        typer.Option(
+            help="Where the nominal parameters are not feasible: smallest eigenvalue of the "
+            "pseudo-inertias of the reference [kg m^2, kg]."
+        ),
+    ] = _MARGIN,
+    variants: Annotated[
+        bool, typer.Option(help="Ask the question again with other outer bounds.")
+    ] = True,
+    resamples: Annotated[
+        int, typer.Option(min=1, help="Of the bootstrap of the intervals.")
+    ] = 1000,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+) -> None:
+    """Compare the internal forces of parameter sets: by reason, by degree, by joint.
+
+    Examples: `torchid wrenches 3r --per-kind 300 --out result`;
+    `torchid wrenches kuka_lwr4 --sets extraction.json --trajectory motion.csv`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.robot.library import load_robot
+
+    found = load_robot(robot, tip=tip)
+    interval = None if total_mass is None else _interval(total_mass)
+    motion = None if trajectory is None else _read_motion(trajectory, found)
+    if sets:
+        conditions = _conditions(found, geometry, interval)
+        _given(found, sets, conditions, motion, resamples, seed, output)
+    else:
+        from torchid.study.equal_torque_setting import equal_torque_setting
+
+        setting = equal_torque_setting(found, geometry=geometry, total_mass=interval, margin=margin)
+        _equal_torque(setting, per_kind, motion, variants, resamples, seed, output)
+
+
+def _equal_torque(
+    setting: "Setting",
+    per_kind: int,
+    motion: "Motion | None",
+    variants: bool,
+    resamples: int,
+    seed: int,
+    output: Output,
+) -> None:
+    from torchid.report.equal_torque import findings, tables
+    from torchid.report.equal_torque_figures import figures
+    from torchid.report.figures import save
+    from torchid.study.equal_torque_study import equal_torque_study
+    from torchid.study.wrenches_record import study_record
+
+    with progress_bar(output) as progress:
+        study = equal_torque_study(
+            setting.robot,
+            per_kind=per_kind,
+            setting=setting,
+            motion=motion,
+            with_variants=variants,
+            resamples=resamples,
+            seed=seed,
+            progress=progress,
+        )
+    for table in tables(study):
+        output.say(table)
+    output.warn(study.warnings)
+    told = findings(study)
+    output.say("\n" + "\n".join(f"- {_plain(sentence)}" for sentence in told))
+    output.write_json({**study_record(study), "findings": told}, "wrenches.json")
+    if output.folder is not None:
+        for name, figure in figures(study).items():
+            save(figure, output.folder / f"{name}.png")
+
+
+def _given(
+    robot: "Robot",
+    files: list[Path],
+    conditions: "Conditions",
+    motion: "Motion | None",
+    resamples: int,
+    seed: int,
+    output: Output,
+) -> None:
+    from torchid.feasibility.sets import nominal_set
+    from torchid.report.figures import save
+    from torchid.report.given_sets import figures, headline, tables
+    from torchid.study.equal_torque_setting import reference_motion
+    from torchid.study.given_sets import given_sets
+    from torchid.study.wrenches_record import given_record
+
+    found = given_sets(
+        robot,
+        _read_sets(files, robot),
+        nominal_set(robot),
+        conditions,
+        motion or reference_motion(robot, seed),
+        resamples=resamples,
+        seed=seed,
+    )
+    for table in tables(found):
+        output.say(table)
+    output.say(f"\n{_plain(headline(found))}")
+    output.write_json(
+        {**given_record(found, [str(file) for file in files]), "seed": seed}, "wrenches.json"
+    )
+    if output.folder is not None:
+        for name, figure in figures(found).items():
+            save(figure, output.folder / f"{name}.png")
+
+
+def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
+    """All sets; the files' names go before the ids where two files have the same id."""
+    from dataclasses import replace
+
+    from torchid.feasibility.sets import joined, read_sets
+
+    parts = [read_sets(file, robot) for file in files]
+    for file, part in zip(files, parts, strict=True):
+        if part.effects != parts[0].effects:
+            raise TorchidError(
+                f"'{file}' has other effects than '{files[0]}'.",
+                got=list(part.coefficient_names()),
+                expected=list(parts[0].coefficient_names()),
+            )
+    every = [name for part in parts for name in part.ids]
+    if len(set(every)) < len(every):
+        parts = [
+            replace(part, ids=tuple(f"{file.stem}:{name}" for name in part.ids))
+            for file, part in zip(files, parts, strict=True)
+        ]
+    return joined(parts)
+
+
+def _conditions(
+    robot: "Robot", geometry: str | None, total_mass: tuple[float, float] | None
+) -> "Conditions":
+    """Boxes of the geometry, where the robot has bounds; physics alone where it has none."""
+    from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
+    from torchid.feasibility.conditions import conditions
+    from torchid.study.equal_torque_setting import corrected_group
+
+    group = geometry or corrected_group(robot, "normal")
+    box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None
+    return conditions(robot, com_box=box, total_mass=total_mass or read_total_mass(robot))
+
+
+def _read_motion(path: Path, robot: "Robot") -> "Motion":
+    """q, dq, ddq of a log; velocities and accelerations it lacks are differentiated."""
+    import torch
+
+    from torchid.effects.base import Motion
+    from torchid.identification.motion import measurements
+    from torchid.log.readers import read_log
+    from torchid.log.sampling import resample
+
+    log = read_log(path)
+    if log.n != robot.n:
+        raise LogError(
+            f"'{path}' does not fit robot '{robot.name}'.",
+            got=f"{log.n} joints",
+            expected=f"{robot.n}",
+        )
+    if log.dq is not None and log.ddq is not None:
+        return Motion(log.q, log.dq, log.ddq)
+    # The torque is not used; without one, a log has nothing to be differentiated for.
+    every = measurements(resample(log.replace(tau=torch.zeros_like(log.q))), _CUTOFF)
+    states = [m.motion.part(slice(m.edge, m.samples - m.edge)).state for m in every]
+    return Motion(*(torch.cat(x) for x in zip(*states, strict=True)))
+
+
+def _interval(text: str) -> tuple[float, float]:
+    low, high = numbers("--total-mass", text, 2)
+    if not 0 <= low < high:
+        raise TorchidError("--total-mass is not an interval.", got=text, expected="LO,HI in kg")
+    return low, high
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", r"\[")
