@@ -103,9 +103,8 @@ def test_boxes_of_turned_solids_touch_their_surfaces(roll, pitch, yaw, radius, l
     ring = torch.stack([radius * t.cos(), radius * t.sin(), torch.zeros_like(t)], -1)
     top = torch.tensor([0.0, 0.0, length / 2])
     rims = torch.cat([ring + top, ring - top])
-    u, v = torch.meshgrid(t[::4], torch.linspace(-1, 1, 361), indexing="ij")
-    w = (1 - v.square()).sqrt()
-    ball = torch.stack([w * u.cos(), w * u.sin(), v], -1).reshape(-1, 3)
+    u, v = torch.meshgrid(t[::4], t[:361:2], indexing="ij")
+    ball = torch.stack([v.sin() * u.cos(), v.sin() * u.sin(), v.cos()], -1).reshape(-1, 3)
     semi = torch.tensor([radius, length, 0.5])
     for solid, surface in (
         (cylinder(turned, radius, length), rims),

@@ -58,10 +58,9 @@ def ellipsoid(pose: Float[Tensor, "4 4"], semi_axes: Float[Tensor, "3"]) -> Soli
 
 def cylinder(pose: Float[Tensor, "4 4"], radius: float, length: float) -> Solid:
     """A cylinder about its centre, along z."""
-    along = pose[:3, 2]
-    # A disc with unit normal a reaches r sqrt(1 - a_k^2) in direction k.
-    across = (1 - along.square()).clamp(min=0).sqrt()
-    extent = along.abs() * (length / 2) + across * radius
+    # A disc with axes u and v reaches r (u_k^2 + v_k^2)^1/2 in direction k.
+    across = pose[:3, :2].norm(dim=-1)
+    extent = pose[:3, 2].abs() * (length / 2) + across * radius
     return _around(pose, extent, math.pi * radius**2 * length)
 
 
