@@ -54,11 +54,12 @@ def polish(
 
     Returns:
         (R, D) strictly inside the region. A run with a value that is not finite is returned as
-        it came.
+        it came, and so are all where the region has no interior (masses that must be negative).
     """
     barrier = Barrier(problem, region)
     usable = torch.isfinite(p).all(-1)
     first = barrier.entered(torch.where(usable.unsqueeze(-1), p, region.inside.to(p)), _INWARD)
+    usable &= torch.isfinite(barrier.value(first))
     pull = barrier.derivatives(first)[0]
     gap = _GAP[region.physical]
     x, ended = _follow(problem, barrier, first, pull, ~usable, gap, steps)
