@@ -142,8 +142,8 @@ def test_runs_stay_different(conditions: bool) -> None:
     assert float(after.median()) > 0.3 * float(before.median())
     assert float(after.min()) > 0.05 * float(before.min())
     assert torch.linalg.matrix_rank(ended - ended.mean(0), rtol=1e-3) == 7
-    # Where a run lies among the others is where it began among the others, mostly; by chance it would
-    # be for one of eight.
+    # Where a run lies among the others is where it began among the others, mostly; by chance
+    # it would be for one of eight.
     place, origin = (torch.nn.functional.normalize(x - x.mean(0)) for x in (ended, begun))
     assert int(((place @ origin.T).argmax(-1) == torch.arange(8)).sum()) >= 5
 

@@ -18,6 +18,9 @@ from torchid.typing import Float, Tensor
 if TYPE_CHECKING:
     from torchid.extraction.extract import SearchSettings
 
+_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
+"""What NumPy raises on a file that is none of its own, or half of one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Progress:
@@ -70,7 +73,7 @@ def load(path: Path, problem: Problem, settings: "SearchSettings") -> Progress |
         state = SearchState.from_arrays(
             {k.removeprefix("state_"): v for k, v in arrays.items() if k.startswith("state_")}
         )
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (*_DAMAGED, TorchidError) as error:
         raise TorchidError(f"'{path}' is not a checkpoint of an extraction.", got=error) from error
     if of != fingerprint(problem, settings):
         raise TorchidError(
