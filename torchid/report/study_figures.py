@@ -1,0 +1,20 @@
+"""Every figure of a study."""
+
+from torchid.report.study_drawing import Drawing, save
+from torchid.report.study_motion_figures import motion_drawings
+from torchid.report.study_payload_figures import payload_drawings
+from torchid.report.study_search_figures import search_drawings
+from torchid.report.study_wrench_figures import wrench_drawings
+from torchid.study.result import Study
+
+__all__ = ["Drawing", "drawings", "save"]
+
+
+def drawings(study: Study) -> list[Drawing]:
+    """Figures with captions, none of them drawn yet (figures 5.1 to 5.19, and more)."""
+    return [
+        *motion_drawings(study),
+        *search_drawings(study),
+        *wrench_drawings(study),
+        *payload_drawings(study),
+    ]
