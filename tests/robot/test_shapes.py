@@ -317,7 +317,8 @@ def test_a_urdf_that_changed_is_an_error(tmp_path):
 MJCF = """<mujoco><worldbody><body name="a" pos="0 0 1">
 <joint axis="0 0 1"/><geom type="box" size="0.1 0.2 0.3" mass="1"/>
 <geom type="sphere" size="5" contype="0" conaffinity="0" mass="0"/>
-<body name="a2" pos="0 0 1" euler="90 0 0"><geom type="capsule" size="0.05 0.2" mass="1"/></body>
+<body name="a2" pos="0 0 1" euler="90 0 0"><geom type="capsule" size="0.05 0.2" mass="1"/>
+<body name="a3" pos="0 0 0.5"><geom type="sphere" size="0.01" mass="1"/></body></body>
 <body name="b" pos="0 0 0.4"><joint name="b1" axis="1 0 0"/><joint name="b2" axis="0 1 0"/>
 <geom type="cylinder" size="0.1 0.2" mass="1" contype="0" conaffinity="0"/>{}</body>
 </body></worldbody></mujoco>"""
@@ -331,7 +332,8 @@ def test_mjcf_geoms(tmp_path):
     shapes = link_shapes(robot)
     assert robot.link_names == ("a", "b/b1", "b")
     assert shapes.kinds == ("collision", None, "visual")
-    expected = box_of([-0.1, 0.1], [-0.25, 0.25], [-0.3, 1.05])
+    # a2's z is a's -y: a3 is a ball around (0, -0.5, 1).
+    expected = box_of([-0.1, 0.1], [-0.51, 0.25], [-0.3, 1.05])
     torch.testing.assert_close(shapes.boxes[0], expected)
     torch.testing.assert_close(shapes.boxes[2], box_of([-0.1, 0.1], [-0.1, 0.1], [-0.2, 0.2]))
     assert shapes.warnings == ()
