@@ -147,14 +147,14 @@ def _set(check: Check, k: int) -> dict[str, Any]:
         "feasible": bool(found.feasible[k]),
         "reasons": list(found.reasons(k)),
         "margins": _named(
-            found.margins[k], found.total_mass[k], found.coefficients[k], found.coefficient_names
+            found.margins[k], found.total_mass[k], found.coefficients[k], found.coefficient_reasons
         ),
         "degree": _finite(float(found.degree[k])),
         "degrees": _named(
             found.degrees[k],
             found.total_mass_degree[k],
             found.coefficient_degrees[k],
-            found.coefficient_names,
+            found.coefficient_reasons,
         ),
         "total_mass": _finite(float(check.sets.parameters.mass[k].sum())),
         "links": [_link(check, k, i) for i in range(check.robot.n)],
@@ -174,9 +174,7 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
         out |= {f"com_{link}{axis}": c for axis, c in zip("xyz", com, strict=True)}
         out[f"shape_{link}"] = shape
     out["total_mass"] = float(total)
-    for name, value in zip(names, coefficients.tolist(), strict=True):
-        head = name.rstrip("0123456789")
-        out[f"{head}_{name[len(head) :]}"] = value
+    out |= dict(zip(names, coefficients.tolist(), strict=True))
     return {name: _finite(value) for name, value in out.items() if value != math.inf}
 
 

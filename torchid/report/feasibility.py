@@ -64,7 +64,7 @@ def conditions_line(check: Check) -> str:
         "signs of the effects' coefficients" if check.sets.effects else "",
         f"centres of mass in boxes: {check.geometry}",
         "cylinders and spheres of the links" if check.round_shapes else "",
-        f"total mass in {low:g} .. {high:g} kg" if math.isfinite(high - low) else "",
+        f"total mass in {low:g} .. {high:g} kg" if low > -math.inf or high < math.inf else "",
     ]
     return f"checked: {'; '.join(part for part in parts if part)}"
 
@@ -94,8 +94,8 @@ def _violations(check: Check, k: int) -> list[str]:
                 phrases.append(_outside(name, i + 1, float(found.margins[k, i, column])))
     if bool(found.violated_total[k]):
         phrases.append(f"total_mass is {float(check.sets.parameters.mass[k].sum()):.4g} kg")
-    negative = [r for r in found.reasons(k) if not r.startswith(("mass_", "inertia_", "com_"))]
-    negative = [r for r in negative if not r.startswith(("shape_", "total_mass"))]
+    bad = found.violated_coefficients[k].tolist()
+    negative = [r for r, b in zip(found.coefficient_reasons, bad, strict=True) if b]
     if negative:
         phrases.append(f"{_and(negative)} negative")
     return phrases
