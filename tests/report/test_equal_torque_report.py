@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from torchid.report import equal_torque, equal_torque_figures, given_sets
+from torchid.report.equal_torque_findings import findings
 from torchid.report.figures import save
 from torchid.robot.library import load_robot
 from torchid.study.equal_torque_study import EqualTorqueStudy, equal_torque_study
@@ -47,12 +48,13 @@ def line_of(text: str, start: str) -> str:
 
 def test_kind_table_has_medians_per_joint() -> None:
     text = text_of([equal_torque.kind_table(study())])
+    joints = text_of([equal_torque.joint_table(study())])
     for kind, name in (("feasible", "feasible"), ("com", "CoM"), ("inertia+com", "inertia + CoM")):
         rows = study().rows(kind)
         line = line_of(text, name)
         assert f"{float(study().worst[rows].quantile(0.5)):.3g}" in line
         for value in study().errors.force_rms[rows].median(0).values.tolist():
-            assert f"{value:.3g}" in line
+            assert f"{value:.3g}" in line_of(joints, name)
 
 
 def test_reach_table_has_every_kind() -> None:
@@ -83,17 +85,17 @@ def with_ratio(low: float, high: float) -> EqualTorqueStudy:
 
 
 def test_sentences_follow_the_intervals() -> None:
-    clear = " ".join(equal_torque.findings(with_ratio(1.2, 3.0)))
+    clear = " ".join(findings(with_ratio(1.2, 3.0)))
     assert "cannot be told" not in clear
-    vague = " ".join(equal_torque.findings(with_ratio(0.8, 3.0)))
+    vague = " ".join(findings(with_ratio(0.8, 3.0)))
     assert vague.count("cannot be told") == 3
     nan = float("nan")
-    none = " ".join(equal_torque.findings(with_ratio(nan, nan)))
+    none = " ".join(findings(with_ratio(nan, nan)))
     assert "too few independent chains" in none
     degree = with_ratio(0.5, 2.0)
-    assert "firmer ones have smaller errors" in " ".join(equal_torque.findings(degree))
+    assert "firmer ones have smaller errors" in " ".join(findings(degree))
     degree = with_ratio(1.5, 2.0)
-    assert "no effect of the degree can be told" in " ".join(equal_torque.findings(degree))
+    assert "no effect of the degree can be told" in " ".join(findings(degree))
 
 
 @pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind", "force_by_mass"])

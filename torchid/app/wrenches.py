@@ -118,8 +118,9 @@ def _equal_torque(
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.report.equal_torque import findings, tables
+    from torchid.report.equal_torque import tables
     from torchid.report.equal_torque_figures import figures
+    from torchid.report.equal_torque_findings import findings
     from torchid.report.figures import save
     from torchid.study.equal_torque_study import equal_torque_study
     from torchid.study.wrenches_record import study_record

@@ -1,24 +1,19 @@
-"""Sets with equal torque and their internal forces, as tables and sentences for people."""
+"""Sets with equal torque and their internal forces, as tables for people."""
 
 import math
 
-import torch
 from rich.table import Table
 
 from torchid.report.identification import compact
-from torchid.study.equal_torque_statistics import Across
 from torchid.study.equal_torque_study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
-from torchid.wrenches.compare import EffectSize
 from torchid.wrenches.resampling import Estimate
-
-_AGAINST_EACH_OTHER = ("CoM only", "inertia only")
-_WORDS = {"inertia": "inertia", "com": "centres of mass"}
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
     """Errors by kind, their differences, the degree, what any set can do, other assumptions."""
-    made = [kind_table(study), effect_table(study), degree_table(study), third_table(study)]
+    made = [kind_table(study), joint_table(study), effect_table(study)]
+    made += [degree_table(study), third_table(study)]
     if study.reach:
         made.append(reach_table(study))
     made += [truth_table(study), firm_table(study)]
@@ -27,48 +22,45 @@ def tables(study: EqualTorqueStudy) -> list[Table]:
     return made
 
 
-def findings(study: EqualTorqueStudy) -> list[str]:
-    """What the numbers say, a sentence each; `cannot tell` where an interval says so."""
-    _, low, high = study.static_share
-    told = [
-        f"The torque is equal: the largest difference of any set at any joint is "
-        f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
-        f"The force error is the weight of the carried mass's error to {_percent(low, high)}: what "
-        "counts is how far the masses are off, whatever the reason for which a set is infeasible.",
-    ]
-    told += [_effect_sentence(e) for e in study.comparison.effects if _of_interest(e)]
-    for c in study.statistics.correlations:
-        if c.kind in ("feasible", "inertia", "com"):
-            told.append(_degree_sentence(c.kind, c.degree))
-    told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
-    told += _reach_sentences(study)
-    return told
-
-
 def kind_table(study: EqualTorqueStudy) -> Table:
-    """Force errors by kind: quartiles of the largest over the joints, medians per joint."""
-    n = study.setting.robot.n
+    """Quartiles of the largest force error over the joints by kind, and the moments' median."""
     table = compact(
-        f"{study.setting.robot.name}: force error against the {_reference(study)} [N], RMS over "
-        "the motion"
+        f"{study.setting.robot.name}: errors of the internal wrenches against the "
+        f"{_reference(study)}, RMS over the motion, largest joint"
     )
-    for heading in ("kind", "sets", "chains", "degree", "largest joint: median (quartiles)"):
+    headings = ("kind", "sets", "chains", "degree", "force [N]: median (quartiles)", "moment [N m]")
+    for heading in headings:
         table.add_column(heading, justify="left" if heading == "kind" else "right", no_wrap=True)
-    for joint in range(n):
-        table.add_column(f"j{joint + 1}", justify="right")
+    moment = study.errors.moment_rms.amax(-1)
     for kind in study.kinds:
         rows = study.rows(kind)
         low, middle, high = (float(study.worst[rows].quantile(p)) for p in (0.25, 0.5, 0.75))
-        degree = study.checked.degree[rows]
+        degree = study.degree[rows]
         chains = len(set(study.family.cluster[rows].tolist()))
         table.add_row(
             label(kind), str(len(rows)), str(chains),
             f"{float(degree.min()):.2g} .. {float(degree.max()):.2g}",
-            f"{middle:.3g} ({low:.3g} - {high:.3g})",
-            *(f"{v:.3g}" for v in study.errors.force_rms[rows].median(0).values.tolist()),
+            f"{middle:.3g} ({low:.3g} - {high:.3g})", f"{float(moment[rows].quantile(0.5)):.3g}",
         )  # fmt: skip
+    own = study.errors
+    table.add_row(
+        "the wrench itself", "", "", "", f"{float(own.reference_force_rms.max()):.3g}",
+        f"{float(own.reference_moment_rms.max()):.3g}",
+    )  # fmt: skip
+    return table
+
+
+def joint_table(study: EqualTorqueStudy) -> Table:
+    """Medians of the force error per joint."""
+    table = compact("median force error per joint [N]")
+    table.add_column("kind", no_wrap=True)
+    for joint in range(study.setting.robot.n):
+        table.add_column(f"j{joint + 1}", justify="right", no_wrap=True)
+    for kind in study.kinds:
+        middle = study.errors.force_rms[study.rows(kind)].median(0).values.tolist()
+        table.add_row(label(kind), *(f"{v:.3g}" for v in middle))
     own = study.errors.reference_force_rms.tolist()
-    table.add_row("the force itself", "", "", "", f"{max(own):.3g}", *(f"{v:.3g}" for v in own))
+    table.add_row("the force itself", *(f"{v:.3g}" for v in own))
     return table
 
 
@@ -202,76 +194,6 @@ def _reference(study: EqualTorqueStudy) -> str:
     if study.setting.origin == "nominal":
         return "nominal parameters"
     return "nearest feasible set"
-
-
-def _percent(low: float, high: float) -> str:
-    return f"{100 * max(abs(1 - low), abs(1 - high)):.2g} % (95 % of all sets)"
-
-
-def _of_interest(effect: EffectSize) -> bool:
-    pair = (effect.first, effect.second)
-    return pair in (("inertia only", "feasible"), ("CoM only", "feasible"), _AGAINST_EACH_OTHER)
-
-
-def _effect_sentence(effect: EffectSize) -> str:
-    ratio = effect.ratio
-    names = {"inertia only": "inertia", "CoM only": "centres of mass"}
-    who = f"Drawn sets that violate {names[effect.first]} only"
-    against = (
-        "drawn feasible sets"
-        if effect.second == "feasible"
-        else f"those that violate {names[effect.second]} only"
-    )
-    if math.isnan(ratio.low):
-        return f"{who}, against {against}: too few independent chains to tell."
-    how = f"{ratio.value:.2f} times the force error (95 %: {ratio.low:.2f} to {ratio.high:.2f})"
-    if ratio.low <= 1 <= ratio.high:
-        return f"{who} cannot be told from {against}: {how}."
-    return f"{who} have {how} of {against}."
-
-
-def _degree_sentence(kind: str, rho: Estimate) -> str:
-    among = "feasible sets" if kind == "feasible" else f"sets that violate {_WORDS[kind]} only"
-    if math.isnan(rho.low):
-        return f"Among {among}: too few independent chains to tell whether the degree matters."
-    how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
-    if rho.low <= 0 <= rho.high:
-        return f"Among {among} no effect of the degree can be told: {how}."
-    which = "firmer" if kind == "feasible" else "less violating"
-    side = "smaller" if rho.value < 0 else "larger"
-    return f"Among {among} {which} ones have {side} errors: {how}."
-
-
-def _across_sentence(across: Across) -> str:
-    what = f"Just outside and just inside the boundary of {_WORDS[across.kind]}"
-    low, high = across.ratio.low, across.ratio.high
-    if math.isnan(low):
-        return f"{what}: too few independent chains to tell whether the error jumps."
-    how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
-    if low <= 1 <= high:
-        return f"{what} no jump of the error can be told: {how}."
-    return f"{what} the errors differ: {how}."
-
-
-def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
-    found = {r.kind: r for r in study.reach}
-    if "feasible" not in found:
-        return []
-    feasible = found["feasible"].bound
-    told = [f"Even feasible sets can be off by {_newton(found['feasible'].reached.max())}."]
-    for kind in ("inertia", "com"):
-        if kind in found:
-            times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
-            listed = ", ".join(f"{t:.2f}" for t in times)
-            told.append(
-                f"With {_WORDS[kind]} violated alone, the greatest error of any set is {listed} "
-                "times that of feasible ones (joint by joint)."
-            )
-    return told
-
-
-def _newton(value: torch.Tensor) -> str:
-    return f"{float(value):.3g} N"
 
 
 def _bracket(low: float, high: float) -> str:

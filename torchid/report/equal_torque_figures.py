@@ -42,7 +42,7 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
     figure = new_figure(10.5, 5.4)
     axes = styled(figure.subplots())
-    degree, worst = study.checked.degree.numpy(), study.worst.numpy()
+    degree, worst = study.degree.numpy(), study.worst.numpy()
     for kind in study.kinds:
         rows = study.rows(kind)
         axes.scatter(

@@ -60,7 +60,7 @@ class Drawn:
         return Samples(
             kind=np.array(self.family.kind),
             error=self.errors.force_rms.amax(-1).numpy(),
-            degree=self.checked.degree.numpy(),
+            degree=self.degree.numpy(),
             carried=self.carried.abs().amax(-1).numpy(),
             coordinates=self.checked.violated[..., 3:6].sum((1, 2)).numpy(),
             tightest=self.tightest(),
@@ -86,27 +86,28 @@ class Drawn:
         return compare(
             (errors or self.errors).force_rms.amax(-1),
             reasons,
-            self.checked.degree,
+            self.degree,
             cluster=self.family.cluster,
             pairs=pairs,
             resamples=resamples,
             seed=seed,
         )
 
+    @property
+    def degree(self) -> Float[Tensor, " K"]:
+        """(K,) smallest degree of the conditions on the links and on the total mass: coefficients
+        of effects are the same in all sets."""
+        return self._degrees().amin(-1)
+
     def tightest(self) -> np.ndarray:
         """(K,) kind of the condition with the smallest degree."""
-        every = torch.cat(
-            [
-                self.checked.degrees.flatten(1),
-                self.checked.total_mass_degree.unsqueeze(-1),
-                self.checked.coefficient_degrees,
-            ],
-            -1,
-        )
-        n, effects = self.checked.degrees.shape[1], self.checked.coefficient_degrees.shape[1]
-        names = [_CONDITION_KINDS.get(c, "com") for c in LINK_CONDITIONS] * n
-        names += ["total_mass"] + ["coefficient"] * effects
-        return np.array(names)[every.argmin(-1).numpy()]
+        names = [_CONDITION_KINDS.get(c, "com") for c in LINK_CONDITIONS]
+        names = [*names * self.checked.degrees.shape[1], "total_mass"]
+        return np.array(names)[self._degrees().argmin(-1).numpy()]
+
+    def _degrees(self) -> Float[Tensor, "K C"]:
+        links = self.checked.degrees.flatten(1)
+        return torch.cat([links, self.checked.total_mass_degree.unsqueeze(-1)], -1)
 
 
 def draw(

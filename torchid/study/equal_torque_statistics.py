@@ -127,7 +127,8 @@ class Matched:
 @dataclass(frozen=True)
 class Across:
     """Just infeasible against just feasible: the sets of a kind whose degree is within `NEAR` of
-    the boundary, against the feasible ones of which a condition of the same kind is as near.
+    the boundary, against the feasible ones of which a condition of the same kind is as near (not
+    always the same condition: sets leave through faces that feasible ones seldom approach).
 
     Attributes:
         kind: which.

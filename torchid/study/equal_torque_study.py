@@ -76,6 +76,7 @@ class EqualTorqueStudy:
         errors: of their wrenches, per set and joint.
         torque_relative: (K, n) root mean square of the difference of the joint torques over that of
             the torque itself: rounding.
+        degree: (K,) of the conditions on links and total mass, see `Drawn.degree`.
         carried: (K, n) difference of the mass that each joint carries [kg].
         comparison: of the largest force error over the joints, by class and degree.
         statistics: thirds of the degree, correlations, comparison at equal carried mass.
@@ -98,6 +99,7 @@ class EqualTorqueStudy:
     checked: Feasibility
     errors: WrenchErrors
     torque_relative: Float[Tensor, "K n"]
+    degree: Float[Tensor, " K"]
     carried: Float[Tensor, "K n"]
     comparison: Comparison
     statistics: Statistics
@@ -187,6 +189,7 @@ def equal_torque_study(
         checked=drawn.checked,
         errors=drawn.errors,
         torque_relative=_torque_relative(setting, motion, drawn.errors),
+        degree=drawn.degree,
         carried=drawn.carried,
         comparison=comparison,
         statistics=found,

@@ -7,10 +7,9 @@ truth in turn.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from torchid.study.equal_torque_statistics import THIRDS
-from torchid.wrenches.resampling import Array, cliffs_delta
+from torchid.wrenches.resampling import Array, cliffs_delta, spearman
 
 Range = tuple[float, float, float]
 """Median over the truths, and the range of 95 % of them."""
@@ -75,12 +74,11 @@ def other_truths(
         rho = []
         for k in rows:
             rest = np.delete(np.arange(len(feasible)), k)
-            result = stats.spearmanr(degree[feasible][rest], others[k, rest])
-            rho.append(float(result.statistic))
+            rho.append(spearman(degree[feasible][rest], others[k, rest]))
         firm.append(FirmTruths(third, _middle(np.array(rho))))
     return tuple(compared), tuple(firm)
 
 
 def _middle(values: Array) -> Range:
-    low, middle, high = np.percentile(values, [2.5, 50, 97.5]).tolist()
+    low, middle, high = np.nanpercentile(values, [2.5, 50, 97.5]).tolist()
     return middle, low, high

@@ -97,8 +97,8 @@ def _kind(study: EqualTorqueStudy, kind: str) -> dict[str, Any]:
         "force_rms": three(study.errors.force_rms),
         "moment_rms": three(study.errors.moment_rms),
         "degree": [
-            float(study.checked.degree[rows].min()),
-            float(study.checked.degree[rows].max()),
+            float(study.degree[rows].min()),
+            float(study.degree[rows].max()),
         ],
     }
 
@@ -106,6 +106,7 @@ def _kind(study: EqualTorqueStudy, kind: str) -> dict[str, Any]:
 def _sets(found: EqualTorqueStudy | GivenSets) -> list[dict[str, Any]]:
     drawn = isinstance(found, EqualTorqueStudy)
     ids = found.family.sets.ids if isinstance(found, EqualTorqueStudy) else found.sets.ids
+    degree = found.degree if isinstance(found, EqualTorqueStudy) else found.checked.degree
     kinds = found.family.kind if isinstance(found, EqualTorqueStudy) else ("",) * len(ids)
     return [
         {
@@ -113,7 +114,7 @@ def _sets(found: EqualTorqueStudy | GivenSets) -> list[dict[str, Any]]:
             **({"kind": kinds[k]} if drawn else {}),
             "feasible": bool(found.checked.feasible[k]),
             "reasons": list(found.checked.reasons(k)),
-            "degree": float(found.checked.degree[k]),
+            "degree": float(degree[k]),
             "force_rms": found.errors.force_rms[k].tolist(),
             "force_max": found.errors.force_max[k].tolist(),
             "force_norm_rms": found.errors.force_norm_rms[k].tolist(),
