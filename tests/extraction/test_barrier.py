@@ -252,3 +252,17 @@ def test_count_is_the_barriers_parameter() -> None:
     assert Barrier(p, region(p, conditions=True)).count == 2 * 30 + 4 * 3
     both = whole("3r")
     assert Barrier(both, region(both, conditions=True)).count == 2 * 30 + 4 * 3 + 2 * 2 + 2
+
+
+def test_reach_of_coefficients_by_hand() -> None:
+    """A step in one coefficient ends at its upper or its lower bound."""
+    p = problem_of("3r_friction")
+    r = region(p, conditions=True)
+    barrier = Barrier(p, r)
+    x = inside_points(p, r, barrier, 2)
+    for k in range(10 * p.n, p.size):
+        low, high = r.box[k].tolist()
+        step = torch.zeros_like(x)
+        step[0, k], step[1, k] = 0.1, -0.1
+        up, down = (high - float(x[0, k])) / 0.1, (float(x[1, k]) - low) / 0.1
+        torch.testing.assert_close(barrier.reach(x, step), torch.tensor([up, down]))

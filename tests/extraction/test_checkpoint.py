@@ -202,7 +202,7 @@ def test_file_is_lossless(tmp_path: Path) -> None:
     for name, array in now.state.to_arrays().items():
         assert np.array_equal(again.state.to_arrays()[name], array), name
     with np.load(path, allow_pickle=False) as file:  # no pickle in it, and nothing that is no data
-        assert all(file[name].dtype.kind in "fiU" for name in file.files)
+        assert all(file[name].dtype.kind in "fiUb" for name in file.files)
     assert load(tmp_path / "none.npz", problem_of("3r"), SETTINGS) is None
 
 
