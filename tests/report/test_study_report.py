@@ -11,6 +11,7 @@ import pytest
 import torch
 from rich.console import Console
 
+from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
 from torchid.report import study_facts as facts
 from torchid.report.excitation import trajectory_figure
@@ -175,6 +176,12 @@ def test_sets_are_written_under_their_ids(study, written):
     every = json.loads((folder / "all_sets.json").read_text())["sets"]
     assert len(every) == sum(len(s.extraction.sets) for s in study.scenarios)
     assert every[0]["id"] == f"{study.scenarios[0].scenario.id}/run_1"
+
+
+def test_a_folder_that_cannot_be_made_is_refused(study, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(TorchidError, match="cannot be made"):
+        write_study(study, tmp_path / "file" / "inside")
 
 
 def test_a_study_without_certificates_has_a_report(study):

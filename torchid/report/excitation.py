@@ -38,10 +38,10 @@ def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None =
         for j in range(robot.n):
             axes = styled(grid[j, c])
             if planned is not None:
-                width = 1.1 if noisy is None else 2.4
                 axes.plot(
-                    t, planned[::step, j].numpy(), color=BLUE, linewidth=width, label="planned"
-                )
+                    t, planned[::step, j].numpy(), color=BLUE, label="planned",
+                    linewidth=1.1 if noisy is None else 3.0, alpha=1.0 if noisy is None else 0.4,
+                )  # fmt: skip
             if disturbed is not None:
                 axes.plot(
                     t, disturbed[::step, j].numpy(), color=ORANGE, linewidth=0.8, label="with noise"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from torchid.errors import TorchidError
 from torchid.feasibility.sets import ParameterSets, joined, to_record
 from torchid.log.files import atomic_write
 from torchid.report.study_figures import drawings, save
@@ -39,7 +40,12 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     Raises:
         TorchidError: the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TorchidError(
+            f"the folder '{folder}' cannot be made: {error.strerror or error}."
+        ) from error
     figures = drawings(study)
     best = joined([s.best for s in study.scenarios])
     every = joined([_named(s.extraction.sets, s.scenario.id) for s in study.scenarios])

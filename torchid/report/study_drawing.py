@@ -139,10 +139,11 @@ def decades(axis: Any) -> None:
     """A logarithmic axis of whole decades, with a label at each and none between."""
     from matplotlib.ticker import NullFormatter
 
-    low, high = (math.log10(x) for x in axis.get_view_interval())
-    axis.axes.set(
-        **{f"{axis.axis_name}lim": (10.0 ** math.floor(low + 0.1), 10.0 ** math.ceil(high - 0.1))}
-    )
+    low, high = axis.get_data_interval()
+    if 0 < low <= high < math.inf:
+        first = math.floor(math.log10(low))
+        last = max(first + 1, math.ceil(math.log10(high)))
+        axis.axes.set(**{f"{axis.axis_name}lim": (10.0**first, 10.0**last)})
     axis.set_minor_formatter(NullFormatter())
 
 

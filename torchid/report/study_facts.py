@@ -49,6 +49,12 @@ def joint_names(study: Study) -> tuple[str, ...]:
     return tuple(f"joint {j + 1}" for j in range(study.robot.n))
 
 
+def torque_unit(study: Study) -> str:
+    """Unit of the joints' torques: N m, N, or both where the joints differ."""
+    kinds = {str(kind) for kind in study.robot.joint_types}
+    return {frozenset("R"): "N m", frozenset("P"): "N"}.get(frozenset(kinds), "N m; N")
+
+
 def by_feasibility(study: Study, feasible: bool) -> list[ScenarioResult]:
     """The scenarios whose best set is feasible, or is not."""
     return [s for s in study.scenarios if s.feasible == feasible]

@@ -4,6 +4,7 @@ from torchid.report.study_drawing import Drawing, save
 from torchid.report.study_motion_figures import motion_drawings
 from torchid.report.study_payload_figures import payload_drawings
 from torchid.report.study_search_figures import search_drawings
+from torchid.report.study_torque_figures import torque_drawings
 from torchid.report.study_wrench_figures import wrench_drawings
 from torchid.study.result import Study
 
@@ -14,6 +15,7 @@ def drawings(study: Study) -> list[Drawing]:
     """Figures with captions, none of them drawn yet (figures 5.1 to 5.19, and more)."""
     return [
         *motion_drawings(study),
+        *torque_drawings(study),
         *search_drawings(study),
         *wrench_drawings(study),
         *payload_drawings(study),

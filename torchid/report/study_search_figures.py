@@ -100,7 +100,8 @@ def _convergence(study: Study) -> "Figure":
     empty = grid[0, 0]
     empty.plot([], [], color=GREY, linewidth=0.8, label="runs")
     empty.plot([], [], color=BLUE, linewidth=2.0, label="best run")
-    empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
+    if any(_LEAST_PHI < phi_min(study, s) < math.inf for s in study.scenarios):
+        empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
     return finish(figure, f"{study.robot.name}: the search, stage by stage", empty)
 
 

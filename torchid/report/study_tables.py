@@ -12,6 +12,7 @@ from torchid.report.study_facts import (
     phi_min,
     reason_counts,
     torque_errors,
+    torque_unit,
     with_conditions,
 )
 from torchid.report.study_sheets import Sheet
@@ -153,7 +154,7 @@ def reason_sheet(study: Study) -> Sheet:
 def torque_sheet(study: Study) -> Sheet:
     """Torque errors of the best sets per joint."""
     error, real = torque_errors(study.sets_motion)
-    unit = _torque_unit(study)
+    unit = torque_unit(study)
     rows = [
         (name, *(number(v) for v in row.tolist()), number(float((row / real).max())))
         for name, row in zip(study.sets_motion.labels[1:], error, strict=True)
@@ -175,8 +176,3 @@ def all_sheets(study: Study) -> list[Sheet]:
         class_sheet(study), payload_sheet(study),
     )  # fmt: skip
     return [sheet for sheet in found if sheet is not None]
-
-
-def _torque_unit(study: Study) -> str:
-    kinds = {str(kind) for kind in study.robot.joint_types}
-    return {frozenset("R"): "N m", frozenset("P"): "N"}.get(frozenset(kinds), "N m; N")
