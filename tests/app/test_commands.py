@@ -12,7 +12,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_version_and_help(command):
     assert command("--version").out.startswith("torchid ")
-    for name in ("robot", "excite", "simulate", "identify", "demo"):
+    for name in (
+        "robot", "excite", "simulate", "identify", "extract", "check", "atlas", "wrenches",
+        "payload", "study", "demo",
+    ):  # fmt: skip
         shown = command(name, "--help")
         assert shown.code == 0
         assert "Example" in shown.out

@@ -91,7 +91,7 @@ def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -
     low, high = p.box.unbind(-1)
     slack = 1e-9 * (high - low)
     assert bool(((q >= low - slack) & (q <= high + slack)).all())
-    weight = settings.weight(settings.stages - 1)
+    weight = settings.weight(settings.stages)
     assert found.best == int((found.phi + weight * found.gamma).argmin())
 
 

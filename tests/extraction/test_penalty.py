@@ -19,10 +19,14 @@ from tests.extraction.setups import (
 )
 from torchid.extraction.interior import region
 from torchid.extraction.penalty import extreme_eigenvalues, gamma
-from torchid.extraction.problem import Problem
+from torchid.extraction.problem import Problem, extraction_problem, two_step
+from torchid.feasibility.bounds import read_bounds
+from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
+from torchid.identification.reading import nominal_base
 from torchid.robot.inertia import six, symmetric
+from torchid.robot.library import load_robot
 
 NEAR = 1e-8
 """What the closed form may be off, as a share of the largest eigenvalue's size."""
@@ -225,3 +229,25 @@ def test_without_boxes_only_physics_counts() -> None:
     q[p.n : 4 * p.n] = 100.0
     assert float(gamma(p, q)) > 100
     assert float(gamma(free, q)) == 0.0
+
+
+def test_coefficients_with_a_sign_count_when_the_bounds_let_them_be_negative():
+    """Of the friction coefficients, Fv and Fc are asked for to be positive, F0 is not."""
+    robot = load_robot("3r_friction")
+    found = nominal_base(robot)
+    bounds = read_bounds(robot, "normal")
+    wide = {name: torch.tensor([[-50.0, 50.0]] * 3).double() for name in ("Fv", "Fc", "F0")}
+    target = two_step(found.base, found.effects, found.values)
+    open_bounds = replace(bounds, coefficients=wide)
+    asked = extraction_problem(robot, target, open_bounds, conditions(robot))
+    p = asked.search_vector(nominal_set(robot))
+    for k, expected in ((30, 0.1), (33, 0.1), (36, 0.0)):
+        worse = p.clone()
+        worse[:, k] = -5.0
+        assert float(gamma(asked, worse) - gamma(asked, p)) == pytest.approx(expected)
+    inside = region(asked, conditions=True)
+    assert inside.box[30:, 0].tolist() == [0.0] * 6 + [-50.0] * 3
+    impossible = {**wide, "Fc": torch.tensor([[-2.0, -1.0]] * 3).double()}
+    none = replace(bounds, coefficients=impossible)
+    against = region(extraction_problem(robot, target, none, conditions(robot)), conditions=True)
+    assert against.contradictions == ("Fc_1", "Fc_2", "Fc_3")

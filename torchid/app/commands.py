@@ -7,6 +7,7 @@ import typer
 
 from torchid import __version__
 from torchid.app.atlas import atlas_command
+from torchid.app.check import check_command
 from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
 from torchid.app.extract import extract_command
@@ -15,6 +16,7 @@ from torchid.app.payload import payload_command
 from torchid.app.robot import robot_command
 from torchid.app.simulate import simulate_command
 from torchid.app.study import study_command
+from torchid.app.wrenches import wrenches_command
 from torchid.errors import TorchidError
 
 app = typer.Typer(
@@ -29,7 +31,9 @@ app.command("excite")(excite_command)
 app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
 app.command("extract")(extract_command)
+app.command("check")(check_command)
 app.command("atlas")(atlas_command)
+app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
 app.command("study")(study_command)
 app.command("demo")(demo_command)

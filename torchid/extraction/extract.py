@@ -113,7 +113,8 @@ class Extraction:
     @property
     def best(self) -> int:
         """The run with the lowest final loss phi + xi gamma (phi alone if partial)."""
-        weight = self.settings.weight(self.settings.stages - 1)
+        # The weight of the next stage: with one stage only, the last one's would be zero.
+        weight = self.settings.weight(self.settings.stages)
         return int((self.phi + weight * self.gamma).argmin())
 
 

@@ -13,6 +13,7 @@ import torch
 from scipy.optimize import linprog
 
 from torchid.extraction.problem import Problem
+from torchid.feasibility.sets import coefficient_reasons
 from torchid.robot.inertia import symmetric
 from torchid.typing import Bool, Float, Tensor
 
@@ -28,7 +29,9 @@ class Region:
 
     Attributes:
         box: (D, 2) of p: the bounds, narrowed by the CoM boxes and by m >= 0 when conditions count.
-        physical: whether S must be positive definite and the round shapes and total mass hold.
+        physical: whether S must be positive definite and the round shapes and total mass hold;
+            false for the bounds alone, and where some link's inertia cannot be a body's within
+            them.
         inside: (D,) a point strictly inside.
         contradictions: names of conditions that no point of the bounds meets, e.g. com_7z.
         round_links: (n,) links whose cylinder or sphere counts.
@@ -71,7 +74,8 @@ def region(problem: Problem, *, conditions: bool) -> Region:
 
 
 def _narrowed(problem: Problem) -> tuple[Tensor, list[str]]:
-    """The bounds of p, narrowed by m >= 0 and by the boxes of the centres of mass."""
+    """The bounds of p, narrowed by m >= 0, by the signs of the effects' coefficients and by the
+    boxes of the centres of mass."""
     n = problem.n
     box = problem.box.clone()
     found = []
@@ -80,6 +84,12 @@ def _narrowed(problem: Problem) -> tuple[Tensor, list[str]]:
             found.append(f"mass_{i + 1}")
         else:
             box[i, 0] = box[i, 0].clamp(min=0.0)
+    names = coefficient_reasons(problem.target.effects)
+    for k in problem.non_negative.nonzero().flatten().tolist():
+        if box[10 * n + k, 1] <= 0:
+            found.append(names[k])
+        else:
+            box[10 * n + k, 0] = box[10 * n + k, 0].clamp(min=0.0)
     asked = problem.conditions.com_box.reshape(-1, 2).to(box)
     own = box[n : 4 * n]
     low, high = torch.maximum(own[:, 0], asked[:, 0]), torch.minimum(own[:, 1], asked[:, 1])

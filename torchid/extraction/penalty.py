@@ -7,6 +7,7 @@ fixed by the bounds, so that a violation across the whole box counts about 1 wha
 - smallest eigenvalue (2.24) and triangle inequality (2.26) of the barycentric inertia: s = largest
   size that the bounds allow the link's diagonal entries;
 - box of the centre of mass (2.27): s = side of the search box; cylinder or sphere: its radius;
+- coefficients of effects that physics forbids to be negative: s = their largest bound;
 - total mass (2.31): s = length of its interval; of one open to one side, its end or 1 kg.
 
 A sum of violations, not of their squares: it is an exact penalty, so from some xi on the minimiser
@@ -33,12 +34,13 @@ def gamma(
         exact: eigenvalues from LAPACK; otherwise in closed form, several times faster and good to
             about 1e-8 of the largest, which is what a search needs.
     """
-    mass, com, inertia, _ = problem.split(p)
+    mass, com, inertia, coefficients = problem.split(p)
     return (
         _mass(problem, mass)
         + _inertia(problem, inertia, exact)
         + _com(problem, com)
         + _total_mass(problem, mass)
+        + _signs(problem, coefficients)
     )
 
 
@@ -58,6 +60,12 @@ def _inertia(problem: Problem, inertia: Tensor, exact: bool) -> Tensor:
     half_trace = (inertia[..., 0] + inertia[..., 3] + inertia[..., 5]) / 2
     scale = problem.bounds.inertia[:, [0, 3, 5]].abs().amax((-1, -2)).to(inertia)
     return (_short(smallest, scale) + _short(half_trace - largest, scale)).sum(-1)
+
+
+def _signs(problem: Problem, coefficients: Tensor) -> Tensor:
+    bounded = problem.non_negative.to(coefficients.device)
+    scale = problem.box[10 * problem.n :].abs().amax(-1).to(coefficients)
+    return _short(coefficients[..., bounded], scale[bounded]).sum(-1)
 
 
 def _com(problem: Problem, com: Tensor) -> Tensor:

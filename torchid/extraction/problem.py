@@ -136,6 +136,12 @@ class Problem:
         """Number D of search variables: 10 n and one for each coefficient of an effect."""
         return int(self.box.shape[0])
 
+    @property
+    def non_negative(self) -> Bool[Tensor, " E"]:
+        """(E,) coefficients of the effects that physics forbids to be negative."""
+        effects = self.target.effects
+        return torch.tensor([c.non_negative for e in effects for c in e.coefficients]).bool()
+
     def physical(self, unit: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch D"]:
         """p from the unit box: LB + (UB - LB) u, never outside by rounding."""
         low, high = self.box.to(unit).unbind(-1)

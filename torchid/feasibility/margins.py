@@ -127,9 +127,7 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
         coefficients=coefficients,
         coefficient_degrees=_over(coefficients, coefficient_scale),
         coefficient_names=sets.coefficient_names(),
-        coefficient_reasons=tuple(
-            f"{c.name}_{e.joint + 1}" for e in sets.effects for c in e.coefficients
-        ),
+        coefficient_reasons=sets.coefficient_reasons(),
         violated=~kept,
         violated_total=~(total >= -_ROUNDING * total_scale),
         violated_coefficients=~(coefficients >= 0),

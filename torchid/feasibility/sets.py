@@ -47,6 +47,10 @@ class ParameterSets:
         """Names of the coefficients with their joints' numbers, e.g. Fv6."""
         return tuple(name for effect in self.effects for name in effect.coefficient_names())
 
+    def coefficient_reasons(self) -> tuple[str, ...]:
+        """The same as reasons are written, e.g. Fv_6, F0_1."""
+        return coefficient_reasons(self.effects)
+
     def part(self, rows: Sequence[int]) -> "ParameterSets":
         """Some of the sets, in the order asked for."""
         index = list(rows)
@@ -60,6 +64,11 @@ class ParameterSets:
     def to_robot(self, robot: Robot, k: int) -> Robot:
         """The robot with set k as its nominal parameters."""
         return robot.with_parameters(InertialParameters(self.parameters.pi[k].clone()))
+
+
+def coefficient_reasons(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Names of the effects' coefficients as reasons are written: Fv_6, not Fv6."""
+    return tuple(f"{c.name}_{e.joint + 1}" for e in effects for c in e.coefficients)
 
 
 def nominal_set(robot: Robot) -> ParameterSets:

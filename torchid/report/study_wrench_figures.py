@@ -53,8 +53,8 @@ def wrench_drawings(study: Study) -> list[Drawing]:
 
 def combination_names(study: Study) -> list[tuple[str | None, str | None]]:
     """Pairs of a feasible and an infeasible best set; one of them is None where there is none."""
-    good = ids(by_feasibility(study, True)) or [None]
-    bad = ids(by_feasibility(study, False)) or [None]
+    good: list[str | None] = [*ids(by_feasibility(study, True))] or [None]
+    bad: list[str | None] = [*ids(by_feasibility(study, False))] or [None]
     return [(a, b) for a in good for b in bad]
 
 
