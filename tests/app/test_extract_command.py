@@ -71,9 +71,7 @@ def test_other_methods(command, tmp_path, method):
 @pytest.mark.parametrize("loss", ["two-step", "one-step"])
 def test_from_an_identification(command, tmp_path, identified, loss):
     target = tmp_path / "x.json"
-    shown = command(
-        "extract", "3r_friction", identified, "--loss", loss, *SMALL, "--json", target
-    )
+    shown = command("extract", "3r_friction", identified, "--loss", loss, *SMALL, "--json", target)
     assert shown.code == 0, shown.err
     data = json.loads(target.read_text())
     assert data["loss"] == loss

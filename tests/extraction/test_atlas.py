@@ -11,8 +11,8 @@ from torch import Tensor
 
 from tests.arms import arm
 from torchid.errors import TorchidError
-from torchid.extraction.atlas import Atlas, atlas
-from torchid.extraction.certificate import certificate
+from torchid.extraction.convex.atlas import Atlas, atlas
+from torchid.extraction.convex.certificate import certificate
 from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
 from torchid.feasibility.bounds import Bounds, read_bounds
 from torchid.feasibility.conditions import conditions, physics_only

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from tests.extraction.setups import asking, problem_of, random_vectors
-from torchid.extraction.barrier import Barrier
-from torchid.extraction.interior import Region, region
+from torchid.extraction.polish.barrier import Barrier
+from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.robot.inertia import InertialParameters
 

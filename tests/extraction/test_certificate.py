@@ -9,9 +9,9 @@ import torch
 
 from tests.arms import arm, consistent_parameters
 from torchid.errors import MissingExtraError
-from torchid.extraction.certificate import certificate, loss_matrix
-from torchid.extraction.conic import Rows, matrix_of, minimise, triangle
-from torchid.extraction.convex import ConvexSets, convex_sets
+from torchid.extraction.convex.certificate import certificate, loss_matrix
+from torchid.extraction.convex.conic import Rows, matrix_of, minimise, triangle
+from torchid.extraction.convex.sets import ConvexSets, convex_sets
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import Conditions, conditions, physics_only

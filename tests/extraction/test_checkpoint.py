@@ -16,9 +16,9 @@ import torch
 from tests.extraction.setups import asking, problem_of
 from torchid.errors import TorchidError
 from torchid.extraction.checkpoint import Progress, fingerprint, load, save
+from torchid.extraction.cma.search import start
 from torchid.extraction.extract import Extraction, SearchSettings, extract
 from torchid.extraction.problem import Problem
-from torchid.extraction.search import start
 
 STAGES = 6
 SETTINGS = SearchSettings(runs=3, stages=STAGES, generations=8, seed=4)

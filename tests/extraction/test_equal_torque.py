@@ -13,8 +13,9 @@ from tests.arms import arm, mixed_arm, relative, states
 from tests.oracles import PinocchioOracle
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.errors import TorchidError
-from torchid.extraction import equal_torque, hit_and_run
-from torchid.extraction.equal_torque import (
+from torchid.extraction.equal_torque import hit_and_run
+from torchid.extraction.equal_torque import sample as equal_torque
+from torchid.extraction.equal_torque.sample import (
     EqualTorqueSets,
     equal_torque_sets,
     interior_reference,

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.extraction.setups import GROUPS, asking, bounded, problem_of
-from torchid.extraction.interior import Region, region, second_moments
 from torchid.extraction.penalty import gamma
+from torchid.extraction.polish.region import Region, region, second_moments
 from torchid.extraction.problem import Problem
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.margins import feasibility

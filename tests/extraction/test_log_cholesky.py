@@ -8,10 +8,10 @@ import torch
 
 from tests.arms import arm, consistent_parameters
 from torchid.errors import TorchidError
-from torchid.extraction.certificate import certificate
-from torchid.extraction.log_cholesky import extract_log_cholesky
-from torchid.extraction.log_cholesky_merit import along, link_p, link_x, theta_of
-from torchid.extraction.log_cholesky_start import second_moments
+from torchid.extraction.convex.certificate import certificate
+from torchid.extraction.log_cholesky.extract import extract_log_cholesky
+from torchid.extraction.log_cholesky.merit import along, link_p, link_x, theta_of
+from torchid.extraction.log_cholesky.start import second_moments
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds

@@ -8,7 +8,7 @@ from tests.arms import arm, consistent_parameters, states
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.extraction.nearest import FAR, nearest_feasible
+from torchid.extraction.convex.nearest import FAR, nearest_feasible
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.margins import feasibility

@@ -17,8 +17,8 @@ from tests.extraction.setups import (
     problem_of,
     random_vectors,
 )
-from torchid.extraction.interior import region
 from torchid.extraction.penalty import extreme_eigenvalues, gamma
+from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from tests.extraction.setups import GROUPS, asking, bounded, problem_of, random_vectors
-from torchid.extraction.barrier import Barrier
-from torchid.extraction.interior import Region, region
 from torchid.extraction.penalty import gamma
-from torchid.extraction.polish import polish
+from torchid.extraction.polish.barrier import Barrier
+from torchid.extraction.polish.polish import polish
+from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import feasibility
 
@@ -79,7 +79,7 @@ def test_lwr_reaches_the_certificate() -> None:
 def test_reaches_the_certificate_from_anywhere(name: str, group: str) -> None:
     """Not below the dual's proven bound, and within two per cent of it."""
     pytest.importorskip("cvxpy")
-    from torchid.extraction.certificate import certificate
+    from torchid.extraction.convex.certificate import certificate
 
     p = problem_of(name, group)
     proven = certificate(p)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from tests.extraction.problems import begin, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma_strategy import strategy
-from torchid.extraction.engines import ENGINES, SearchState, default_population, engine, start
-from torchid.extraction.search import MARGIN, PERIOD, from_box, into_box
+from torchid.extraction.cma.engines import ENGINES, SearchState, default_population, engine, start
+from torchid.extraction.cma.search import MARGIN, PERIOD, from_box, into_box
+from torchid.extraction.cma.strategy import strategy
 
 
 @pytest.mark.parametrize("n", [2, 5, 30, 91])

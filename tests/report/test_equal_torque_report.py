@@ -9,13 +9,15 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from torchid.report import equal_torque, equal_torque_figures, given_sets
-from torchid.report.equal_torque_findings import findings
 from torchid.report.figures import save
+from torchid.report.wrenches import figures as equal_torque_figures
+from torchid.report.wrenches import given_sets
+from torchid.report.wrenches import tables as equal_torque
+from torchid.report.wrenches.findings import findings
 from torchid.robot.library import load_robot
-from torchid.study.equal_torque_study import EqualTorqueStudy, equal_torque_study
-from torchid.study.given_sets import GivenSets
-from torchid.study.given_sets import given_sets as compare_given
+from torchid.study.equal_torque.given_sets import GivenSets
+from torchid.study.equal_torque.given_sets import given_sets as compare_given
+from torchid.study.equal_torque.study import EqualTorqueStudy, equal_torque_study
 from torchid.wrenches.resampling import Estimate
 
 KINDS = ("feasible", "inertia", "com", "inertia+com")

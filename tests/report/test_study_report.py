@@ -13,15 +13,15 @@ from rich.console import Console
 
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
-from torchid.report import study_facts as facts
 from torchid.report.excitation import trajectory_figure
-from torchid.report.study import headline, tables, write_study
-from torchid.report.study_figures import drawings
-from torchid.report.study_page import page
-from torchid.report.study_sheets import Sheet, markdown, rich_table
-from torchid.report.study_tables import all_sheets, identification_sheet, scenario_sheet
-from torchid.report.study_verdict import verdict
-from torchid.report.study_wrench_tables import payload_sheet, set_wrench_sheet
+from torchid.report.study import facts
+from torchid.report.study.figures import drawings
+from torchid.report.study.page import page
+from torchid.report.study.report import headline, tables, write_study
+from torchid.report.study.sheets import Sheet, markdown, rich_table
+from torchid.report.study.tables import all_sheets, identification_sheet, scenario_sheet
+from torchid.report.study.verdict import verdict
+from torchid.report.study.wrench_tables import payload_sheet, set_wrench_sheet
 from torchid.study.motions import excitation
 from torchid.study.result import Study
 from torchid.study.settings import load_study

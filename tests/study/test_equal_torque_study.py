@@ -13,25 +13,25 @@ from tests.arms import mixed_arm, states
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import Motion
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.extraction.equal_torque import null_space
-from torchid.extraction.equal_torque_space import equal_torque_space
+from torchid.extraction.equal_torque.sample import null_space
+from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Robot
-from torchid.study import equal_torque_study as study_module
-from torchid.study.equal_torque_family import Drawn, draw
-from torchid.study.equal_torque_setting import (
+from torchid.study.equal_torque import study as study_module
+from torchid.study.equal_torque.family import Drawn, draw
+from torchid.study.equal_torque.force_reach import force_reach, force_squares
+from torchid.study.equal_torque.given_sets import given_sets
+from torchid.study.equal_torque.record import given_record, study_record
+from torchid.study.equal_torque.setting import (
     Setting,
     equal_torque_setting,
     reference_motion,
 )
-from torchid.study.equal_torque_study import EqualTorqueStudy, equal_torque_study
-from torchid.study.force_reach import force_reach, force_squares
-from torchid.study.given_sets import given_sets
-from torchid.study.wrenches_record import given_record, study_record
+from torchid.study.equal_torque.study import EqualTorqueStudy, equal_torque_study
 from torchid.wrenches.deviation import wrench_errors
 from torchid.wrenches.regressor import internal_wrenches
 

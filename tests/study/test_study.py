@@ -45,9 +45,7 @@ def test_settings_are_the_reports(name):
     }
 
 
-@pytest.mark.parametrize(
-    "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.slow)])
 def test_a_whole_study(name):
     study = tiny(name)
     assert float((study.identification.values - study.truth).abs().max()) < 1e-12
@@ -100,14 +98,11 @@ def test_interrupted_study_gives_the_same_sets(tmp_path):
     settings = load_study("3r")
     small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
 
-    class Stop(Exception):
-        pass
-
     def stop(part: str, done: int, total: int) -> None:
         if part == "extraction p_8":
-            raise Stop
+            raise InterruptedError
 
-    with pytest.raises(Stop):
+    with pytest.raises(InterruptedError):
         run_study(small, checkpoints=tmp_path, report=stop)
     again = run_study(small, checkpoints=tmp_path, resume=True)
     for one, two in zip(again.scenarios, tiny("3r").scenarios, strict=True):

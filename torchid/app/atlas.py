@@ -45,7 +45,7 @@ def atlas_command(
     Example: `torchid atlas kuka_lwr4 --bounds normal --out atlas`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.extraction.atlas import atlas
+    from torchid.extraction.convex.atlas import atlas
     from torchid.extraction.record import atlas_record
     from torchid.report.atlas import atlas_figure, atlas_table, headline
     from torchid.report.figures import save

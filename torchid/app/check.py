@@ -10,7 +10,7 @@ from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, nu
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.extraction.nearest import NearestSets
+    from torchid.extraction.convex.nearest import NearestSets
     from torchid.feasibility.bounds import Bounds
     from torchid.feasibility.findings import Finding
     from torchid.feasibility.record import Check
@@ -197,7 +197,7 @@ def _bounds(group: str, robot: "Robot") -> "Bounds":
 
 def _repair(check: "Check", seed: int) -> "NearestSets | None":
     """The sets nearest to the infeasible ones; None where there are none."""
-    from torchid.extraction.nearest import nearest_feasible
+    from torchid.extraction.convex.nearest import nearest_feasible
 
     infeasible = (~check.feasibility.feasible).nonzero().flatten().tolist()
     if not infeasible:

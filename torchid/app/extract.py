@@ -30,7 +30,7 @@ from torchid.app.problems import (
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.extraction.certificate import Certificate
+    from torchid.extraction.convex.certificate import Certificate
     from torchid.extraction.extract import SearchSettings
     from torchid.extraction.problem import Problem
     from torchid.report.extraction import Found
@@ -118,7 +118,7 @@ def extract_command(
 def _certificate(problem: "Problem", output: Output) -> "Certificate | None":
     """The convex bound; only said to be missing where Clarabel is not installed."""
     from torchid.errors import MissingExtraError
-    from torchid.extraction.certificate import certificate
+    from torchid.extraction.convex.certificate import certificate
 
     try:
         proof = certificate(problem)
@@ -129,7 +129,7 @@ def _certificate(problem: "Problem", output: Output) -> "Certificate | None":
 
 
 def _convex(problem: "Problem", proof: "Certificate | None") -> "Found":
-    from torchid.extraction.certificate import certificate
+    from torchid.extraction.convex.certificate import certificate
     from torchid.report.extraction import Found, judged
 
     proof = certificate(problem) if proof is None else proof
@@ -145,7 +145,7 @@ def _convex(problem: "Problem", proof: "Certificate | None") -> "Found":
 def _log_cholesky(problem: "Problem", settings: "SearchSettings") -> "Found":
     import time
 
-    from torchid.extraction.log_cholesky import extract_log_cholesky
+    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
     from torchid.report.extraction import Found, judged
 
     began = time.monotonic()

@@ -114,7 +114,7 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
     import json
 
     from torchid.log.files import atomic_write
-    from torchid.report.study import headline, tables, write_study
+    from torchid.report.study.report import headline, tables, write_study
     from torchid.study.record import record
 
     for table in tables(found):

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from torchid.feasibility.conditions import Conditions
     from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
-    from torchid.study.equal_torque_setting import Setting
+    from torchid.study.equal_torque.setting import Setting
 
-_MARGIN = 1e-3  # torchid.study.equal_torque_setting.MARGIN; importing it would import torch
+_MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
 _CUTOFF = 8.0
 
 
@@ -103,7 +103,7 @@ def wrenches_command(
         conditions = _conditions(found, geometry, interval)
         _given(found, sets, conditions, motion, resamples, seed, output)
     else:
-        from torchid.study.equal_torque_setting import equal_torque_setting
+        from torchid.study.equal_torque.setting import equal_torque_setting
 
         setting = equal_torque_setting(found, geometry=geometry, total_mass=interval, margin=margin)
         _equal_torque(setting, per_kind, motion, variants, resamples, seed, output)
@@ -118,12 +118,12 @@ def _equal_torque(
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.report.equal_torque import tables
-    from torchid.report.equal_torque_figures import figures
-    from torchid.report.equal_torque_findings import findings
     from torchid.report.figures import save
-    from torchid.study.equal_torque_study import equal_torque_study
-    from torchid.study.wrenches_record import study_record
+    from torchid.report.wrenches.figures import figures
+    from torchid.report.wrenches.findings import findings
+    from torchid.report.wrenches.tables import tables
+    from torchid.study.equal_torque.record import study_record
+    from torchid.study.equal_torque.study import equal_torque_study
 
     with progress_bar(output) as progress:
         study = equal_torque_study(
@@ -158,10 +158,10 @@ def _given(
 ) -> None:
     from torchid.feasibility.sets import nominal_set
     from torchid.report.figures import save
-    from torchid.report.given_sets import figures, headline, tables
-    from torchid.study.equal_torque_setting import reference_motion
-    from torchid.study.given_sets import given_sets
-    from torchid.study.wrenches_record import given_record
+    from torchid.report.wrenches.given_sets import figures, headline, tables
+    from torchid.study.equal_torque.given_sets import given_sets
+    from torchid.study.equal_torque.record import given_record
+    from torchid.study.equal_torque.setting import reference_motion
 
     found = given_sets(
         robot,
@@ -212,7 +212,7 @@ def _conditions(
     """Boxes of the geometry, where the robot has bounds; physics alone where it has none."""
     from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
     from torchid.feasibility.conditions import conditions
-    from torchid.study.equal_torque_setting import corrected_group
+    from torchid.study.equal_torque.setting import corrected_group
 
     group = geometry or corrected_group(robot, "normal")
     box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None

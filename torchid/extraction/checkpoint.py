@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
+from torchid.extraction.cma.search import SearchState
 from torchid.extraction.problem import Problem
-from torchid.extraction.search import SearchState
 from torchid.log.files import atomic_write
 from torchid.typing import Float, Tensor
 

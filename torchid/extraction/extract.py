@@ -17,10 +17,10 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.checkpoint import Progress, load, save
-from torchid.extraction.engines import ENGINES, engine, start
-from torchid.extraction.interior import region
+from torchid.extraction.cma.engines import ENGINES, engine, start
 from torchid.extraction.penalty import gamma
-from torchid.extraction.polish import polish
+from torchid.extraction.polish.polish import polish
+from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem
 from torchid.feasibility.sets import ParameterSets
 from torchid.typing import Float, Tensor

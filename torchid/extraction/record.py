@@ -3,8 +3,8 @@
 import math
 from typing import Any
 
-from torchid.extraction.atlas import Atlas
-from torchid.extraction.certificate import Certificate
+from torchid.extraction.convex.atlas import Atlas
+from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import Feasibility
 from torchid.typing import Float, Tensor

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import torch
 from rich.table import Table
 
-from torchid.extraction.atlas import Atlas
+from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.problem import Problem
 from torchid.report.figures import GREEN, GREY, INK, ORANGE, RED, new_figure, styled
 from torchid.report.identification import compact

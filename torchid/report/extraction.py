@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from torchid.extraction.certificate import Certificate
+from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem

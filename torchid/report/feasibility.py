@@ -6,7 +6,7 @@ from collections import Counter
 from rich.markup import escape
 from rich.table import Table
 
-from torchid.extraction.nearest import NearestSets
+from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.record import Check, excess_percent
 from torchid.report.identification import compact

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from torchid.extraction.certificate import Certificate
+from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.feasibility.margins import Feasibility
 from torchid.feasibility.sets import ParameterSets

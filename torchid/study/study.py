@@ -11,7 +11,7 @@ import torch
 
 from torchid.errors import MissingExtraError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
-from torchid.extraction.certificate import Certificate, certificate
+from torchid.extraction.convex.certificate import Certificate, certificate
 from torchid.extraction.extract import Extraction, extract
 from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds

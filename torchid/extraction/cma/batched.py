@@ -1,0 +1,275 @@
+"""CMA-ES for many runs at once, in batched tensor operations.
+
+N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772: weighted recombination with
+negative weights, rank-one and rank-mu update, cumulative step-size adaptation. Two choices differ.
+
+- Samples are A z with A the Cholesky factor of C, in place of its symmetric root, and the path of
+  the step size is kept in z's axes. The distribution is the same; a batch of factors costs about a
+  twentieth of the eigendecompositions, so C is factored in every generation and never lags.
+- The box is met by a smooth periodic map (torchid.extraction.cma.search): C, the paths and the mean
+  live in search coordinates, which know no bounds.
+
+Numbers that go wrong stay in their run. A covariance that is no longer positive definite gets its
+eigenvalues lifted to 1e-14 of the largest (the identity if it is not finite). Coordinates' standard
+deviations are held below a third of the box, as pycma does, and a run whose largest has fallen to
+1e-12 stays there, able to grow again should the objective change. There, and where half of the
+samples tie with the best, ranks are noise: step size and mean go on, the covariance waits.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from torchid.extraction.cma.search import (
+    PERIOD,
+    Objective,
+    SearchState,
+    evaluate,
+    generator_for,
+    into_box,
+    population_of,
+)
+from torchid.extraction.cma.strategy import Strategy, strategy
+from torchid.typing import Bool, Float, Tensor
+
+LARGEST_STD = 1 / 3
+"""Of a coordinate, in widths of the box."""
+SMALLEST_STD = 1e-12
+"""Of the widest coordinate: below it, samples round to the mean."""
+TOLERANCE = 1 + 1e-9
+"""Within it a standard deviation is at its limit, and is left alone."""
+SMALLEST_EIGENVALUE = 1e-14
+"""Of a repaired covariance, relative to its largest."""
+
+
+@dataclass
+class _Runs:
+    """The state in work, changed in place, with the factor of its covariance."""
+
+    mean: Tensor
+    sigma: Tensor
+    covariance: Tensor  # only the lower triangle is read
+    factor: Tensor
+    path_sigma: Tensor
+    path_covariance: Tensor
+    adapts: Tensor  # (R,) whether the covariance learns in this generation
+    best: Tensor
+    best_value: Tensor
+
+
+class BatchedCmaEs:
+    """The engine `batched`: all runs advance together, on the device of the state.
+
+    Noise is drawn on that device: a GPU gives other samples than a CPU does.
+    """
+
+    @torch.no_grad()
+    def minimise(
+        self,
+        objective: Objective,
+        state: SearchState,
+        *,
+        generations: int,
+        seed: int,
+        population: int | None = None,
+    ) -> SearchState:
+        """Continue R searches (see `torchid.extraction.cma.search.Engine`).
+
+        All of the state is carried on: with the same seed and objective, 10 generations and then
+        10 more are the 20 of one call.
+        """
+        size = population_of(state, generations, seed, population)
+        rates = strategy(state.mean.shape[1], size)
+        weights = state.mean.new_tensor(rates.weights)
+        runs = _unpack(objective, state)
+        for generation in range(state.generation, state.generation + generations):
+            noise = _noise(runs.mean, size, seed, generation)
+            steps = torch.bmm(noise, runs.factor.mT)
+            by_sample = _select(objective, runs, steps, weights)
+            _adapt(runs, rates, noise, steps, by_sample, generation)
+            _fold(runs)
+            _limit(runs)
+        return _pack(runs, state.generation + generations)
+
+
+def _unpack(objective: Objective, state: SearchState) -> _Runs:
+    covariance = state.covariance.clone()
+    runs = _Runs(
+        mean=state.mean.clone(),
+        sigma=state.sigma.clone(),
+        covariance=covariance,
+        factor=_factor(covariance),
+        path_sigma=state.path_sigma.clone(),
+        path_covariance=state.path_covariance.clone(),
+        adapts=torch.ones_like(state.sigma, dtype=torch.bool),
+        best=state.best.clamp(0.0, 1.0),
+        best_value=state.best_value,
+    )
+    _limit(runs)
+    runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
+    return runs
+
+
+def _pack(runs: _Runs, generation: int) -> SearchState:
+    lower = runs.covariance.tril()
+    return SearchState(
+        mean=runs.mean,
+        sigma=runs.sigma,
+        covariance=lower + lower.tril(-1).mT,
+        path_sigma=runs.path_sigma,
+        path_covariance=runs.path_covariance,
+        generation=generation,
+        best=runs.best,
+        best_value=runs.best_value,
+    )
+
+
+def _noise(like: Tensor, population: int, seed: int, generation: int) -> Float[Tensor, "R L n"]:
+    """Standard normal numbers (R, L, n) of one generation."""
+    runs, n = like.shape
+    return torch.randn(
+        (runs, population, n),
+        generator=generator_for(seed, generation, like.device),
+        dtype=like.dtype,
+        device=like.device,
+    )
+
+
+def _select(
+    objective: Objective, runs: _Runs, steps: Float[Tensor, "R L n"], weights: Float[Tensor, " L"]
+) -> Float[Tensor, "R L"]:
+    """Evaluate the samples, keep the best, and give every sample the weight of its rank."""
+    search = torch.addcmul(runs.mean.unsqueeze(1), runs.sigma[:, None, None], steps)
+    points = into_box(search)
+    values = evaluate(objective, points)
+    order = values.argsort(dim=1, stable=True)
+    first = order[:, :1]
+    value = values.gather(1, first).squeeze(1)
+    better = value < runs.best_value
+    runs.best_value = torch.where(better, value, runs.best_value)
+    index = first.unsqueeze(-1).expand(-1, 1, points.shape[-1])
+    point = points.gather(1, index).squeeze(1)
+    runs.best = torch.where(better.unsqueeze(1), point, runs.best)
+    middle = values.gather(1, order[:, values.shape[1] // 2].unsqueeze(1)).squeeze(1)
+    runs.adapts &= value < middle  # else the order is that of the draw
+    return torch.empty_like(values).scatter_(1, order, weights.expand_as(values))
+
+
+def _adapt(
+    runs: _Runs,
+    rates: Strategy,
+    noise: Float[Tensor, "R L n"],
+    steps: Float[Tensor, "R L n"],
+    weights: Float[Tensor, "R L"],
+    generation: int,
+) -> None:
+    """Move the mean and adapt paths, covariance and step size (tutorial, eq. 41-47)."""
+    n = noise.shape[-1]
+    parents = weights.clamp(min=0.0).unsqueeze(1)
+    step = torch.bmm(parents, steps).squeeze(1)
+    runs.mean.addcmul_(runs.sigma.unsqueeze(1), step)
+
+    c = rates.c_sigma
+    runs.path_sigma *= 1 - c
+    gain = math.sqrt(c * (2 - c) * rates.mu_eff)
+    runs.path_sigma.add_(torch.bmm(parents, noise).squeeze(1), alpha=gain)
+    length = runs.path_sigma.norm(dim=1)
+
+    # A long path means that sigma lags: the covariance's path waits (h_sigma).
+    settled = math.sqrt(1 - (1 - c) ** (2 * (generation + 1)))
+    moves = (length < settled * (1.4 + 2 / (n + 1)) * rates.chi_n).to(length)
+    gain = math.sqrt(rates.c_c * (2 - rates.c_c) * rates.mu_eff)
+    runs.path_covariance *= 1 - rates.c_c
+    runs.path_covariance.add_(moves.unsqueeze(1) * step, alpha=gain)
+
+    scaled, kept, one = _covariance_weights(rates, noise, weights, moves, runs.adapts)
+    path = runs.path_covariance.unsqueeze(1)
+    rows = torch.cat([steps, path], dim=1)
+    weighted = torch.cat([scaled.unsqueeze(2) * steps, one[:, None, None] * path], dim=1)
+    runs.covariance *= kept[:, None, None]
+    runs.covariance.baddbmm_(rows.mT, weighted)
+    runs.factor = _factor(runs.covariance)
+
+    growth = (c / rates.d_sigma) * (length / rates.chi_n - 1)
+    runs.sigma *= torch.exp(growth.clamp(max=1.0))
+
+
+def _covariance_weights(
+    rates: Strategy,
+    noise: Float[Tensor, "R L n"],
+    weights: Float[Tensor, "R L"],
+    moves: Float[Tensor, " R"],
+    adapts: Bool[Tensor, " R"],
+) -> tuple[Float[Tensor, "R L"], Float[Tensor, " R"], Float[Tensor, " R"]]:
+    """What the samples, the old covariance and the path count in the new one (eq. 46, 47)."""
+    # Bad samples count as if they had unit Mahalanobis length per variable, whatever their own.
+    squares = torch.linalg.vecdot(noise, noise)
+    samples = torch.where(weights < 0, weights * noise.shape[-1] / squares, weights)
+    waiting = rates.c_1 * rates.c_c * (2 - rates.c_c) * (1 - moves)
+    kept = 1 - rates.c_1 - rates.c_mu * sum(rates.weights) + waiting
+    learns = adapts.to(noise)
+    return (
+        rates.c_mu * samples * learns.unsqueeze(1),
+        torch.where(adapts, kept, 1.0),
+        rates.c_1 * learns,
+    )
+
+
+def _fold(runs: _Runs) -> None:
+    """Bring means that left for a mirror image of the box back, and mirror their distributions.
+
+    The map into the box is periodic and even about its turning points, so nothing is lost.
+    """
+    offset = runs.mean - 0.5
+    away = offset.abs() > PERIOD / 4
+    if not bool(away.any()):
+        return
+    offset -= PERIOD * torch.round(offset / PERIOD)
+    mirrored = offset.abs() > PERIOD / 4
+    image = torch.where(mirrored, offset.sign() * (PERIOD / 2) - offset, offset)
+    runs.mean = torch.where(away, 0.5 + image, runs.mean)
+    sign = torch.where(mirrored, -1.0, 1.0).to(offset)
+    both = sign.unsqueeze(2) * sign.unsqueeze(1)
+    runs.covariance *= both
+    runs.factor *= both
+    runs.path_sigma *= sign
+    runs.path_covariance *= sign
+
+
+def _limit(runs: _Runs) -> None:
+    """Hold the standard deviations between SMALLEST_STD and LARGEST_STD."""
+    spread = runs.covariance.diagonal(dim1=1, dim2=2).sqrt()
+    stds = runs.sigma.unsqueeze(1) * spread
+    if bool((stds > LARGEST_STD * TOLERANCE).any()):
+        scale = (LARGEST_STD / stds).clamp(max=1.0)
+        runs.covariance *= scale.unsqueeze(2) * scale.unsqueeze(1)
+        # Anew, not scaled: a continued search factors it anew too, to the same bits.
+        runs.factor = _factor(runs.covariance)
+        runs.path_covariance *= scale
+        spread = spread * scale
+    widest = spread.amax(dim=1)
+    torch.maximum(runs.sigma, SMALLEST_STD / widest, out=runs.sigma)
+    runs.adapts = runs.sigma * widest > SMALLEST_STD * TOLERANCE
+
+
+def _factor(covariance: Float[Tensor, "R n n"]) -> Float[Tensor, "R n n"]:
+    """Cholesky factors (R, n, n); covariances that have none are repaired in place first."""
+    factor, failed = torch.linalg.cholesky_ex(covariance)
+    bad = (failed > 0) | ~factor.diagonal(dim1=1, dim2=2).sum(1).isfinite()
+    if bool(bad.any()):
+        covariance[bad] = _repaired(covariance[bad])
+        factor[bad] = torch.linalg.cholesky_ex(covariance[bad])[0]
+    return factor
+
+
+def _repaired(covariance: Float[Tensor, "K n n"]) -> Float[Tensor, "K n n"]:
+    """The nearest covariances of condition 1e14; the identity where nothing is left of one."""
+    eye = torch.eye(covariance.shape[-1], dtype=covariance.dtype, device=covariance.device)
+    lower = covariance.tril()
+    whole = lower + lower.tril(-1).mT
+    finite = whole.isfinite().all(dim=(1, 2))
+    values, vectors = torch.linalg.eigh(torch.where(finite[:, None, None], whole, eye))
+    largest = values[:, -1:]
+    values = torch.where(largest > 0, values.maximum(SMALLEST_EIGENVALUE * largest), 1.0)
+    return (vectors * values.unsqueeze(1)) @ vectors.mT

@@ -1,0 +1,259 @@
+"""How far each physical parameter can go while the torque stays: the ranges of feasible sets.
+
+The torque determines base parameters only; beyond them, feasibility is all that is known. For each
+mass, centre of mass, entry of the inertia about the link frame and coefficient of an effect, this
+finds the smallest and the largest value over all feasible sets that
+
+- reproduce the identified base parameters exactly, where some feasible set does;
+- or, where none does, have at most (1 + slack) times the least loss;
+- or, with the covariance C of the base parameters beta, lie in their confidence ellipsoid
+
+      (G x - beta)' C^-1 (G x - beta) <= chi2(B, level),
+
+  with the quantile of chi squared for the B base parameters together, so that with that
+  probability *all* ranges hold the true values at once, if these are feasible.
+
+Each end is one semidefinite program. A centre of mass is a ratio, mc / m; with y = x / m it is
+linear over { y : conditions homogenised by 1 / m, mass of y = 1 } (A. Charnes, W. Cooper,
+"Programming with linear fractional functionals", Naval Research Logistics Quarterly 9, 1962).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from torchid.errors import TorchidError
+from torchid.extraction.convex.conic import Rows, Solution, Status
+from torchid.extraction.convex.rows import AXES
+from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
+from torchid.extraction.convex.torque_region import Kind, confidence_region, least_loss_region
+from torchid.extraction.problem import Problem
+from torchid.robot.inertia import parameter_names, parameter_units
+from torchid.robot.model import JointType
+from torchid.typing import Float, Tensor
+
+_KNOWN = 1e-12
+"""Share of a parameter that the sets can change, below which it is the same for all."""
+_CLOSE = 1e-5
+"""Gap between an end and its proof, relative to its size, up to which the proven value is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """Ranges of Q physical parameters.
+
+    Attributes:
+        names: (Q,) m1, c1x, J1xx (about the link frame), Fv1.
+        units: (Q,).
+        low, high: (Q,) the range over feasible sets of equal torque; infinite where there is no
+            end, nan where none was found (see `status`).
+        bounds_low, bounds_high: (Q,) the range over feasible sets of any torque.
+        status: (Q, 2) of both ends: solved, inexact (to about 1e-6), unbounded, infeasible, failed.
+        extremes: (Q, 2, P) sets at the ends, in the grouping's order; nan where there is none.
+        kind: what equal torque means: exact, least loss or confidence.
+        radius: of the region, in units of its norm: 0, sqrt((1 + slack) phi_min), or the square
+            root of the quantile.
+        widened: whether the confidence ellipsoid holds no feasible set and was grown until it does.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    low: Float[Tensor, " Q"]
+    high: Float[Tensor, " Q"]
+    bounds_low: Float[Tensor, " Q"]
+    bounds_high: Float[Tensor, " Q"]
+    status: tuple[tuple[Status, Status], ...]
+    extremes: Float[Tensor, "Q 2 P"]
+    kind: Kind
+    radius: float
+    widened: bool
+
+    @property
+    def narrowed(self) -> Float[Tensor, " Q"]:
+        """(Q,) width of the range over that of the bounds alone: 0 is known, 1 is not narrowed."""
+        own, before = self.high - self.low, self.bounds_high - self.bounds_low
+        ratio = own / before
+        return torch.where(torch.isinf(before) & torch.isinf(own), 1.0, ratio).clamp(0.0, 1.0)
+
+
+def atlas(
+    problem: Problem,
+    *,
+    covariance: Float[Tensor, "B B"] | None = None,
+    level: float = 0.95,
+    slack: float = 0.01,
+    with_conditions: bool = True,
+    com_bounds: bool = True,
+    inertia_bounds: bool = True,
+    only: Sequence[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Atlas:
+    """The range of each physical parameter over feasible sets of equal torque.
+
+    The bounds of barycentric inertias count by a convex relaxation, so with them a range can be
+    wider than it is, never narrower.
+
+    Args:
+        problem: target, bounds and conditions.
+        covariance: (B, B) of the target's values. A base parameter of zero variance keeps its
+            value; one of infinite variance (its row and column are not read) is free.
+        level: of the confidence ellipsoid.
+        slack: beyond the least loss (see above).
+        with_conditions, com_bounds, inertia_bounds: which conditions count, as in `certificate`.
+        only: names of the parameters to do; all of them if None.
+        progress: called with (ends done, ends in all).
+
+    Raises:
+        TorchidError: a covariance of another size, a level or slack out of range, an unknown name.
+        MissingExtraError: Clarabel is not installed.
+    """
+    if not 0 < level < 1 or not slack > 0:
+        raise TorchidError("level lies in (0, 1), slack is positive.", got=f"{level}, {slack}")
+    conditions = problem.conditions if with_conditions else None
+    box = com_box(problem.n, conditions, problem.bounds if com_bounds else None)
+    quantities = _chosen(_quantities(problem, box), only)
+    body = convex_sets(
+        problem.robot,
+        problem.target.effects,
+        conditions,
+        problem.bounds,
+        com_bounds=com_bounds,
+        inertia_bounds=inertia_bounds,
+        reach=True,
+    )
+    region = (
+        least_loss_region(problem, body, slack)
+        if covariance is None
+        else confidence_region(problem, body, covariance, level, slack)
+    )
+    total, done = 4 * len(quantities), 0
+    ends: list[list[tuple[float, Status, np.ndarray]]] = []
+    for quantity in quantities:
+        row = []
+        for sets in (region.sets, body):
+            for sign in (1.0, -1.0):
+                row.append(_end(sets, quantity, sign))
+                done += 1
+                if progress is not None:
+                    progress(done, total)
+        ends.append(row)
+    values = torch.tensor([[e[0] for e in row] for row in ends], dtype=torch.float64)
+    points = np.stack([np.stack([row[0][2], row[1][2]]) for row in ends])
+    return Atlas(
+        names=tuple(q.name for q in quantities),
+        units=tuple(q.unit for q in quantities),
+        low=values[:, 0],
+        high=values[:, 1],
+        bounds_low=values[:, 2],
+        bounds_high=values[:, 3],
+        status=tuple((row[0][1], row[1][1]) for row in ends),
+        extremes=torch.as_tensor(points),
+        kind=region.kind,
+        radius=region.radius,
+        widened=region.widened,
+    )
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """An entry of x within simple limits; over entry `mass` of x where that is given."""
+
+    name: str
+    unit: str
+    column: int
+    low: float
+    high: float
+    mass: int | None = None
+
+
+def _quantities(problem: Problem, box: np.ndarray) -> list[_Quantity]:
+    """All of them, with the centres of mass in a box (n, 3, 2)."""
+    n = problem.n
+    found = []
+    for k, (name, unit) in enumerate(zip(parameter_names(n), parameter_units(n), strict=True)):
+        if n <= k < 4 * n:
+            link, axis = divmod(k - n, 3)
+            low, high = box[link, axis].tolist()
+            found.append(_Quantity(f"c{link + 1}{AXES[axis]}", "m", k, low, high, link))
+        elif k < n:
+            found.append(_Quantity(name, unit, k, *problem.bounds.mass[k].tolist()))
+        else:
+            low = 0.0 if name[-1] == name[-2] else -np.inf
+            found.append(_Quantity(name, unit, k, low, np.inf))
+    limits = problem.box[10 * n :].tolist()
+    for effect in problem.target.effects:
+        prismatic = problem.robot.joint_types[effect.joint] is JointType.PRISMATIC
+        for name, c in zip(effect.coefficient_names(), effect.coefficients, strict=True):
+            low, high = limits[len(found) - 10 * n]
+            low = max(low, 0.0) if c.non_negative else low
+            found.append(_Quantity(name, c.unit_for(prismatic), len(found), low, high))
+    return found
+
+
+def _chosen(quantities: list[_Quantity], only: Sequence[str] | None) -> list[_Quantity]:
+    if only is None:
+        return quantities
+    known = {q.name: q for q in quantities}
+    unknown = [name for name in only if name not in known]
+    if unknown or not only:
+        raise TorchidError("no such parameters.", got=unknown or list(only), available=list(known))
+    return [known[name] for name in only]
+
+
+def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Status, np.ndarray]:
+    """The least value (sign 1) or the largest (-1): value, status, and the set x that has it."""
+    nothing = np.full(len(sets.origin), np.nan)
+    space = sets if quantity.mass is None else _over_mass(sets, quantity.mass)
+    row = np.zeros(len(sets.origin))
+    row[quantity.column] = sign
+    if np.abs(row @ space.basis).max(initial=0.0) <= _KNOWN * np.abs(space.basis).max(initial=1.0):
+        # The same for all: nothing to minimise, but some set must exist.
+        row = 0.0 * row
+    found, _ = space.least(row)
+    if found.status == "unbounded":
+        return -sign * np.inf, "unbounded", nothing
+    if not found.usable:
+        return np.nan, found.status, nothing
+    v, inverse = (found.point, 1.0) if quantity.mass is None else np.split(found.point, [-1])
+    v = v / inverse if inverse > 0 else 0.0 * v
+    if sets.touches_reach(v):
+        return -sign * np.inf, "unbounded", nothing
+    value = float(space.origin[quantity.column])
+    if row.any():
+        value = sign * _proven(found, sign * value)
+    return (
+        float(np.clip(value, quantity.low, quantity.high)),
+        found.status,
+        sets.x(v) if inverse > 0 else nothing,
+    )
+
+
+def _proven(found: Solution, constant: float) -> float:
+    """The bound of a minimum where it is close, else the value."""
+    gap = found.value - found.bound
+    size = max(abs(found.value + constant), abs(found.value), 1e-9)
+    return constant + (found.bound if 0 <= gap <= _CLOSE * size else found.value)
+
+
+def _over_mass(sets: ConvexSets, mass: int) -> ConvexSets:
+    """{ x / m : x in sets } in coordinates (v / m, 1 / m): the conditions are homogeneous in them,
+    the mass of x / m is 1 and 1 / m is not negative."""
+    rows = [
+        replace(
+            r,
+            matrix=np.column_stack([r.matrix, r.offset]),
+            offset=np.zeros_like(r.offset),
+        )
+        for r in sets.rows
+    ]
+    basis = np.column_stack([sets.basis, sets.origin])
+    d = basis.shape[1]
+    last = np.zeros((1, d))
+    last[0, -1] = 1.0
+    unit = Rows("unit_mass", "zero", basis[mass : mass + 1], np.array([-1.0]), np.zeros(1))
+    positive = Rows("positive_mass", "nonnegative", last, np.zeros(1), np.zeros(1))
+    return ConvexSets(
+        (*rows, unit, positive), basis, np.zeros(len(sets.origin)), np.full(d, np.inf)
+    )

@@ -1,0 +1,258 @@
+"""What no search can beat: the least loss of any feasible set, and what stands in the way.
+
+The loss is convex in (m, mc, J) and so are the conditions (`convex.sets`), hence its minimum over
+all feasible sets is a semidefinite program with a dual: phi_min is a proven lower
+bound. A search that claims less has violated a condition.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from torchid.extraction.convex.reasons import NOTHING, conflict_of, forcing_conditions
+from torchid.extraction.convex.rows import AXES, ENTRIES, link_columns
+from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets, sets_of
+from torchid.extraction.problem import Problem
+from torchid.feasibility.conditions import physics_only
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import ParameterSets
+
+STRICT = 1e-6
+"""Smallest eigenvalue of the pseudo-inertias of a set called strictly feasible [kg m^2, kg]."""
+INSIDE = 1e-9
+"""Share of the other conditions' sizes by which such a set keeps away from them."""
+_SMALLER = (1.0, 1e-2)
+"""Shares of STRICT that are tried in turn."""
+_STEPS = 30
+"""At most, towards the bounds of inertias, for a set that is outside them."""
+_WORTH = 1e-6
+"""Relative decrease of the loss for which another is made."""
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """The least loss of any feasible set.
+
+    Attributes:
+        feasible: whether there is a strictly feasible set at all.
+        phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
+            rounding; infinite if there are none. Without bounds of inertias they are still taken to
+            be below `convex_rows.REACH`: the largest mass a hundred times, at a third of the arm's
+            longest step.
+        phi_strict: loss of `sets`; nan if there are none.
+        sets: one strictly feasible set that nearly reaches phi_min, with no violation by
+            `torchid.feasibility.margins`; or None.
+        strict: smallest eigenvalue of the pseudo-inertias it was asked for [kg m^2, kg].
+        conflict: if there is no feasible set, conditions and bounds that exclude each other; of
+            a name that stands alone, com_7z, the bounds exclude the condition.
+        released: phi_min with one condition released, for each that is active at the optimum;
+            releasing any other changes nothing.
+        forcing: a small group of conditions, found greedily, without which phi_min is nearly zero,
+            those of most effect first. Empty if phi_min is zero.
+        relaxed_active: bounds of barycentric inertias, bound_4yy, that count in phi_min by a
+            relaxation only and not in full, so that phi_min may not be reached: without them,
+            phi would be smaller than the best found within them. `sets` meets them wherever a
+            set that does was found.
+        status: of the solver.
+        seconds: that it took.
+    """
+
+    feasible: bool
+    phi_min: float
+    phi_strict: float
+    sets: ParameterSets | None
+    strict: float
+    conflict: tuple[str, ...]
+    released: Mapping[str, float]
+    forcing: tuple[str, ...]
+    relaxed_active: tuple[str, ...]
+    status: str
+    seconds: float
+
+
+def certificate(
+    problem: Problem,
+    *,
+    with_conditions: bool = True,
+    com_bounds: bool = True,
+    inertia_bounds: bool = True,
+    margin: float = 0.0,
+    explain: bool = True,
+) -> Certificate:
+    """The least loss that any feasible set of the problem can have.
+
+    Args:
+        problem: loss, bounds and conditions.
+        with_conditions: whether the problem's conditions count beside physics and bounds.
+        com_bounds, inertia_bounds: whether the bounds' boxes of the centres of mass and of the
+            barycentric inertias count.
+        margin: smallest eigenvalue of the pseudo-inertias that feasible sets have for phi_min
+            [kg m^2, kg]; 0 is physical consistency.
+        explain: whether to find `released` and `forcing`, some dozens of solutions more.
+
+    Raises:
+        MissingExtraError: Clarabel is not installed.
+    """
+    begun = time.perf_counter()
+    question = _Question(problem, with_conditions, com_bounds, inertia_bounds, margin)
+    conflict = question.crossed()
+    if conflict:
+        return _infeasible(conflict, begun)
+    matrix, offset = loss_matrix(problem)
+    inner = question.strictly_inside(matrix, offset)
+    if inner is None:
+        return _infeasible(conflict_of(question.body(margin + STRICT)), begun)
+    outer = question.body(margin)
+    # Rows that only bound the inertias help some proofs and harm others; without them the bound
+    # still holds within the radius.
+    free = replace(outer.without(outer.reach_names), radius=outer.radius)
+    found = max(
+        (b.least_norm(matrix, offset) for b in (outer, free)), key=lambda nearest: nearest.bound
+    )
+    released, forcing = forcing_conditions(free, matrix, offset, found) if explain else ({}, ())
+    return Certificate(
+        feasible=True,
+        phi_min=found.bound**2,
+        phi_strict=inner.phi,
+        sets=inner.sets,
+        strict=inner.strict,
+        conflict=(),
+        released=MappingProxyType(released),
+        forcing=forcing,
+        relaxed_active=inner.outside,
+        status=found.solution.status,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Inner:
+    """A strictly feasible set, its loss and margin, and what it or the relaxation misses."""
+
+    sets: ParameterSets
+    phi: float
+    strict: float
+    outside: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """A problem, and which of its conditions count (see `certificate`)."""
+
+    problem: Problem
+    with_conditions: bool
+    com_bounds: bool
+    inertia_bounds: bool
+    margin: float
+
+    @property
+    def box(self) -> np.ndarray:
+        """(n, 3, 2) of the centres of mass."""
+        return com_box(
+            self.problem.n,
+            self.problem.conditions if self.with_conditions else None,
+            self.problem.bounds if self.com_bounds else None,
+        )
+
+    def body(self, margin: float, inside: np.ndarray | None = None) -> ConvexSets:
+        return convex_sets(
+            self.problem.robot,
+            self.problem.target.effects,
+            self.problem.conditions if self.with_conditions else None,
+            self.problem.bounds,
+            com_bounds=self.com_bounds,
+            inertia_bounds=self.inertia_bounds,
+            margin=margin,
+            reach=True,
+            inside=inside,
+        )
+
+    def crossed(self) -> tuple[str, ...]:
+        """Centres of mass, and the total mass, for which no value is left."""
+        apart = (self.box[..., 0] > self.box[..., 1]).nonzero()
+        found = [f"com_{i + 1}{AXES[a]}" for i, a in zip(*(k.tolist() for k in apart), strict=True)]
+        if not self.with_conditions:
+            return tuple(found)
+        low, high = self.problem.bounds.mass.sum(0).tolist()
+        least, most = self.problem.conditions.total_mass.tolist()
+        return (*found, "total_mass") if low > most or high < least else tuple(found)
+
+    def strictly_inside(self, matrix: np.ndarray, offset: np.ndarray) -> "_Inner | None":
+        """The best strictly feasible set; None if there is none.
+
+        One that the relaxed bounds of inertias let out of the bounds is brought back inside, if
+        it can be: each step is the best of sets that are within the bounds for certain, near the
+        last one's centres of mass (the convex-concave procedure).
+        """
+        for strict in (self.margin + share * STRICT for share in _SMALLER):
+            relaxed = self._best(strict, None, matrix, offset)
+            if relaxed is None:
+                continue
+            outside = self.outside(relaxed[0])
+            if not outside:
+                return _Inner(*relaxed, strict, ())
+            sets, phi = relaxed[0], np.inf
+            for _ in range(_STEPS):
+                step = self._best(strict, sets.parameters.com[0].numpy(), matrix, offset)
+                if step is None or step[1] >= (1 - _WORTH) * phi:
+                    break
+                sets, phi = step
+            if np.isinf(phi):
+                return _Inner(*relaxed, strict, outside)
+            reached = phi <= (1 + _WORTH) * relaxed[1] + NOTHING**2 * float(offset @ offset)
+            return _Inner(sets, phi, strict, () if reached else outside)
+        return None
+
+    def _best(
+        self, strict: float, inside: np.ndarray | None, matrix: np.ndarray, offset: np.ndarray
+    ) -> tuple[ParameterSets, float] | None:
+        """The set of least loss, and the loss; None if the solver or the margins say no."""
+        found = self.body(strict, inside).tightened(INSIDE).least_norm(matrix, offset)
+        if not found.solution.usable:
+            return None
+        x, box = found.x.copy(), self.box
+        for link in range(self.problem.n):
+            # The solver's rounding, where the interval of a centre of mass is one point.
+            mass, *moment = link_columns(self.problem.n, link)[:4]
+            single = box[link, :, 0] == box[link, :, 1]
+            x[moment] = np.where(single, x[mass] * box[link, :, 0], x[moment])
+        sets = sets_of(x[None], self.problem.n, self.problem.target.effects, ["certificate"])
+        asked = self.problem.conditions if self.with_conditions else physics_only(self.problem.n)
+        phi = float(np.sum((matrix @ x + offset) ** 2))
+        return (sets, phi) if bool(feasibility(sets, asked).feasible[0]) else None
+
+    def outside(self, sets: ParameterSets) -> tuple[str, ...]:
+        """Bounds of barycentric inertias that the first set does not meet."""
+        if not self.inertia_bounds:
+            return ()
+        inertia = sets.parameters.inertia_about_com[0]
+        low, high = self.problem.bounds.inertia.to(inertia).unbind(-1)
+        slack = INSIDE * (high - low)
+        out = ((inertia < low - slack) | (inertia > high + slack)).nonzero().tolist()
+        return tuple(f"bound_{link + 1}{ENTRIES[k]}" for link, k in out)
+
+
+def loss_matrix(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """W G (R, P) and -t (R,): phi = ||W G x - t||^2."""
+    target = problem.target
+    weight = target.weight @ target.base.grouping.to(target.weight)
+    return weight.cpu().double().numpy(), -target.offset.cpu().double().numpy()
+
+
+def _infeasible(conflict: tuple[str, ...], begun: float) -> Certificate:
+    return Certificate(
+        feasible=False,
+        phi_min=np.inf,
+        phi_strict=np.nan,
+        sets=None,
+        strict=0.0,
+        conflict=conflict,
+        released=MappingProxyType({}),
+        forcing=(),
+        relaxed_active=(),
+        status="infeasible" if conflict else "failed",
+        seconds=time.perf_counter() - begun,
+    )

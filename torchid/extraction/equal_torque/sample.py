@@ -1,0 +1,292 @@
+"""Families of parameter sets with exactly equal torque, on both sides of feasibility.
+
+With G the grouping of the base parameters, every x = x_ref + N z, with N a basis of G's null space,
+has the same base parameters as x_ref and so the same torque in every motion. In the coordinates
+x = (m, m c, J) the conditions of section 2.3 are convex:
+
+    positive mass (2.22)        m > 0
+    a body's inertia (2.26)     pseudo-inertia [[S, m c], [m c', m]] > 0, S = tr(J)/2 E - J
+    box of the CoM (2.27)       m c_min <= m c <= m c_max
+    cylinder or sphere          |m c - m c_0| <= m r, as a matrix [[m r E, v], [v', m r]] >= 0
+    total mass (2.31)           linear
+
+(Wensing, Kim and Slotine 2018 for the pseudo-inertia). Sets that violate one kind of condition only
+are found by sampling a convex region in which that kind is relaxed and all others are kept. Each
+chain has its own region: which links are relaxed, and by how much, so that the violations are
+spread from slight to gross. Chains are sampled by hit-and-run (Smith 1984; Lovasz and Vempala
+2006), many at once, in coordinates that make each region round: the Hessian of the logarithmic
+barrier at its analytic centre (Boyd and Vandenberghe 2004, sections 8.5 and 11.4).
+
+A link with a negative mass needs care: its conditions hold for -m, -m c in place of m, m c, and of
+those on the inertia the convex S > 0 is asked, which is sufficient for S - m c c' > 0.
+
+What no condition limits is limited by `outer`: masses, relaxed CoM boxes and |J|. The coefficients
+of effects stay as they are, also where the torque could share them with a link (rotor inertia).
+"""
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from torchid.errors import TorchidError
+from torchid.extraction.equal_torque.hit_and_run import analytic_centre, hit_and_run, interior_point
+from torchid.extraction.equal_torque.relaxations import relaxed_limits
+from torchid.extraction.equal_torque.space import EqualTorqueSpace, equal_torque_space, kernel
+from torchid.feasibility.bounds import Bounds
+from torchid.feasibility.conditions import Conditions
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.margins import kinds as kinds_of
+from torchid.feasibility.sets import ParameterSets, joined
+from torchid.identification.base_parameters import BaseParameters
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Int, Tensor
+
+FEASIBLE = "feasible"
+RELAXABLE = ("inertia", "com", "mass", "total_mass", "shape")
+"""Kinds of conditions a family can violate; several are joined by +, e.g. inertia+com."""
+KINDS = (FEASIBLE, "inertia", "com", "mass", "total_mass", "inertia+com")
+DRAWS = 4
+"""Draws for every set asked for; those kept are spread over the degrees."""
+STEPS_PER_DIMENSION = 2
+"""Hit-and-run steps between two draws, for every dimension of the null space. The autocorrelation
+time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the slowest)."""
+
+_BINS = 10
+_NEWTON_STEPS = 80
+_RIGID_KINDS = frozenset(RELAXABLE)
+
+
+@dataclass(frozen=True, eq=False)
+class EqualTorqueSets:
+    """K sets with the torque of a reference, each violating the kinds of conditions asked for.
+
+    Attributes:
+        sets: ids such as inertia_0001.
+        kind: (K,) the kind asked for, e.g. feasible, com, inertia+com.
+        cluster: (K,) the chain a set was drawn from; statistics resample whole chains.
+        reference: the feasible set they have the torque of, K = 1.
+        warnings: sentences for the user, e.g. a kind that cannot be reached.
+    """
+
+    sets: ParameterSets
+    kind: tuple[str, ...]
+    cluster: Int[Tensor, " K"]
+    reference: ParameterSets
+    warnings: tuple[str, ...]
+
+
+def null_space(base: BaseParameters) -> Float[Tensor, "P D"]:
+    """Orthonormal basis (P, P - B) of the changes of the parameters that change no torque."""
+    return kernel(base.grouping)
+
+
+def interior_reference(
+    robot: Robot,
+    start: ParameterSets | Float[Tensor, " P"],
+    base: BaseParameters,
+    conditions: Conditions,
+    outer: Bounds,
+) -> ParameterSets:
+    """The firmly feasible set with the torque of `start`: the analytic centre of all of them.
+
+    Args:
+        robot: the arm.
+        start: one set; or its vector in the paper's stacking, for a robot without effects. It need
+            not be feasible if some set with its torque is.
+        base: the robot's base parameters, with the set's effects.
+        conditions: to be met.
+        outer: limits of the masses, of |J|, and of CoMs that `conditions` leaves free.
+
+    Returns:
+        One set, named interior.
+
+    Raises:
+        TorchidError: no set with this torque meets the conditions; a coefficient of an effect,
+            which stays, violates its sign; sizes that do not match.
+    """
+    reference = _one_set(robot, start, base)
+    walk = equal_torque_space(reference, base, conditions, outer)
+    limits = walk.limits(1)
+    region = walk.region(limits)
+    z, inside = interior_point(region)
+    if not bool(inside[0]):
+        raise TorchidError(
+            "no set with this torque meets all conditions within the outer bounds.",
+            got=f"set '{reference.ids[0]}'",
+            hint="take the base parameters of the closest feasible set, or wider boxes or bounds",
+        )
+    centre, _ = analytic_centre(region, z, _NEWTON_STEPS)
+    found = walk.sets(centre, ("interior",))
+    _require_feasible(found, conditions)
+    return found
+
+
+def equal_torque_sets(
+    robot: Robot,
+    base: BaseParameters,
+    reference: ParameterSets,
+    conditions: Conditions,
+    outer: Bounds,
+    *,
+    kinds: Sequence[str] = KINDS,
+    per_kind: int = 200,
+    seed: int = 0,
+    chains: int = 40,
+) -> EqualTorqueSets:
+    """Sets with the torque of a feasible reference, for each kind of violation asked for.
+
+    Args:
+        robot: the arm.
+        base: its base parameters with the reference's effects.
+        reference: one feasible set; `interior_reference` gives a good one.
+        conditions: what is kept, and what is violated by choice.
+        outer: limits of the masses, of |J|, and of the CoMs where their boxes are relaxed.
+        kinds: feasible, or names of `RELAXABLE`, several joined by +.
+        per_kind: sets of each kind.
+        seed: of all draws; the same arguments give the same sets.
+        chains: independent chains for each kind.
+
+    Returns:
+        The sets, kind by kind in the order asked for. `feasibility` finds exactly the kinds asked
+        for violated in each. A kind has fewer sets than asked for, or none, if no more were found;
+        `warnings` says so.
+
+    Raises:
+        TorchidError: the reference is not feasible, a kind is unknown, sizes do not match.
+    """
+    asked = [_parse(kind) for kind in kinds]
+    if per_kind < 1 or chains < 1:
+        raise TorchidError(
+            "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
+        )
+    reference = _one_set(robot, reference, base)
+    _require_feasible(reference, conditions)
+    walk = equal_torque_space(reference, base, conditions, outer)
+    parts: list[ParameterSets] = []
+    names: list[str] = []
+    clusters: list[Tensor] = []
+    warnings: list[str] = []
+    for order, (kind, relaxed) in enumerate(zip(kinds, asked, strict=True)):
+        generator = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+        pool, chain = _draw(walk, relaxed, chains, per_kind, generator)
+        rows = _chosen(pool, relaxed, conditions, per_kind, generator)
+        label = kind.replace("+", "_")
+        part = replace(
+            pool.part(rows), ids=tuple(f"{label}_{k:04d}" for k in range(1, len(rows) + 1))
+        )
+        parts.append(part)
+        names += [kind] * len(rows)
+        clusters.append(chain[rows] + order * chains)
+        if len(rows) < per_kind:
+            warnings.append(f"kind {kind}: {len(rows)} of {per_kind} sets found")
+    return EqualTorqueSets(
+        joined(parts) if parts else reference.part([]),
+        tuple(names),
+        torch.cat(clusters) if clusters else torch.zeros(0, dtype=torch.long),
+        reference,
+        tuple(warnings),
+    )
+
+
+def _parse(kind: str) -> frozenset[str]:
+    relaxed = frozenset() if kind == FEASIBLE else frozenset(kind.split("+"))
+    if not relaxed <= _RIGID_KINDS:
+        raise TorchidError(
+            "no such kind of violation.",
+            got=kind,
+            available=[FEASIBLE, *RELAXABLE],
+            hint="several kinds are joined by +, e.g. inertia+com",
+        )
+    return relaxed
+
+
+def _one_set(robot: Robot, start: ParameterSets | Tensor, base: BaseParameters) -> ParameterSets:
+    """The start as one set whose vector fits the base parameters."""
+    if isinstance(start, Tensor):
+        start = ParameterSets(
+            ("start",),
+            InertialParameters.from_paper_order(start.reshape(1, -1)),
+            (),
+            start.new_zeros(1, 0),
+        )
+    names = (robot.n, len(base.parameter_names))
+    got = (start.parameters.mass.shape[-1], start.vector.shape[-1])
+    if len(start) != 1 or got != names:
+        raise TorchidError(
+            "the reference must be one set of this robot, with the effects of the base parameters.",
+            got=f"{len(start)} sets of {got[0]} links and {got[1]} parameters",
+            expected=f"1 set of {names[0]} links and {names[1]} parameters",
+        )
+    return start
+
+
+def _require_feasible(reference: ParameterSets, conditions: Conditions) -> None:
+    checked = feasibility(reference, conditions)
+    if not bool(checked.feasible[0]):
+        raise TorchidError(
+            "the reference of a family with equal torque must be feasible.",
+            got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
+            hint="coefficients of effects stay as they are: correct their signs first",
+        )
+
+
+def _draw(
+    walk: EqualTorqueSpace,
+    relaxed: frozenset[str],
+    chains: int,
+    per_kind: int,
+    generator: np.random.Generator,
+) -> tuple[ParameterSets, Tensor]:
+    """Draws of all chains of a kind, and (K,) the chain of each; none if the kind is empty."""
+    limits = relaxed_limits(walk, relaxed, chains, generator)
+    nothing = walk.reference.part([]), torch.zeros(0, dtype=torch.long)
+    if limits is None:
+        return nothing
+    region = walk.region(limits)
+    start, inside = interior_point(region)
+    rows = inside.nonzero().flatten()
+    if not len(rows):
+        return nothing
+    region, start = region.part(rows), start[rows]
+    centre, axes = analytic_centre(region, start, _NEWTON_STEPS // 2)
+    draws = math.ceil(DRAWS * per_kind / len(rows))
+    thin = STEPS_PER_DIMENSION * start.shape[1]
+    seeds = generator.integers(2**62, size=chains)[rows.numpy()]
+    y = hit_and_run(region.at(centre, axes), seeds.tolist(), draws, thin)
+    z = centre.unsqueeze(1) + y @ axes.mT
+    chain = rows.unsqueeze(1).expand(-1, draws).flatten()
+    return walk.sets(z.flatten(0, 1), [""] * len(chain)), chain
+
+
+def _chosen(
+    pool: ParameterSets,
+    relaxed: frozenset[str],
+    conditions: Conditions,
+    per_kind: int,
+    generator: np.random.Generator,
+) -> list[int]:
+    """Draws that violate exactly the kinds asked for, evenly over their degrees.
+
+    Degrees are binned, by their logarithm where they are violations; draws are taken from the bins
+    in turn, at random in each.
+    """
+    checked = feasibility(pool, conditions)
+    fitting = [k for k in range(len(pool)) if kinds_of(checked.reasons(k)) == relaxed]
+    if len(fitting) <= per_kind:
+        return fitting
+    degree = checked.degree[fitting].numpy()
+    key = np.log(np.maximum(-degree, 1e-12)) if relaxed else degree
+    low, high = np.quantile(key, [0.01, 1.0])
+    number = np.floor((key - low) / max(high - low, 1e-300) * _BINS).clip(0, _BINS - 1)
+    order = generator.permutation(len(fitting))
+    turn = np.empty(len(fitting))
+    for own in range(_BINS):
+        members = order[number[order] == own]
+        turn[members] = np.arange(len(members))
+    best = np.lexsort((number, turn))[:per_kind]
+    return sorted(fitting[k] for k in best)

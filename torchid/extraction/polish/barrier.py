@@ -1,0 +1,276 @@
+"""Logarithmic barrier of bounds and conditions in x = (m, m c, J) per link, and coefficients.
+
+Layout of x: the ten parameters of link 1 in torchid's order, those of link 2, ..., coefficients.
+All values and derivatives are for R points in one batch.
+"""
+
+import torch
+
+from torchid.extraction.polish.region import Region
+from torchid.extraction.problem import Problem
+from torchid.robot.inertia import InertialParameters, paper_order
+from torchid.typing import Bool, Float, Tensor
+
+_STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 0.99, 1.0)
+"""Shares of the way to the interior point; the last is that point, which is always inside."""
+_EDGE = 1e-7
+"""Share of a span, or of a link's second moments, that a start keeps from the boundary."""
+
+
+class Barrier:
+    """Minus the sum of logarithms of all slacks.
+
+    Attributes:
+        count: number of slacks, counting an m x m matrix as m.
+        weight: (R, P) of the loss, columns in the layout of x.
+    """
+
+    def __init__(self, problem: Problem, region: Region):
+        n = problem.n
+        self._problem, self._region, self._n = problem, region, n
+        box = region.box
+        self._inertia = box[4 * n : 10 * n].reshape(n, 6, 2)
+        self._rest = box[10 * n :]
+        self._linear, self._constant = _linear_slacks(box, n)
+        self._basis = _pseudo_inertia_basis()
+        self._round = region.round_links & torch.tensor(region.physical)
+        self._total = region.physical and bool(torch.isfinite(region.total_mass).all())
+        back = torch.empty(10 * n, dtype=torch.long)
+        back[paper_order(n)] = torch.arange(10 * n)
+        weight = problem.target.weight @ problem.target.base.grouping.to(problem.target.weight)
+        self.weight = torch.cat([weight[:, : 10 * n][:, back], weight[:, 10 * n :]], -1)
+        physical = 4 * n + 2 * int(self._round.sum()) + 2 * self._total if region.physical else 0
+        self.count = 2 * len(box) + physical
+
+    def point(self, p: Float[Tensor, "R D"]) -> Float[Tensor, "R P"]:
+        """x of search vectors."""
+        rigid = self._problem.parameters(p).pi.flatten(-2)
+        return torch.cat([rigid, self._problem.split(p)[3]], -1)
+
+    def search_vector(self, x: Float[Tensor, "R P"]) -> Float[Tensor, "R D"]:
+        """Search vectors of x, inside the region's box whatever the rounding."""
+        own = InertialParameters(self._links(x))
+        parts = [own.mass, own.com.flatten(-2), own.inertia_about_com.flatten(-2)]
+        p = torch.cat([*parts, x[:, 10 * self._n :]], -1)
+        return torch.clamp(p, self._region.box[:, 0].to(p), self._region.box[:, 1].to(p))
+
+    def entered(self, p: Float[Tensor, "R D"], inward: float = 0.0) -> Float[Tensor, "R P"]:
+        """x after moving p towards the interior point until all slacks are positive, and then by
+        the share `inward` of what is left. (In p the region is convex: the segment stays in.)"""
+        low, high = self._region.box.to(p).unbind(-1)
+        p = torch.clamp(p, low, high)
+        centre = self._region.inside.to(p)
+        out = p + _STARTS[-1] * (centre - p)
+        for share in reversed(_STARTS[:-1]):
+            tried = p + share * (centre - p)
+            inside = (
+                (tried > low + _EDGE * (high - low)) & (tried < high - _EDGE * (high - low))
+            ).all(-1)
+            inside &= torch.isfinite(self.value(self.point(tried)))
+            if self._region.physical:
+                inside &= self._well_inside(tried)
+            out = torch.where(inside.unsqueeze(-1), tried, out)
+        return self.point(out + inward * (centre - out))
+
+    def _well_inside(self, p: Tensor) -> Bool[Tensor, " R"]:
+        _, _, inertia, _ = self._problem.split(p)
+        zero = torch.zeros_like(inertia[..., :1])
+        pseudo = torch.einsum(
+            "rnk,kij->rnij", torch.cat([zero.expand(*zero.shape[:-1], 4), inertia], -1),
+            self._basis.to(p),
+        )[..., :3, :3]  # fmt: skip
+        smallest = torch.linalg.eigvalsh(pseudo)[..., 0]
+        size = pseudo.diagonal(dim1=-2, dim2=-1).sum(-1).abs()
+        return (smallest > _EDGE * size).all(-1)
+
+    def _links(self, x: Tensor) -> Float[Tensor, "R n 10"]:
+        return x[:, : 10 * self._n].unflatten(-1, (self._n, 10))
+
+    def _slacks(self, x: Tensor) -> list[Tensor]:
+        """Slacks that are numbers: linear ones (R, n, 8), both sides of the inertias (R, n, 6) and
+        of the coefficients (R, E), total mass (R, 2), round shapes (R, links)."""
+        links = self._links(x)
+        linear = torch.einsum("njk,rnk->rnj", self._linear.to(x), links) + self._constant.to(x)
+        inertia = InertialParameters(links).inertia_about_com
+        low, high = self._inertia.to(x).unbind(-1)
+        rest = x[:, 10 * self._n :]
+        out = [linear, inertia - low, high - inertia]
+        out += [rest - self._rest[:, 0].to(x), self._rest[:, 1].to(x) - rest]
+        if self._total:
+            total = links[..., 0].sum(-1)
+            low, high = self._region.total_mass.to(x).unbind(-1)
+            out.append(torch.stack([total - low, high - total], -1))
+        if bool(self._round.any()):
+            out.append(self._round_slack(links))
+        return out
+
+    def value(self, x: Float[Tensor, "R P"]) -> Float[Tensor, " R"]:
+        """The barrier (R,); infinite outside."""
+        value = torch.zeros_like(x[:, 0])
+        for slack in self._slacks(x):
+            value = value - slack.clamp(min=0.0).log().flatten(1).sum(-1)
+        if self._region.physical:
+            factor, info = torch.linalg.cholesky_ex(self._pseudo_inertia(x))
+            logs = 2 * factor.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).log().sum(-1)
+            value = value - torch.where(info == 0, logs, -torch.inf).sum(-1)
+        return torch.where(value.isnan(), torch.inf, value)
+
+    def _pseudo_inertia(self, x: Tensor) -> Float[Tensor, "R n 4 4"]:
+        return torch.einsum("rnk,kij->rnij", self._links(x), self._basis.to(x))
+
+    def derivatives(self, x: Float[Tensor, "R P"]) -> tuple[Tensor, Tensor]:
+        """Gradient (R, P), and the positive semidefinite Hessian (R, P, P)."""
+        n = self._n
+        slope, curve = self._of_linear(x)
+        more, extra = self._of_inertias(x)
+        slope, curve = slope + more, curve + extra
+        if self._region.physical:
+            more, extra = self._of_pseudo_inertia(x)
+            slope, curve = slope + more, curve + extra
+        if bool(self._round.any()):
+            more, extra = self._of_round(x)
+            slope, curve = slope + more, curve + extra
+        gradient = torch.zeros_like(x)
+        hessian = x.new_zeros(*x.shape, x.shape[-1])
+        gradient[:, : 10 * n] = slope.flatten(1)
+        for i in range(n):
+            hessian[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = curve[:, i]
+        below, above = self._slacks(x)[3:5]
+        gradient[:, 10 * n :] = 1 / above - 1 / below
+        hessian.diagonal(dim1=-2, dim2=-1)[:, 10 * n :] = below.pow(-2) + above.pow(-2)
+        if self._total:
+            below, above = self._slacks(x)[5].unbind(-1)
+            gradient[:, 0 : 10 * n : 10] += (1 / above - 1 / below).unsqueeze(-1)
+            hessian[:, 0 : 10 * n : 10, 0 : 10 * n : 10] += (below.pow(-2) + above.pow(-2))[
+                :, None, None
+            ]
+        return gradient, hessian
+
+    def _of_linear(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        c = self._linear.to(x)
+        inverse = 1 / self._slacks(x)[0]
+        slope = -torch.einsum("njk,rnj->rnk", c, inverse)
+        scaled = c * inverse.unsqueeze(-1)
+        return slope, scaled.transpose(-1, -2) @ scaled
+
+    def _of_inertias(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Bounds on the barycentric inertias: I = J - u(mc)/m, u the parallel-axis terms.
+
+        Beside the slopes' outer products, diagonal entries have curvature: the lower bound's slack
+        is concave in x and the upper one's convex; what remains positive of the two is kept.
+        """
+        links = self._links(x)
+        com, mass = InertialParameters(links).com, links[..., 0]
+        below, above = self._slacks(x)[1:3]
+        slopes = _barycentric_slopes(com)
+        slope = torch.einsum("rnjk,rnj->rnk", slopes, 1 / above - 1 / below)
+        weight = below.pow(-2) + above.pow(-2)
+        curve = slopes.transpose(-1, -2) @ (slopes * weight.unsqueeze(-1))
+        bend = (1 / below - 1 / above)[..., [0, 3, 5]].clamp(min=0.0)
+        # I_xx loses (mc_y^2 + mc_z^2)/m: each axis counts for the two other entries.
+        per_axis = (bend.sum(-1, keepdim=True) - bend) * 2 / mass.unsqueeze(-1)
+        w = torch.zeros(*com.shape, 10, dtype=x.dtype, device=x.device)
+        w[..., 0] = -com
+        for axis in range(3):
+            w[..., axis, 1 + axis] = 1.0
+        curve = curve + w.transpose(-1, -2) @ (w * per_axis.unsqueeze(-1))
+        return slope, curve
+
+    def _of_pseudo_inertia(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        basis = self._basis.to(x)
+        inverse = torch.linalg.inv_ex(self._pseudo_inertia(x))[0]
+        turned = torch.einsum("rnij,kjl->rnkil", inverse, basis)
+        slope = -turned.diagonal(dim1=-2, dim2=-1).sum(-1)
+        flat = turned.flatten(-2)
+        return slope, flat @ turned.transpose(-1, -2).flatten(-2).transpose(-1, -2)
+
+    def _round_slack(self, links: Tensor) -> Float[Tensor, "R L"]:
+        """r^2 m^2 - |A (m c - m c0)|^2 of the links with a cylinder or a sphere."""
+        own = links[:, self._round, :4]
+        return torch.einsum("rnk,nkl,rnl->rn", own, self._round_forms().to(own), own)
+
+    def _round_forms(self) -> Float[Tensor, "L 4 4"]:
+        c = self._problem.conditions
+        forms = []
+        for i in self._round.nonzero().flatten().tolist():
+            # Rows of A (mc - m c0) in terms of (m, mc).
+            a = torch.cat([-c.round_centre[i].unsqueeze(-1), torch.eye(3, dtype=torch.float64)], -1)
+            a = a * c.round_axes[i].unsqueeze(-1)
+            form = -a.T @ a
+            form[0, 0] += c.round_radius[i] ** 2
+            forms.append(form)
+        return torch.stack(forms)
+
+    def _of_round(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        links = self._links(x)
+        forms = self._round_forms().to(x)
+        own = links[:, self._round, :4]
+        slack = self._round_slack(links)[..., None]
+        push = 2 * torch.einsum("nkl,rnl->rnk", forms, own) / slack
+        slope = torch.zeros_like(links)
+        curve = links.new_zeros(*links.shape, 10)
+        rows = self._round.nonzero().flatten()
+        slope[:, rows, :4] = -push
+        own_curve = push.unsqueeze(-1) * push.unsqueeze(-2) - 2 * forms / slack.unsqueeze(-1)
+        curve[:, rows, :4, :4] = own_curve
+        return slope, curve
+
+    def reach(self, x: Float[Tensor, "R P"], step: Float[Tensor, "R P"]) -> Float[Tensor, " R"]:
+        """How far along `step` the linear slacks and the pseudo-inertias stay positive (R,)."""
+        move = self._links(step)
+        slack = self._slacks(x)[0]
+        change = torch.einsum("njk,rnk->rnj", self._linear.to(x), move)
+        ratios = [torch.where(change < 0, -slack / change, torch.inf).flatten(1)]
+        rest, moved = x[:, 10 * self._n :], step[:, 10 * self._n :]
+        low, high = self._rest.to(x).unbind(-1)
+        edge = torch.where(moved > 0, high - rest, rest - low)
+        ratios.append(torch.where(moved != 0, edge / moved.abs(), torch.inf))
+        if self._region.physical:
+            factor = torch.linalg.cholesky_ex(self._pseudo_inertia(x))[0]
+            change = torch.einsum("rnk,kij->rnij", move, self._basis.to(x))
+            half = torch.linalg.solve_triangular(factor, change, upper=False)
+            whole = torch.linalg.solve_triangular(factor, half.transpose(-1, -2), upper=False)
+            finite = torch.isfinite(whole).all(-1).all(-1)
+            safe = torch.where(finite[..., None, None], whole, 0.0)
+            smallest = torch.linalg.eigvalsh(safe)[..., 0]
+            ratios.append(torch.where(smallest < 0, -1 / smallest, torch.inf))
+        return torch.cat(ratios, -1).amin(-1)
+
+
+def _linear_slacks(box: Tensor, n: int) -> tuple[Float[Tensor, "n 8 10"], Float[Tensor, "n 8"]]:
+    """m - LB, UB - m, and m c - m c_min, m c_max - m c, as rows over a link's ten parameters."""
+    rows = box.new_zeros(n, 8, 10)
+    constant = box.new_zeros(n, 8)
+    com = box[n : 4 * n].reshape(n, 3, 2)
+    rows[:, 0, 0], constant[:, 0] = 1.0, -box[:n, 0]
+    rows[:, 1, 0], constant[:, 1] = -1.0, box[:n, 1]
+    for axis in range(3):
+        rows[:, 2 + axis, 1 + axis], rows[:, 2 + axis, 0] = 1.0, -com[:, axis, 0]
+        rows[:, 5 + axis, 1 + axis], rows[:, 5 + axis, 0] = -1.0, com[:, axis, 1]
+    return rows, constant
+
+
+def _pseudo_inertia_basis() -> Float[Tensor, "10 4 4"]:
+    """The pseudo-inertia as sum over a link's ten parameters of these matrices."""
+    eye = torch.eye(10, dtype=torch.float64)
+    return InertialParameters(eye).pseudo_inertia
+
+
+def _barycentric_slopes(com: Float[Tensor, "R n 3"]) -> Float[Tensor, "R n 6 10"]:
+    """Derivative of the barycentric inertia's six entries with respect to (m, m c, J)."""
+    x, y, z = com.unbind(-1)
+    o, one = torch.zeros_like(x), torch.ones_like(x)
+    of_mass = (y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y)
+    of_moment = (
+        (o, -2 * y, -2 * z),
+        (y, x, o),
+        (z, o, x),
+        (-2 * x, o, -2 * z),
+        (o, z, y),
+        (-2 * x, -2 * y, o),
+    )
+    rows = []
+    for k in range(6):
+        of_inertia = [one if j == k else o for j in range(6)]
+        rows.append(torch.stack([of_mass[k], *of_moment[k], *of_inertia], -1))
+    return torch.stack(rows, -2)

@@ -1,0 +1,221 @@
+"""Figures of sets with equal torque. matplotlib is imported when a figure is drawn."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, styled
+from torchid.report.wrenches.tables import label
+from torchid.robot.inertia import InertialParameters
+from torchid.study.equal_torque.study import EqualTorqueStudy
+from torchid.wrenches.regressor import wrench_norms
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PURPLE, BROWN = "#8250df", "#7d4e00"
+COLOURS = {
+    "feasible": GREEN,
+    "inertia": BLUE,
+    "com": ORANGE,
+    "mass": RED,
+    "total_mass": BROWN,
+    "inertia+com": PURPLE,
+}
+_SMALL = 8
+_LINEAR = 1e-3
+"""Degrees smaller than this are drawn on a linear scale."""
+
+
+def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
+    """All figures by the names of their files."""
+    return {
+        "force_by_degree": degree_figure(study),
+        "force_by_kind": kind_figure(study),
+        "force_by_mass": mass_figure(study),
+        "force_over_time": time_figure(study),
+    }
+
+
+def degree_figure(study: EqualTorqueStudy) -> "Figure":
+    """Force error against the degree, coloured by kind; what any feasible set can reach."""
+    figure = new_figure(10.5, 5.4)
+    axes = styled(figure.subplots())
+    degree, worst = study.degree.numpy(), study.worst.numpy()
+    for kind in study.kinds:
+        rows = study.rows(kind)
+        axes.scatter(
+            degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
+            label=f"{label(kind)} ({len(rows)})",
+        )  # fmt: skip
+        _running_median(axes, degree[rows], worst[rows], _colour(kind))
+    axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    axes.set_yscale("log")
+    axes.axvline(0, color=INK, linewidth=0.9)
+    top = 1.04
+    for x, text, side in ((0.0, " feasible", "left"), (0.0, "infeasible ", "right")):
+        axes.text(
+            x, top, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
+            fontsize=_SMALL, color=INK,
+        )  # fmt: skip
+    greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
+    for value in greatest:
+        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
+        axes.annotate(
+            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
+            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
+            fontsize=_SMALL, color=GREEN, va="bottom", ha="right",
+        )  # fmt: skip
+    _label(axes, "degree (smallest margin over its scale; 0 is the boundary)", _ERROR)
+    _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return _titled(figure, study, "the degree of a violation and the error of the internal forces")
+
+
+def kind_figure(study: EqualTorqueStudy) -> "Figure":
+    """Boxes of the force error per joint and kind, with the greatest of any set and the force."""
+    n, kinds = study.setting.robot.n, study.kinds
+    columns = min(n, 4)
+    lines = -(-n // columns)
+    figure = new_figure(2.6 * columns + 1.0, 3.0 * lines + 0.9)
+    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+    reach = {r.kind: r.reached.tolist() for r in study.reach}
+    own = study.errors.reference_force_rms.tolist()
+    floor = 1e-2 * float(study.worst.median())
+    for j, axes in enumerate(grid.flat):
+        if j >= n:
+            axes.set_visible(False)
+            continue
+        styled(axes)
+        for place, kind in enumerate(kinds):
+            values = study.errors.force_rms[study.rows(kind), j].clamp(min=floor).numpy()
+            _box(axes, place, values, _colour(kind))
+            if kind in reach:
+                axes.plot(place, max(reach[kind][j], floor), marker="_", color=INK, markersize=13)
+        axes.axhline(max(own[j], floor), color=GREY, linewidth=1.2, linestyle=(0, (4, 2)))
+        axes.set_yscale("log")
+        axes.set_title(f"joint {j + 1}", fontsize=9, color=INK)
+        shown = [label(k) for k in kinds]
+        axes.set_xticks(range(len(kinds)), shown, rotation=40, ha="right", fontsize=7)
+        if j % columns == 0:
+            axes.set_ylabel("force error [N], RMS", fontsize=_SMALL, color=INK)
+    _boxes_legend(figure)
+    return _titled(figure, study, "force error per joint and kind of violation")
+
+
+def mass_figure(study: EqualTorqueStudy) -> "Figure":
+    """Force error against the weight of the carried mass's error: what it comes from."""
+    figure = new_figure(6.2, 5.2)
+    axes = styled(figure.subplots())
+    weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
+    for kind in study.kinds:
+        rows = study.rows(kind)
+        axes.scatter(
+            weight[rows].numpy(), study.worst[rows].numpy(), s=12, color=_colour(kind), alpha=0.6,
+            linewidths=0, label=label(kind),
+        )  # fmt: skip
+    ends = [float(study.worst.min()), float(study.worst.max())]
+    axes.plot(ends, ends, color=INK, linewidth=0.9)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    _label(axes, "weight of the carried mass's error, largest joint [N]", _ERROR)
+    _legend(axes)
+    return _titled(figure, study, "the error is the weight of wrongly placed mass")
+
+
+def time_figure(study: EqualTorqueStudy) -> "Figure":
+    """Norms of the internal forces over time: the reference and each kind's median set."""
+    n, kinds = study.setting.robot.n, study.kinds
+    chosen = [_median_set(study, kind) for kind in kinds]
+    pi = torch.cat([study.setting.reference.parameters.pi, study.family.sets.parameters.pi[chosen]])
+    motion = study.motion.state
+    force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
+    columns = 1 if n <= 3 else 2
+    lines = -(-n // columns)
+    figure = new_figure(7.0 if columns == 1 else 11.0, 1.5 * lines + 1.2)
+    grid = figure.subplots(lines, columns, sharex=True, squeeze=False)
+    t = np.arange(force.shape[1]) / (study.rate or 1.0)
+    for j, axes in enumerate(grid.T.flat):
+        if j >= n:
+            axes.set_visible(False)
+            continue
+        styled(axes)
+        for k, kind in enumerate(kinds, start=1):
+            axes.plot(t, force[k, :, j].numpy(), color=_colour(kind), linewidth=1.1)
+        axes.plot(t, force[0, :, j].numpy(), color=INK, linewidth=1.8)
+        axes.set_ylabel(f"joint {j + 1} [N]", fontsize=_SMALL, color=INK)
+    for axes in grid[-1]:
+        axes.set_xlabel("sample" if study.rate is None else "time [s]", fontsize=_SMALL, color=INK)
+        axes.tick_params(labelbottom=True)
+    handles = [_line(INK, 1.8), *(_line(_colour(k), 1.1) for k in kinds)]
+    names = ["reference", *(f"{label(k)}, median set" for k in kinds)]
+    figure.legend(
+        handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=_SMALL
+    )
+    return _titled(figure, study, "norms of the internal forces, all with the same torque")
+
+
+_ERROR = "force error, largest joint [N], RMS over the motion"
+
+
+def _colour(kind: str) -> str:
+    return COLOURS.get(kind, GREY)
+
+
+def _label(axes: Any, x: str, y: str) -> None:
+    axes.set_xlabel(x, fontsize=_SMALL + 1, color=INK)
+    axes.set_ylabel(y, fontsize=_SMALL + 1, color=INK)
+
+
+def _legend(axes: Any, **where: Any) -> None:
+    place = where or {"loc": "lower right"}
+    legend = axes.legend(**place, frameon=True, fontsize=_SMALL, framealpha=0.9)
+    legend.get_frame().set_edgecolor("#eaeef2")
+    for handle in legend.legend_handles:
+        handle.set_alpha(1.0)
+
+
+def _titled(figure: "Figure", study: EqualTorqueStudy, text: str) -> "Figure":
+    title = f"{study.setting.robot.name}: {text}"
+    figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
+    return figure
+
+
+def _running_median(axes: Any, degree: np.ndarray, worst: np.ndarray, colour: str) -> None:
+    order = np.argsort(degree)
+    groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
+    x = [float(np.median(degree[g])) for g in groups]
+    y = [float(np.median(worst[g])) for g in groups]
+    axes.plot(x, y, color="white", linewidth=3.6)
+    axes.plot(x, y, color=colour, linewidth=2.0)
+
+
+def _box(axes: Any, place: int, values: np.ndarray, colour: str) -> None:
+    axes.boxplot(
+        values, positions=[place], widths=0.62, whis=(5, 95), showfliers=False, patch_artist=True,
+        boxprops={"facecolor": colour, "alpha": 0.45, "edgecolor": colour},
+        medianprops={"color": INK, "linewidth": 1.4},
+        whiskerprops={"color": colour}, capprops={"color": colour},
+        manage_ticks=False,
+    )  # fmt: skip
+
+
+def _line(colour: str, width: float, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, linewidth=width, **style)
+
+
+def _boxes_legend(figure: "Figure") -> None:
+    dash = _line(GREY, 1.2, linestyle=(0, (4, 2)))
+    mark = _line(INK, 0, marker="_", markersize=12)
+    texts = ("the force itself (RMS)", "greatest of any set of the kind")
+    figure.legend(
+        [dash, mark], texts, loc="outside lower center", ncols=2, frameon=False, fontsize=_SMALL
+    )
+
+
+def _median_set(study: EqualTorqueStudy, kind: str) -> int:
+    rows = study.rows(kind)
+    order = study.worst[rows].argsort()
+    return rows[int(order[len(rows) // 2])]

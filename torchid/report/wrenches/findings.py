@@ -1,0 +1,111 @@
+"""What a study of sets with equal torque says, in sentences that follow its intervals."""
+
+import math
+
+import torch
+
+from torchid.study.equal_torque.statistics import Across
+from torchid.study.equal_torque.study import EqualTorqueStudy
+from torchid.wrenches.compare import Comparison, EffectSize
+from torchid.wrenches.resampling import Estimate
+
+_AGAINST_EACH_OTHER = ("CoM only", "inertia only")
+_WORDS = {"inertia": "inertia", "com": "centres of mass"}
+
+
+def findings(study: EqualTorqueStudy) -> list[str]:
+    """What the numbers say, a sentence each; `cannot tell` where an interval says so."""
+    _, low, high = study.static_share
+    told = [
+        f"The torque is equal: the largest difference of any set at any joint is "
+        f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
+        f"The force error is the weight of the carried mass's error to {_percent(low, high)}: what "
+        "counts is how far the masses are off, whatever the reason for which a set is infeasible.",
+    ]
+    told += [_effect_sentence(e) for e in study.comparison.effects if _of_interest(e)]
+    for c in study.statistics.correlations:
+        if c.kind in ("feasible", "inertia", "com"):
+            told.append(_degree_sentence(c.kind, c.degree))
+    told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
+    told += _reach_sentences(study)
+    if study.to_nominal is not None:
+        told.append(_nominal_sentence(study, study.to_nominal))
+    return told
+
+
+def _percent(low: float, high: float) -> str:
+    return f"{100 * max(abs(1 - low), abs(1 - high)):.2g} % (95 % of all sets)"
+
+
+def _of_interest(effect: EffectSize) -> bool:
+    pair = (effect.first, effect.second)
+    return pair in (("inertia only", "feasible"), ("CoM only", "feasible"), _AGAINST_EACH_OTHER)
+
+
+def _effect_sentence(effect: EffectSize) -> str:
+    ratio = effect.ratio
+    names = {"inertia only": "inertia", "CoM only": "centres of mass"}
+    who = f"Drawn sets that violate {names[effect.first]} only"
+    against = (
+        "drawn feasible sets"
+        if effect.second == "feasible"
+        else f"those that violate {names[effect.second]} only"
+    )
+    if math.isnan(ratio.low):
+        return f"{who}, against {against}: too few independent chains to tell."
+    how = f"{ratio.value:.2f} times the force error (95 %: {ratio.low:.2f} to {ratio.high:.2f})"
+    if ratio.low <= 1 <= ratio.high:
+        return f"{who} cannot be told from {against}: {how}."
+    return f"{who} have {how} of {against}."
+
+
+def _degree_sentence(kind: str, rho: Estimate) -> str:
+    among = "feasible sets" if kind == "feasible" else f"sets that violate {_WORDS[kind]} only"
+    if math.isnan(rho.low):
+        return f"Among {among}: too few independent chains to tell whether the degree matters."
+    how = f"rho = {rho.value:.2f} (95 %: {rho.low:.2f} to {rho.high:.2f})"
+    if rho.low <= 0 <= rho.high:
+        return f"Among {among} no effect of the degree can be told: {how}."
+    which = "firmer" if kind == "feasible" else "less violating"
+    side = "smaller" if rho.value < 0 else "larger"
+    return f"Among {among} {which} ones have {side} errors: {how}."
+
+
+def _across_sentence(across: Across) -> str:
+    what = f"Just outside and just inside the boundary of {_WORDS[across.kind]}"
+    low, high = across.ratio.low, across.ratio.high
+    if math.isnan(low):
+        return f"{what}: too few independent chains to tell whether the error jumps."
+    how = f"{across.ratio.value:.2f} times (95 %: {low:.2f} to {high:.2f})"
+    if low <= 1 <= high:
+        return f"{what} no jump of the error can be told: {how}."
+    return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
+
+
+def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
+    found = {r.kind: r for r in study.reach}
+    if "feasible" not in found:
+        return []
+    feasible = found["feasible"].bound
+    told = [f"Even feasible sets can be off by {_newton(found['feasible'].reached.max())}."]
+    for kind in ("inertia", "com"):
+        if kind in found:
+            times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
+            listed = ", ".join(f"{t:.2f}" for t in times)
+            told.append(
+                f"With {_WORDS[kind]} violated alone, the greatest error of any set is {listed} "
+                "times that of feasible ones (joint by joint)."
+            )
+    return told
+
+
+def _nominal_sentence(study: EqualTorqueStudy, found: Comparison) -> str:
+    medians = ", ".join(f"{c.name} {c.median:.3g}" for c in found.classes if c.median is not None)
+    return (
+        "Against the nominal parameters, which have another torque and are not feasible, the "
+        f"medians are {medians} N; the reference itself is {study.reference_to_nominal:.3g} N away."
+    )
+
+
+def _newton(value: torch.Tensor) -> str:
+    return f"{float(value):.3g} N"
