@@ -34,6 +34,8 @@ format: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/dynamics.py
 	$(BIN)/python benchmarks/streaming.py
+	$(BIN)/python benchmarks/cma_es.py
+	$(BIN)/python benchmarks/wrenches.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
