@@ -16,18 +16,19 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    cutoff_hz,
     device,
     effect_names,
     number,
     numbers,
     open_output,
     progress_bar,
+    read_logs,
 )
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.identification.identify import Identification
-    from torchid.log.model import Log
 
 EFFECTS = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
 
@@ -119,7 +120,7 @@ def identify_command(
 
     settings = Settings(
         effects=effect_names(effects),
-        cutoff=_cutoff(cutoff),
+        cutoff=cutoff_hz(cutoff),
         reversal=_reversal(reversal),
         rows=rows,
         method=method,
@@ -132,8 +133,8 @@ def identify_command(
     )
     found = load_robot(robot, tip=tip)
     gains = None if gain is None else numbers("--gain", gain, found.n)
-    log = _read(logs, gains)
-    apart = None if not held_out else _read(held_out, gains)
+    log = read_logs(logs, gains)
+    apart = None if not held_out else read_logs(held_out, gains)
     with progress_bar(output) as progress:
         result = identify(
             found,
@@ -146,15 +147,6 @@ def identify_command(
     _show(result, output)
     output.write_json({**record(result), "seed": seed}, "identification.json")
     _draw(result, output)
-
-
-def _read(paths: list[Path], gains: list[float] | None) -> "Log":
-    import torch
-
-    from torchid.log.readers import read_log
-
-    log = read_log(paths)
-    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
 
 
 def _show(result: "Identification", output: Output) -> None:
@@ -188,17 +180,6 @@ def _draw(result: "Identification", output: Output) -> None:
     output.say(f"written to {output.folder}: identification.json, " + ", ".join(
         path.name for path in drawn
     ))  # fmt: skip
-
-
-def _cutoff(text: str) -> float | Literal["auto"] | None:
-    if text == "auto":
-        return "auto"
-    if text == "none":
-        return None
-    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
-    if value <= 0:
-        raise TorchidError("--cutoff must be positive.", got=text)
-    return value
 
 
 def _reversal(text: str) -> float | Literal["auto"]:

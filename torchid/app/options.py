@@ -7,13 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 
 from torchid.errors import TorchidError
 from torchid.log.files import atomic_write
+
+if TYPE_CHECKING:
+    from torchid.log.model import Log
 
 RobotArgument = Annotated[
     str,
@@ -210,3 +213,25 @@ def effect_names(text: str) -> tuple[str, ...]:
     if text.strip() in ("", "none"):
         return ()
     return tuple(effect_kind(name.strip()).name for name in text.split(","))
+
+
+def read_logs(paths: list[Path], gains: list[float] | None) -> "Log":
+    """Several files as the trajectories of one log; currents times the drive gains, if given."""
+    import torch
+
+    from torchid.log.readers import read_log
+
+    log = read_log(paths)
+    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
+
+
+def cutoff_hz(text: str) -> float | Literal["auto"] | None:
+    """The --cutoff option: a frequency [Hz], `auto`, or None for `none`."""
+    if text == "auto":
+        return "auto"
+    if text == "none":
+        return None
+    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
+    if value <= 0:
+        raise TorchidError("--cutoff must be positive.", got=text)
+    return value

@@ -18,18 +18,17 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    cutoff_hz,
     device,
     effect_names,
-    number,
     numbers,
     open_output,
     progress_bar,
+    read_logs,
 )
-from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.identification.payload import Payload
-    from torchid.log.model import Log
 
 
 def payload_command(
@@ -95,14 +94,14 @@ def payload_command(
 
     settings = Settings(
         effects=effect_names(effects),
-        cutoff=_cutoff(cutoff),
+        cutoff=cutoff_hz(cutoff),
         rows=rows,
         method=method,
         signs=signs,
     )
     found = load_robot(robot, tip=tip)
     gains = None if gain is None else numbers("--gain", gain, found.n)
-    empty, full = _read(logs, gains), _read(loaded, gains)
+    empty, full = read_logs(logs, gains), read_logs(loaded, gains)
     where = device(device_name)
     with progress_bar(output) as progress:
         without = identify(found, empty, settings=settings, device=where, progress=progress)
@@ -122,15 +121,6 @@ def payload_command(
     output.write_json({**data, "warnings": list(noticed)}, "payload.json")
 
 
-def _read(paths: list[Path], gains: list[float] | None) -> "Log":
-    import torch
-
-    from torchid.log.readers import read_log
-
-    log = read_log(paths)
-    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
-
-
 def _show(payload: "Payload", noticed: tuple[str, ...], output: Output) -> None:
     from torchid.report.payload import headline, tables
 
@@ -138,14 +128,3 @@ def _show(payload: "Payload", noticed: tuple[str, ...], output: Output) -> None:
         output.say(table)
     output.warn(noticed)
     output.say(f"\n{headline(payload)}")
-
-
-def _cutoff(text: str) -> float | Literal["auto"] | None:
-    if text == "auto":
-        return "auto"
-    if text == "none":
-        return None
-    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
-    if value <= 0:
-        raise TorchidError("--cutoff must be positive.", got=text)
-    return value
