@@ -1,5 +1,7 @@
 """Algorithm 1 as a whole, on budgets of a second."""
 
+import math
+
 import pytest
 import torch
 
@@ -34,6 +36,13 @@ def test_weights_of_the_two_schedules() -> None:
     assert [geometric.weight(k) for k in range(5)] == [0, 10, 100, 1000, 10000]
     partial = with_settings(penalty="partial", schedule="geometric")
     assert [partial.weight(k) for k in range(5)] == [0.0] * 5
+
+
+def test_every_stage_of_the_geometric_schedule_has_a_weight() -> None:
+    most = SearchSettings(schedule="geometric", stages=300)
+    assert math.isfinite(1e3 * most.weight(300))
+    with pytest.raises(TorchidError, match="too many stages"):
+        SearchSettings(schedule="geometric", stages=301)
 
 
 @pytest.mark.parametrize("name", ["runs", "stages", "generations"])

@@ -29,6 +29,8 @@ Schedule = Literal["linear", "geometric"]
 Penalty = Literal["full", "partial"]
 Report = Callable[[int, int], None]
 
+_MOST_GEOMETRIC = 300
+"""Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight."""
 _FIRST_SIGMA = 0.3
 _LEAST_SIGMA = 1e-3
 """Step size with which a stage begins at least: the minimum has moved, and a search that has
@@ -52,7 +54,8 @@ class SearchSettings:
         seed: of starts and samples.
 
     Raises:
-        TorchidError: a count below one, an unknown name.
+        TorchidError: a count below one, an unknown name, or more stages than the schedule
+            `geometric` has numbers for.
     """
 
     runs: int = 30
@@ -76,6 +79,12 @@ class SearchSettings:
         ):
             if getattr(self, name) not in known:
                 raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
+        if self.schedule == "geometric" and self.stages > _MOST_GEOMETRIC:
+            raise TorchidError(
+                "too many stages for the schedule 'geometric': each has ten times the weight.",
+                got=self.stages,
+                expected=f"at most {_MOST_GEOMETRIC}",
+            )
 
     def weight(self, stage: int) -> float:
         """xi of stage 0, 1, ..., K - 1."""
