@@ -68,6 +68,68 @@ def test_other_methods(command, tmp_path, method):
     assert all(s["feasible"] and s["phi"] < 1e-15 for s in data["sets"])
 
 
+NONE_MEETS = ("--total-mass", "100,200", "--search-anyway", "--runs", "2", "--stages", "1")
+
+
+def test_conditions_that_no_set_meets_are_said_beside_the_least_loss_of_the_bounds(
+    command, tmp_path
+):
+    target = tmp_path / "x.json"
+    shown = command("extract", "3r", *NONE_MEETS, "--generations", "3", "--json", target)
+    assert shown.code == 0, shown.err
+    out = " ".join(shown.out.split())
+    assert "No set within the bounds meets all conditions." in out
+    assert "Some feasible set" not in out
+    data = json.loads(target.read_text())
+    assert not data["certificate"]["feasible"]
+    assert not data["certificate"]["with_conditions"]
+    assert data["certificate"]["conflict"] == ["total_mass"]
+    assert "total_mass" in data["warnings"][0]
+
+
+@pytest.mark.parametrize("given", [("--total-mass", "100,200"), ("--bounds", "loose")])
+def test_no_convex_optimum_where_no_set_is_feasible(command, tmp_path, given):
+    robot = "3r" if given[0] == "--total-mass" else "kuka_lwr4"
+    target = tmp_path / "x.json"
+    options = ("--method", "sdp", "--penalty", "partial", "--json", target)
+    shown = command("extract", robot, *given, *options)
+    assert shown.code == 1
+    assert "no feasible set" in shown.err
+    assert not target.exists()
+
+
+RELAXED = """
+name: relaxed
+gravity: [0, -9.81, 0]
+dh: {convention: classical, joints: [{type: R, a: 0, alpha: 0, d: 0, theta: 0}]}
+parameters: {mass: [2], com: [[-0.1, 0.01, 0.02]], inertia_about_com: [[0.02, 0, 0, 0.02, 0, 0.02]]}
+bounds:
+  normal:
+    lower: {mass: [1.4], com: [[-0.25, -0.05, -0.05]], inertia: [[0, -0.01, -0.01, 0, -0.01, 0]]}
+    upper:
+      mass: [2.6]
+      com: [[0.05, 0.05, 0.05]]
+      inertia: [[0.005, 0.01, 0.01, 0.005, 0.01, 0.005]]
+"""
+
+
+def test_a_lower_bound_of_zero_is_not_taken_for_a_set_without_loss(command, tmp_path):
+    """J_zz and m c_x are known, so I_zz >= J_zz - (m c)^2 / m_min > its bound: no set fits, and the
+    relaxed bounds of inertias do not see it."""
+    robot, target = tmp_path / "relaxed.yaml", tmp_path / "x.json"
+    robot.write_text(RELAXED)
+    shown = command("extract", robot, *SMALL, "--json", target)
+    assert shown.code == 0, shown.err
+    data = json.loads(target.read_text())
+    assert data["certificate"]["phi_min"] == 0
+    assert not data["certificate"]["exact"]
+    assert "bound_1zz" in data["certificate"]["relaxed"]
+    assert min(s["phi"] for s in data["sets"]) > 1e-6
+    out = " ".join(shown.out.split())
+    assert "is not known" in out
+    assert "Some feasible set" not in out
+
+
 @pytest.mark.parametrize("loss", ["two-step", "one-step"])
 def test_from_an_identification(command, tmp_path, identified, loss):
     target = tmp_path / "x.json"

@@ -104,9 +104,10 @@ def extract_command(
     )  # fmt: skip
     if penalty == "full" and not search_anyway:
         require_possible(problem)
-    certificate = _certificate(problem, output) if proof or method == "sdp" else None
+    certificate, told = _certificate(problem, output) if proof or method == "sdp" else (None, ())
+    notes = (*notes, *told)
     if method == "sdp":
-        found = _convex(problem, certificate)
+        found = _convex(problem, certificate, search_anyway)
     elif method == "log-cholesky":
         found = _log_cholesky(problem, settings)
     else:
@@ -115,29 +116,31 @@ def extract_command(
     _write(found, certificate, notes, output)
 
 
-def _certificate(problem: "Problem", output: Output) -> "Certificate | None":
-    """The convex bound; only said to be missing where Clarabel is not installed."""
+def _certificate(
+    problem: "Problem", output: Output
+) -> "tuple[Certificate | None, tuple[str, ...]]":
+    """The convex bound and notes on it; only said to be missing where Clarabel is not installed."""
     from torchid.errors import MissingExtraError
-    from torchid.extraction.convex.certificate import certificate
+    from torchid.extraction.convex.certificate import certificate_where_possible
 
     try:
-        proof = certificate(problem)
-        return proof if proof.feasible else certificate(problem, with_conditions=False)
+        return certificate_where_possible(problem)
     except MissingExtraError as error:
         output.warn((f"no certificate of the least loss: {error}",))
-        return None
+        return None, ()
 
 
-def _convex(problem: "Problem", proof: "Certificate | None") -> "Found":
+def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
     from torchid.extraction.convex.certificate import certificate
     from torchid.report.extraction import Found, judged
 
     proof = certificate(problem) if proof is None else proof
-    if proof.sets is None:
+    if proof.sets is None or not (proof.with_conditions or anyway):
         raise TorchidError(
             "no feasible set exists within these bounds.",
             got=", ".join(proof.conflict) or proof.status,
-            hint="other --bounds, --geometry or --total-mass",
+            hint="other --bounds, --geometry or --total-mass; --search-anyway leaves the "
+            "conditions out",
         )
     return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds)
 

@@ -54,9 +54,11 @@ def certificate_record(proof: Certificate | None) -> dict[str, Any] | None:
     if proof is None:
         return None
     return {
-        "feasible": proof.feasible,
+        "feasible": proof.feasible and proof.with_conditions,
+        "with_conditions": proof.with_conditions,
         "phi_min": number(proof.phi_min),
         "phi_strict": number(proof.phi_strict),
+        "exact": proof.exact,
         "conflict": list(proof.conflict),
         "forcing": list(proof.forcing),
         "phi_min_without": noticeable(proof),

@@ -85,12 +85,29 @@ def headline(found: Found, proof: Certificate | None) -> str:
         f"{len(found.sets)} sets of {found.problem.robot.name} by {found.method}, {count} of them "
         f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}."
     )
-    if proof is None or not proof.feasible:
-        return text
+    return text if proof is None or not proof.feasible else f"{text} {least_loss(proof)}"
+
+
+def least_loss(proof: Certificate) -> str:
+    """A sentence or two: what is known of the least loss, and no more than that."""
+    whose, start = "feasible", ""
+    if not proof.with_conditions:
+        whose, start = "physical", "No set within the bounds meets all conditions. "
+    if proof.exact:
+        return f"{start}Some {whose} set reproduces the base parameters exactly (phi_min = 0)."
+    relaxed = (
+        f" {', '.join(proof.relaxed_active)} count in phi_min by a relaxation only: it may not be "
+        "reached."
+        if proof.relaxed_active
+        else ""
+    )
     if proof.phi_min <= 0:
-        return text + " Some feasible set reproduces the base parameters exactly (phi_min = 0)."
-    text += f" No feasible set has a loss below phi_min = {proof.phi_min:.5g}"
-    return text + (f", forced by {', '.join(proof.forcing)}." if proof.forcing else ".")
+        return (
+            f"{start}Whether some {whose} set reproduces the base parameters exactly is not known: "
+            f"the least loss lies between phi_min = 0 and {proof.phi_strict:.5g}.{relaxed}"
+        )
+    forced = f", forced by {', '.join(proof.forcing)}" if proof.forcing else ""
+    return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
 
 
 def tables(found: Found, proof: Certificate | None) -> list[Table]:

@@ -11,7 +11,7 @@ import torch
 
 from torchid.errors import MissingExtraError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
-from torchid.extraction.convex.certificate import Certificate, certificate
+from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
 from torchid.extraction.extract import Extraction, extract
 from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
@@ -160,19 +160,12 @@ def _problem(robot: Robot, target: Target, bounds: str, settings: StudySettings)
     return extraction_problem(robot, target, read_bounds(robot, bounds), asked)
 
 
-def _certificate(problem: Problem) -> tuple[Certificate | None, list[str]]:
-    """phi_min under all conditions, or under the bounds alone where those exclude each other."""
+def _certificate(problem: Problem) -> tuple[Certificate | None, tuple[str, ...]]:
+    """phi_min, if it can be had, and what to know of it."""
     try:
-        found = certificate(problem)
+        return certificate_where_possible(problem)
     except MissingExtraError as error:
-        return None, [f"no certificate: {error}"]
-    if found.feasible:
-        return found, []
-    note = (
-        f"no set within the bounds '{problem.bounds.name}' meets the conditions "
-        f"({', '.join(found.conflict)}): phi_min is that of the bounds alone"
-    )
-    return certificate(problem, with_conditions=False), [note]
+        return None, (f"no certificate: {error}",)
 
 
 def _scenario(robot: Robot, scenario: Scenario, found: Extraction, motion: Log) -> ScenarioResult:

@@ -56,6 +56,9 @@ class Certificate:
             relaxation only and not in full, so that phi_min may not be reached: without them,
             phi would be smaller than the best found within them. `sets` meets them wherever a
             set that does was found.
+        with_conditions: whether the problem's conditions count beside physics and bounds.
+        exact: whether `sets` has no loss but rounding, so that phi_min is zero and is reached. A
+            phi_min of zero alone says nothing: it is a lower bound.
         status: of the solver.
         seconds: that it took.
     """
@@ -69,8 +72,28 @@ class Certificate:
     released: Mapping[str, float]
     forcing: tuple[str, ...]
     relaxed_active: tuple[str, ...]
+    with_conditions: bool
+    exact: bool
     status: str
     seconds: float
+
+
+def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str, ...]]:
+    """The certificate under all conditions; under bounds and physics alone where no set meets
+    them all, with that `conflict` and a note that says so.
+
+    Raises:
+        MissingExtraError: Clarabel is not installed.
+    """
+    found = certificate(problem)
+    if found.feasible:
+        return found, ()
+    note = (
+        f"no set within the bounds '{problem.bounds.name}' meets the conditions "
+        f"({', '.join(found.conflict) or found.status}): phi_min is that of the bounds alone"
+    )
+    alone = certificate(problem, with_conditions=False)
+    return replace(alone, conflict=alone.conflict or found.conflict), (note,)
 
 
 def certificate(
@@ -100,11 +123,11 @@ def certificate(
     question = _Question(problem, with_conditions, com_bounds, inertia_bounds, margin)
     conflict = question.crossed()
     if conflict:
-        return _infeasible(conflict, begun)
+        return _infeasible(conflict, with_conditions, begun)
     matrix, offset = loss_matrix(problem)
     inner = question.strictly_inside(matrix, offset)
     if inner is None:
-        return _infeasible(conflict_of(question.body(margin + STRICT)), begun)
+        return _infeasible(conflict_of(question.body(margin + STRICT)), with_conditions, begun)
     outer = question.body(margin)
     # Rows that only bound the inertias help some proofs and harm others; without them the bound
     # still holds within the radius.
@@ -123,6 +146,8 @@ def certificate(
         released=MappingProxyType(released),
         forcing=forcing,
         relaxed_active=inner.outside,
+        with_conditions=with_conditions,
+        exact=inner.phi <= NOTHING**2 * float(offset @ offset),
         status=found.solution.status,
         seconds=time.perf_counter() - begun,
     )
@@ -242,7 +267,7 @@ def loss_matrix(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return weight.cpu().double().numpy(), -target.offset.cpu().double().numpy()
 
 
-def _infeasible(conflict: tuple[str, ...], begun: float) -> Certificate:
+def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) -> Certificate:
     return Certificate(
         feasible=False,
         phi_min=np.inf,
@@ -253,6 +278,8 @@ def _infeasible(conflict: tuple[str, ...], begun: float) -> Certificate:
         released=MappingProxyType({}),
         forcing=(),
         relaxed_active=(),
+        with_conditions=with_conditions,
+        exact=False,
         status="infeasible" if conflict else "failed",
         seconds=time.perf_counter() - begun,
     )

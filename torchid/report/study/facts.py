@@ -140,9 +140,7 @@ def phi_min(study: Study, result: ScenarioResult) -> float:
 def with_conditions(study: Study, bounds: str) -> bool:
     """Whether the certificate of a group of bounds counts all conditions: where bounds and
     conditions exclude each other, it is that of the bounds alone."""
-    problem = next(s for s in study.scenarios if s.scenario.bounds == bounds).extraction.problem
-    sets = study.certificates[bounds].sets
-    return sets is not None and bool(feasibility(sets, problem.conditions).feasible[0])
+    return study.certificates[bounds].with_conditions
 
 
 def contradictions(study: Study, bounds: str) -> tuple[str, ...]:

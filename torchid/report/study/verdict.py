@@ -80,7 +80,7 @@ def _truth(study: Study) -> str:
 
 def _possible(study: Study) -> list[str]:
     """What the certificates say: the least loss of a feasible set, and what forces it."""
-    free = [b for b, c in study.certificates.items() if c.phi_min == 0]
+    free = [b for b, c in study.certificates.items() if c.exact and c.with_conditions]
     out = []
     if free:
         out.append(
@@ -90,13 +90,19 @@ def _possible(study: Study) -> list[str]:
     for bounds, c in study.certificates.items():
         if math.isinf(c.phi_min):
             out.append(f"Impossible: within the bounds {bounds} there is no physical set.")
-        elif c.phi_min > 0:
-            whose = "feasible" if with_conditions(study, bounds) else "physical"
+            continue
+        whose = "feasible" if with_conditions(study, bounds) else "physical"
+        if c.phi_min > 0:
             why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
             out.append(
                 f"Impossible: within the bounds {bounds} no {whose} set has a loss below phi_min = "
                 f"{number(c.phi_min, 4)} (a set with {number(c.phi_strict, 4)} was found), so "
                 f"none has exactly the identified coefficients.{why}"
+            )
+        elif not c.exact:
+            out.append(
+                f"Open: within the bounds {bounds} the least loss of a {whose} set lies between 0 "
+                f"and {number(c.phi_strict, 4)}."
             )
     return out
 
