@@ -48,6 +48,16 @@ def line_of(text: str, start: str) -> str:
     return next(x for x in text.splitlines() if x.strip().startswith(start))
 
 
+def test_masses_alone_count_only_where_their_weight_is_the_error() -> None:
+    def told(share: tuple[float, float, float]) -> str:
+        return findings(replace(study(), static_share=share))[1]
+
+    assert "what counts is how far the masses are off" in told((0.99, 0.97, 1.02))
+    for share in ((0.5, 0.11, 0.9), (0.0, 0.0, 0.0), (1.0, 0.98, 1.3)):
+        assert "what counts" not in told(share)
+        assert f"{100 * share[0]:.3g} % of the force error" in told(share)
+
+
 def test_kind_table_has_medians_per_joint() -> None:
     text = text_of([equal_torque.kind_table(study())])
     joints = text_of([equal_torque.joint_table(study())])

@@ -9,18 +9,18 @@ from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.compare import Comparison, EffectSize
 from torchid.wrenches.resampling import Estimate
 
+_NEARLY_ALL = 0.1
+"""Share of the force error that may be missing where it is called the carried mass's weight."""
 _AGAINST_EACH_OTHER = ("CoM only", "inertia only")
 _WORDS = {"inertia": "inertia", "com": "centres of mass"}
 
 
 def findings(study: EqualTorqueStudy) -> list[str]:
     """What the numbers say, a sentence each; `cannot tell` where an interval says so."""
-    _, low, high = study.static_share
     told = [
         f"The torque is equal: the largest difference of any set at any joint is "
         f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
-        f"The force error is the weight of the carried mass's error to {_percent(low, high)}: what "
-        "counts is how far the masses are off, whatever the reason for which a set is infeasible.",
+        weight_sentence(study.static_share),
     ]
     told += [_effect_sentence(e) for e in study.comparison.effects if _of_interest(e)]
     for c in study.statistics.correlations:
@@ -33,8 +33,23 @@ def findings(study: EqualTorqueStudy) -> list[str]:
     return told
 
 
-def _percent(low: float, high: float) -> str:
-    return f"{100 * max(abs(1 - low), abs(1 - high)):.2g} % (95 % of all sets)"
+def weight_sentence(share: tuple[float, float, float]) -> str:
+    """How much of the largest force error is the weight of the carried mass's error: the median
+    over the sets and the ends of their 95 % range. Only where it is nearly all of it in nearly all
+    sets, of whatever kind, do the masses alone count."""
+    middle, low, high = share
+    apart = max(abs(1 - low), abs(1 - high))
+    if apart <= _NEARLY_ALL:
+        return (
+            f"The force error is the weight of the carried mass's error to {100 * apart:.2g} % "
+            "(95 % of all sets): what counts is how far the masses are off, whatever the reason "
+            "for which a set is infeasible."
+        )
+    return (
+        f"The weight of the carried mass's error is {100 * middle:.3g} % of the force error (95 % "
+        f"of all sets: {100 * low:.3g} to {100 * high:.3g} %): in this motion first moments and "
+        "accelerations count as well."
+    )
 
 
 def _of_interest(effect: EffectSize) -> bool:
@@ -93,7 +108,7 @@ def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
             times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
             listed = ", ".join(f"{t:.2f}" for t in times)
             told.append(
-                f"With {_WORDS[kind]} violated alone, the greatest error of any set is {listed} "
+                f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least {listed} "
                 "times that of feasible ones (joint by joint)."
             )
     return told
