@@ -108,8 +108,8 @@ def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
             times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
             listed = ", ".join(f"{t:.2f}" for t in times)
             told.append(
-                f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least {listed} "
-                "times that of feasible ones (joint by joint)."
+                f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least "
+                f"{listed} times that of feasible ones (joint by joint)."
             )
     return told
 
