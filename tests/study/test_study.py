@@ -6,11 +6,13 @@ from functools import lru_cache
 import pytest
 import torch
 
+import torchid.extraction.extract as extract_module
 from torchid.errors import TorchidError
+from torchid.robot.config_files import config_folder
 from torchid.study.record import record
 from torchid.study.result import Study
 from torchid.study.settings import load_study, study_names
-from torchid.study.study import run_study
+from torchid.study.study import remove_checkpoints, run_study
 
 NAMES = ("3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction")
 IDS = {
@@ -94,7 +96,17 @@ def test_record_follows_the_contract():
     assert all("phi_min" in c for c in data["certificate"].values())
 
 
-def test_interrupted_study_gives_the_same_sets(tmp_path):
+def _counting(calls: list[object]):
+    next_stage = extract_module._next_stage
+
+    def counted(*arguments):
+        calls.append(1)
+        return next_stage(*arguments)
+
+    return counted
+
+
+def test_interrupted_study_gives_the_same_sets(tmp_path, monkeypatch):
     settings = load_study("3r")
     small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
 
@@ -104,9 +116,56 @@ def test_interrupted_study_gives_the_same_sets(tmp_path):
 
     with pytest.raises(InterruptedError):
         run_study(small, checkpoints=tmp_path, report=stop)
+    # What was finished is not searched again.
+    assert {p.name for p in tmp_path.iterdir()} == {"p_1.npz", "p_4.npz", "p_5.npz"}
+    searched: list[object] = []
+    monkeypatch.setattr(extract_module, "_next_stage", _counting(searched))
     again = run_study(small, checkpoints=tmp_path, resume=True)
+    assert len(searched) == 3 * 3
     for one, two in zip(again.scenarios, tiny("3r").scenarios, strict=True):
         assert torch.equal(one.extraction.sets.parameters.pi, two.extraction.sets.parameters.pi)
+
+
+def test_searches_that_are_over_are_not_repeated(tmp_path, monkeypatch):
+    settings = load_study("3r")
+    small = replace(settings, search=replace(settings.search, runs=3, stages=3, generations=5))
+    first = run_study(small, checkpoints=tmp_path)
+    monkeypatch.setattr("torchid.extraction.extract._next_stage", None)
+    again = run_study(small, checkpoints=tmp_path, resume=True)
+    for one, two in zip(again.scenarios, first.scenarios, strict=True):
+        assert torch.equal(one.extraction.sets.parameters.pi, two.extraction.sets.parameters.pi)
+    remove_checkpoints(small, tmp_path)
+    assert not tmp_path.exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "instead", "said"),
+    [
+        ("id: p_4", "id: p_1", "p_1"),
+        ("id: p_1,", "id: a/b,", "a/b"),
+        ("duration: 10", "duration: long", "long"),
+        ("rate: 100,", "rate: 0,", "rate"),
+        ("com: [0.02, -0.01, 0.04]", "com: [0.02]", "com"),
+        ("mass: 0.5", "mass: -1", "mass"),
+    ],
+)
+def test_values_that_make_no_study(tmp_path, line, instead, said):
+    text = (config_folder("studies") / "3r.yaml").read_text()
+    assert line in text
+    path = tmp_path / "x.yaml"
+    path.write_text(text.replace(line, instead))
+    with pytest.raises(TorchidError, match="not a study") as caught:
+        load_study(str(path))
+    assert said in str(caught.value)
+
+
+def test_a_study_without_scenarios(tmp_path):
+    text = (config_folder("studies") / "3r.yaml").read_text()
+    start, end = text.index("scenarios:"), text.index("# A block")
+    path = tmp_path / "x.yaml"
+    path.write_text(f"{text[:start]}scenarios: []\n{text[end:]}")
+    with pytest.raises(TorchidError, match="scenario"):
+        load_study(str(path))
 
 
 def test_unknown_and_broken_studies(tmp_path):

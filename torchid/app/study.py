@@ -60,6 +60,7 @@ def study_command(
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.study.settings import load_study, study_names
+    from torchid.study.study import remove_checkpoints
 
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
@@ -79,6 +80,14 @@ def study_command(
         records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
         "study.json",
     )
+    # Not sooner: of several studies, the first ones need not be searched again.
+    for settings in all_settings:
+        if out is not None:
+            remove_checkpoints(settings, _checkpoints(out / settings.name))
+
+
+def _checkpoints(folder: Path) -> Path:
+    return folder / "checkpoints"
 
 
 def _asked(settings: "StudySettings", quick: bool, asked: dict[str, Any]) -> "StudySettings":
@@ -96,7 +105,7 @@ def _run(
 
     checkpoints = None
     if folder is not None:
-        checkpoints = folder / "checkpoints"
+        checkpoints = _checkpoints(folder)
         checkpoints.mkdir(parents=True, exist_ok=True)
     with progress_bar(output) as progress:
         return run_study(
@@ -112,6 +121,7 @@ def _run(
 
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
     import json
+    import shutil
 
     from torchid.log.files import atomic_write
     from torchid.report.study.report import headline, tables, write_study
@@ -127,5 +137,6 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
             stream.write(json.dumps(data, indent=1, allow_nan=False) + "\n")
         if figures:
             write_study(found, folder)
+        shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         output.say(f"results of {found.settings.name} are in {folder}")
     return data

@@ -151,6 +151,7 @@ def extract(
     *,
     checkpoint: Path | None = None,
     resume: bool = False,
+    keep: bool = False,
     device: torch.device | str = "cpu",
     report: Report | None = None,
 ) -> Extraction:
@@ -160,6 +161,9 @@ def extract(
         problem: loss, bounds, conditions.
         settings: of the search.
         checkpoint: file that keeps the state after every stage, and is removed at the end.
+        keep: leave it there, for a caller with more to do that could be interrupted.
+        keep: leave the checkpoint, so that a search that is part of something longer can be
+            resumed when it is over.
         resume: continue from the checkpoint if there is one. The result is the same, bit for bit,
             as without the interruption.
         device: where the population is evaluated.
@@ -178,7 +182,7 @@ def extract(
         if report is not None:
             report(now.stage, settings.stages)
     found = _finished(problem, settings, now)
-    if checkpoint is not None:
+    if checkpoint is not None and not keep:
         checkpoint.unlink(missing_ok=True)
     return replace(found, seconds=time.monotonic() - began)
 

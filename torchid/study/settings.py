@@ -137,22 +137,53 @@ def load_study(name: str) -> StudySettings:
 
 def _settings(name: str, data: Mapping[str, Any]) -> StudySettings:
     low, high = (float(x) for x in data["total_mass"])
-    payload = data["payload"]
     return StudySettings(
         name=name,
         title=str(data["title"]),
         section=str(data["section"]),
         robot=str(data["robot"]),
         effects=tuple(data["effects"]),
-        excitation=MotionSettings(**data["excitation"]),
-        validation=MotionSettings(**data["validation"]),
-        sets_motion=MotionSettings(**data["sets_motion"]),
-        wrench_motion=MotionSettings(**data["wrench_motion"]),
+        excitation=_motion(data, "excitation"),
+        validation=_motion(data, "validation"),
+        sets_motion=_motion(data, "sets_motion"),
+        wrench_motion=_motion(data, "wrench_motion"),
         search=SearchSettings(**data["search"]),
-        total_mass=(low, high if math.isfinite(high) else math.inf),
+        total_mass=(low, high),
         geometry=str(data["geometry"]),
-        scenarios=tuple(Scenario(**entry) for entry in data["scenarios"]),
-        payload=PayloadSettings(
-            float(payload["mass"]), tuple(payload["com"]), tuple(payload["inertia_about_com"])
-        ),
+        scenarios=_scenarios(data["scenarios"]),
+        payload=_payload(data["payload"]),
     )
+
+
+def _motion(data: Mapping[str, Any], key: str) -> MotionSettings:
+    """A motion of positive duration and rate."""
+    found = MotionSettings(**data[key])
+    for name in ("duration", "rate"):
+        value = getattr(found, name)
+        if not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise ValueError(f"{key}: {name} {value!r} is not a positive number")
+    return found
+
+
+def _scenarios(entries: Any) -> tuple[Scenario, ...]:
+    """At least one, each with an id of its own that can be the name of a file."""
+    found = tuple(Scenario(**entry) for entry in entries)
+    ids = [scenario.id for scenario in found]
+    if not ids or len(set(ids)) < len(ids):
+        raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
+    for name in ids:
+        if not isinstance(name, str) or Path(name).name != name:
+            raise ValueError(f"the scenario's id {name!r} cannot be the name of a file")
+    return found
+
+
+def _payload(entry: Mapping[str, Any]) -> PayloadSettings:
+    """A body of positive mass: com of three numbers, inertia_about_com of six."""
+    found = PayloadSettings(
+        float(entry["mass"]),
+        tuple(float(x) for x in entry["com"]),
+        tuple(float(x) for x in entry["inertia_about_com"]),
+    )
+    if not found.mass > 0 or len(found.com) != 3 or len(found.inertia_about_com) != 6:
+        raise ValueError(f"payload: mass > 0, three of com, six of inertia_about_com: {entry}")
+    return found

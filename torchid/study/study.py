@@ -3,6 +3,7 @@ scenarios, classify, validate the sets, compare internal wrenches, and carry a p
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -54,8 +55,9 @@ def run_study(
 
     Args:
         settings: from `load_study`.
-        checkpoints: folder for the extractions' checkpoints.
-        resume: continue from checkpoints found there.
+        checkpoints: folder for the extractions' checkpoints, one a scenario. They are left there:
+            whoever has saved the study removes them (`remove_checkpoints`).
+        resume: continue from checkpoints found there; searches that were over are not repeated.
         device: where populations are evaluated.
         report: called with (part, done, in all).
 
@@ -87,6 +89,7 @@ def run_study(
             replace(settings.search, penalty=scenario.penalty),
             checkpoint=None if checkpoints is None else checkpoints / f"{scenario.id}.npz",
             resume=resume,
+            keep=True,
             device=device,
         )
         scenarios.append(_scenario(robot, scenario, found, test))
@@ -125,6 +128,14 @@ def run_study(
         seconds=MappingProxyType(clock.stop()),
         warnings=tuple(dict.fromkeys(warnings)),
     )
+
+
+def remove_checkpoints(settings: StudySettings, checkpoints: Path) -> None:
+    """Remove what `run_study` has left in the folder, and the folder if nothing else is in it."""
+    for scenario in settings.scenarios:
+        (checkpoints / f"{scenario.id}.npz").unlink(missing_ok=True)
+    with suppress(OSError):
+        checkpoints.rmdir()
 
 
 class _Clock:
