@@ -128,6 +128,27 @@ def test_a_lower_bound_of_zero_is_not_taken_for_a_set_without_loss(command, tmp_
     out = " ".join(shown.out.split())
     assert "is not known" in out
     assert "Some feasible set" not in out
+    assert f"and {min(s['phi'] for s in data['sets']):.5g}." in out
+
+
+def test_an_atlas_says_where_the_bounds_of_inertias_are_relaxed(command, tmp_path):
+    robot = tmp_path / "relaxed.yaml"
+    robot.write_text(RELAXED)
+    shown = command("atlas", robot)
+    assert shown.code == 0, shown.err
+    assert "count by a relaxation" in " ".join(shown.out.split())
+
+
+def test_an_atlas_says_what_the_fit_held(command, tmp_path, identified):
+    data = json.loads(identified.read_text())
+    k = data["base_names"].index("Fc1")
+    for row in data["covariance"]:
+        row[k] = 0.0
+    data["covariance"][k] = [0.0] * len(data["base_names"])
+    path, target = tmp_path / "held.json", tmp_path / "atlas.json"
+    path.write_text(json.dumps(data))
+    assert command("atlas", "3r_friction", path, "--json", target).code == 0
+    assert any("exact" in w and "Fc1" in w for w in json.loads(target.read_text())["warnings"])
 
 
 @pytest.mark.parametrize("loss", ["two-step", "one-step"])

@@ -1,6 +1,6 @@
 """`torchid atlas`: what the log determines of each physical parameter, and what it does not."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +22,9 @@ from torchid.app.problems import (
     TotalMassOption,
     build_problem,
 )
+
+if TYPE_CHECKING:
+    from torchid.identification.reading import BaseValues
 
 
 def atlas_command(
@@ -61,6 +64,7 @@ def atlas_command(
         covariance = covariance.clone()
         unknown = ~found.known
         covariance[unknown, unknown] = float("inf")
+        notes = (*notes, *_held(found))
     with progress_bar(output) as progress:
         ranges = atlas(
             problem,
@@ -76,3 +80,16 @@ def atlas_command(
     output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
     if output.folder is not None:
         save(atlas_figure(ranges, problem), output.folder / "atlas.png")
+
+
+def _held(found: "BaseValues") -> tuple[str, ...]:
+    """A note on values that the fit held: they have no variance, which does not make them sure."""
+    if found.covariance is None:
+        return ()
+    held = (found.covariance.diagonal() == 0) & found.known
+    names = [n for n, is_held in zip(found.base.names, held.tolist(), strict=True) if is_held]
+    return (
+        (f"held by the identification, and taken for exact here: {', '.join(names)}",)
+        if names
+        else ()
+    )

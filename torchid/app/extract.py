@@ -109,7 +109,8 @@ def extract_command(
     if method == "sdp":
         found = _convex(problem, certificate, search_anyway)
     elif method == "log-cholesky":
-        found = _log_cholesky(problem, settings)
+        found, told = _log_cholesky(problem, settings)
+        notes = (*notes, *told)
     else:
         found = _searched(problem, settings, output, resume, device(device_name))
     _show(found, certificate, notes, output)
@@ -145,7 +146,9 @@ def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "F
     return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds)
 
 
-def _log_cholesky(problem: "Problem", settings: "SearchSettings") -> "Found":
+def _log_cholesky(
+    problem: "Problem", settings: "SearchSettings"
+) -> "tuple[Found, tuple[str, ...]]":
     import time
 
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
@@ -154,7 +157,15 @@ def _log_cholesky(problem: "Problem", settings: "SearchSettings") -> "Found":
     began = time.monotonic()
     found = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
     sets = problem.sets(found.p, [f"run_{k + 1}" for k in range(len(found.p))])
-    return Found(problem, "log-cholesky", *judged(problem, sets), None, time.monotonic() - began)
+    short = [
+        name for name, done in zip(sets.ids, found.converged.tolist(), strict=True) if not done
+    ]
+    note = f"not converged, so their loss may be larger than it need be: {', '.join(short)}"
+    seconds = time.monotonic() - began
+    return (
+        Found(problem, "log-cholesky", *judged(problem, sets), None, seconds),
+        (note,) if short else (),
+    )
 
 
 def _searched(

@@ -9,12 +9,15 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.problem import Problem
 from torchid.report.figures import GREEN, GREY, INK, ORANGE, RED, new_figure, styled
 from torchid.report.identification import compact
+from torchid.robot.inertia import InertialParameters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _KNOWN, _NARROWED = 0.01, 0.5
 """Shares of the bounds' range below which a parameter counts as known, and as narrowed."""
+_OUTSIDE = 1e-6
+"""Share of an interval between bounds by which a set at an end may miss it: rounding."""
 
 
 def headline(atlas: Atlas, problem: Problem) -> str:
@@ -35,7 +38,24 @@ def headline(atlas: Atlas, problem: Problem) -> str:
     )
     if atlas.widened:
         text += " No feasible set lies in the confidence region; it was widened until one does."
+    outside = _ends_outside(atlas, problem)
+    if outside:
+        text += (
+            f" The bounds of the barycentric inertias count by a relaxation: the sets at {outside} "
+            f"of {atlas.low.numel() * 2} ends are outside them, so ranges may be narrower than "
+            "shown."
+        )
     return text
+
+
+def _ends_outside(atlas: Atlas, problem: Problem) -> int:
+    """How many sets at the ends do not meet the bounds of the barycentric inertias."""
+    sets = InertialParameters.from_paper_order(atlas.extremes[..., : 10 * problem.n])
+    inertia = sets.inertia_about_com
+    low, high = problem.bounds.inertia.to(inertia).unbind(-1)
+    slack = _OUTSIDE * (high - low)
+    out = (inertia < low - slack) | (inertia > high + slack)
+    return int(out.flatten(2).any(-1).sum())
 
 
 def atlas_table(atlas: Atlas) -> Table:

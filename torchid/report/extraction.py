@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import torch
 from rich.table import Table
 
 from torchid.extraction.convex.certificate import Certificate
@@ -56,7 +57,7 @@ class Found:
         """The set with the lowest final loss."""
         if self.search is not None:
             return self.search.best
-        return int(self.phi.argmin())
+        return int(self.phi.nan_to_num(torch.inf).argmin())
 
 
 def judged(
@@ -85,10 +86,10 @@ def headline(found: Found, proof: Certificate | None) -> str:
         f"{len(found.sets)} sets of {found.problem.robot.name} by {found.method}, {count} of them "
         f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}."
     )
-    return text if proof is None or not proof.feasible else f"{text} {least_loss(proof)}"
+    return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
 
 
-def least_loss(proof: Certificate) -> str:
+def least_loss(found: Found, proof: Certificate) -> str:
     """A sentence or two: what is known of the least loss, and no more than that."""
     whose, start = "feasible", ""
     if not proof.with_conditions:
@@ -102,9 +103,10 @@ def least_loss(proof: Certificate) -> str:
         else ""
     )
     if proof.phi_min <= 0:
+        best = min([proof.phi_strict, *found.phi[found.verdict.feasible].tolist()])
         return (
             f"{start}Whether some {whose} set reproduces the base parameters exactly is not known: "
-            f"the least loss lies between phi_min = 0 and {proof.phi_strict:.5g}.{relaxed}"
+            f"the least loss lies between phi_min = 0 and {best:.5g}.{relaxed}"
         )
     forced = f", forced by {', '.join(proof.forcing)}" if proof.forcing else ""
     return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
