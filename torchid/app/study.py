@@ -1,7 +1,7 @@
 """`torchid study`: the report's studies as one command."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -38,10 +38,10 @@ def study_command(
     stages: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
     generations: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
     schedule: Annotated[
-        str | None, typer.Option(metavar="linear|geometric", help="Instead of the study's own.")
+        Literal["linear", "geometric"] | None, typer.Option(help="Instead of the study's own.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(metavar="batched|cma", help="Instead of the study's own.")
+        Literal["batched", "cma"] | None, typer.Option(help="Instead of the study's own.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue from the checkpoints in --out.")
@@ -121,7 +121,6 @@ def _run(
 
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
     import json
-    import shutil
 
     from torchid.log.files import atomic_write
     from torchid.report.study.report import headline, tables, write_study
@@ -137,6 +136,14 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
             stream.write(json.dumps(data, indent=1, allow_nan=False) + "\n")
         if figures:
             write_study(found, folder)
-        shutil.rmtree(folder / "checkpoints", ignore_errors=True)
+        _tidy(folder / "checkpoints", [s.scenario.id for s in found.scenarios])
         output.say(f"results of {found.settings.name} are in {folder}")
     return data
+
+
+def _tidy(folder: Path, ids: list[str]) -> None:
+    """The checkpoints of a finished study, and their folder if nothing else is in it."""
+    for name in ids:
+        (folder / f"{name}.npz").unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()

@@ -1,0 +1,60 @@
+"""torchid study from the outside."""
+
+import json
+
+import pytest
+
+TINY = ("--runs", "3", "--stages", "2", "--generations", "4")
+
+
+def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
+    shown = command("study", "3r", *TINY, "--out", tmp_path, "--json", tmp_path / "s.json")
+    assert shown.code == 0, shown.err
+    folder = tmp_path / "3r"
+    data = json.loads((tmp_path / "s.json").read_text())
+    assert data == json.loads((folder / "study.json").read_text())
+    assert data["schema"] == "torchid.study/1"
+    assert [s["id"] for s in data["sets"]] == ["p_1", "p_4", "p_5", "p_8", "p_9", "p_12"]
+    assert data["certificate"]["normal"]["phi_min"] < 1e-18
+    page = (folder / "study.md").read_text()
+    assert all(png.name in page for png in folder.glob("*.png"))
+    assert not (folder / "checkpoints").exists()
+    checked = command("check", folder / "sets.json", "--robot", "3r", "--json", tmp_path / "c.json")
+    assert checked.code == 0, checked.err
+    verdicts = {
+        s["id"]: s["feasible"] for s in json.loads((tmp_path / "c.json").read_text())["sets"]
+    }
+    for entry in data["sets"]:
+        # The command knows no total mass for this robot, the study does.
+        if entry["reasons"] != ["total_mass"]:
+            assert verdicts[entry["id"]] == entry["feasible"]
+
+
+@pytest.mark.slow
+def test_all_studies(command, tmp_path):
+    target = tmp_path / "all.json"
+    shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path, "--json", target)
+    assert shown.code == 0, shown.err
+    data = json.loads(target.read_text())
+    names = [study["study"] for study in data["studies"]]
+    assert names == ["3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction"]
+    assert all((tmp_path / name / "study.json").is_file() for name in names)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["4r"], "available: 3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all"),
+        (["3r", "--runs", "0"], "runs"),
+        (["3r", "--resume"], "--out"),
+    ],
+)
+def test_bad_input(command, arguments, said):
+    shown = command("study", *arguments)
+    assert shown.code == 1
+    assert said in shown.err
+
+
+@pytest.mark.parametrize("option", ["--schedule", "--engine"])
+def test_choices_are_wrong_usage(command, option):
+    assert command("study", "3r", option, "nonsense").code == 2
