@@ -9,7 +9,12 @@ import torch
 
 from tests.arms import arm, consistent_parameters
 from torchid.errors import MissingExtraError
-from torchid.extraction.convex.certificate import certificate, loss_matrix
+from torchid.extraction.convex.certificate import (
+    _Question,
+    certificate,
+    certificate_where_possible,
+    loss_matrix,
+)
 from torchid.extraction.convex.conic import Rows, matrix_of, minimise, triangle
 from torchid.extraction.convex.sets import ConvexSets, convex_sets
 from torchid.extraction.problem import Problem, extraction_problem, two_step
@@ -118,6 +123,33 @@ def test_a_negative_friction_costs_its_square() -> None:
     assert found.phi_min - rigid.phi_min == pytest.approx(0.0132**2, rel=1e-5)
     assert found.forcing[0] == "Fv_6"
     assert found.released["Fv_6"] == pytest.approx(rigid.phi_min, rel=1e-5)
+
+
+def test_coefficients_on_their_bounds_are_no_failure() -> None:
+    """The optimum is at zero friction, and the interval is so short that the solver's rounding is
+    more than the distance it keeps."""
+    given = problem("3r_friction")
+    short = given.bounds.coefficients["Fc"].new_tensor([[0.0, 1e-6]]).repeat(3, 1)
+    kinds = {**given.bounds.coefficients, "Fc": short}
+    bounds = replace(given.bounds, coefficients=kinds)
+    values = given.target.values.clone()
+    names = given.target.base.names
+    values[[names.index(f"Fc{j}") for j in (1, 2, 3)]] = -0.05
+    target = two_step(given.target.base, given.target.effects, values)
+    found = certificate(extraction_problem(given.robot, target, bounds, given.conditions))
+    assert found.feasible
+    assert found.phi_min == pytest.approx(3 * 0.05**2, rel=1e-5)
+    assert found.sets is not None
+    assert float(found.sets.coefficients[0, 3:6].min()) >= 0
+
+
+def test_a_failed_solver_is_not_taken_for_infeasible(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Question, "_best", lambda *_: None)
+    found, notes = certificate_where_possible(problem("3r"))
+    assert not found.feasible
+    assert found.conflict == ()
+    assert np.isnan(found.phi_min)
+    assert "solver failed" in notes[0]
 
 
 def test_boxes_that_exclude_each_other_are_named() -> None:

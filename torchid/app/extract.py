@@ -136,6 +136,12 @@ def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "F
     from torchid.report.extraction import Found, judged
 
     proof = certificate(problem) if proof is None else proof
+    if not (proof.feasible or proof.conflict):
+        raise TorchidError(
+            "the convex solver failed on this problem.",
+            got=proof.status,
+            hint="--method cma-es, or log-cholesky",
+        )
     if proof.sets is None or not (proof.with_conditions or anyway):
         raise TorchidError(
             "no feasible set exists within these bounds.",

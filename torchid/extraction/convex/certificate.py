@@ -39,9 +39,9 @@ class Certificate:
     Attributes:
         feasible: whether there is a strictly feasible set at all.
         phi_min: lower bound of the loss of all feasible sets, proven by the dual problem to its
-            rounding; infinite if there are none. Without bounds of inertias they are still taken to
-            be below `convex_rows.REACH`: the largest mass a hundred times, at a third of the arm's
-            longest step.
+            rounding; infinite if there are none, nan if the solver failed. Without bounds of
+            inertias they are still taken to be below `convex_rows.REACH`: the largest mass a
+            hundred times, at a third of the arm's longest step.
         phi_strict: loss of `sets`; nan if there are none.
         sets: one strictly feasible set that nearly reaches phi_min, with no violation by
             `torchid.feasibility.margins`; or None.
@@ -80,7 +80,7 @@ class Certificate:
 
 def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str, ...]]:
     """The certificate under all conditions; under bounds and physics alone where no set meets
-    them all, with that `conflict` and a note that says so.
+    them all, with that `conflict`. A note says so, or that the solver failed.
 
     Raises:
         MissingExtraError: Clarabel is not installed.
@@ -88,9 +88,12 @@ def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str
     found = certificate(problem)
     if found.feasible:
         return found, ()
+    bounds = f"the bounds '{problem.bounds.name}'"
+    if not found.conflict:
+        return found, (f"the solver failed within {bounds}: how small phi can be is not known",)
     note = (
-        f"no set within the bounds '{problem.bounds.name}' meets the conditions "
-        f"({', '.join(found.conflict) or found.status}): phi_min is that of the bounds alone"
+        f"no set within {bounds} meets the conditions ({', '.join(found.conflict)}): phi_min is "
+        "that of the bounds alone"
     )
     alone = certificate(problem, with_conditions=False)
     return replace(alone, conflict=alone.conflict or found.conflict), (note,)
@@ -244,10 +247,18 @@ class _Question:
             mass, *moment = link_columns(self.problem.n, link)[:4]
             single = box[link, :, 0] == box[link, :, 1]
             x[moment] = np.where(single, x[mass] * box[link, :, 0], x[moment])
+        x[10 * self.problem.n :] = self._within_signs(x[10 * self.problem.n :])
         sets = sets_of(x[None], self.problem.n, self.problem.target.effects, ["certificate"])
         asked = self.problem.conditions if self.with_conditions else physics_only(self.problem.n)
         phi = float(np.sum((matrix @ x + offset) ** 2))
         return (sets, phi) if bool(feasibility(sets, asked).feasible[0]) else None
+
+    def _within_signs(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients of effects (E,) without the solver's rounding beyond bounds and signs, which
+        is larger than the distance kept where an interval is short."""
+        low, high = self.problem.box[10 * self.problem.n :].cpu().numpy().T
+        low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
+        return np.clip(coefficients, low, high)
 
     def outside(self, sets: ParameterSets) -> tuple[str, ...]:
         """Bounds of barycentric inertias that the first set does not meet."""
@@ -270,7 +281,7 @@ def loss_matrix(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) -> Certificate:
     return Certificate(
         feasible=False,
-        phi_min=np.inf,
+        phi_min=np.inf if conflict else np.nan,
         phi_strict=np.nan,
         sets=None,
         strict=0.0,

@@ -1,5 +1,6 @@
 """A study as one page: Markdown with every table and every figure, the verdict first."""
 
+import math
 import platform
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -72,7 +73,9 @@ def _intro(study: Study, section: Section) -> list[str]:
         return []
     said = []
     for bounds, c in study.certificates.items():
-        if not c.feasible:
+        if math.isnan(c.phi_min):
+            said.append(f"Within the bounds `{bounds}` the solver failed: phi_min is not known.")
+        elif not c.feasible:
             said.append(f"Within the bounds `{bounds}` there is no physical set at all.")
         elif not with_conditions(study, bounds):
             said.append(f"For the bounds `{bounds}`, phi_min counts the bounds and physics alone.")

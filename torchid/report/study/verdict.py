@@ -91,6 +91,9 @@ def _possible(study: Study) -> list[str]:
         if math.isinf(c.phi_min):
             out.append(f"Impossible: within the bounds {bounds} there is no physical set.")
             continue
+        if math.isnan(c.phi_min):
+            out.append(f"Unknown: within the bounds {bounds} the solver failed.")
+            continue
         whose = "feasible" if with_conditions(study, bounds) else "physical"
         if c.phi_min > 0:
             why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
