@@ -90,7 +90,19 @@ def build_problem(
         shapes=shapes,
         total_mass=None if total_mass is None else interval("--total-mass", total_mass),
     )
-    return extraction_problem(robot, target, limits, asked), found, notes
+    return extraction_problem(robot, target, limits, asked), found, (*notes, *_unasked(found))
+
+
+def _unasked(found: "BaseValues") -> tuple[str, ...]:
+    """A note on base parameters that the log did not determine."""
+    names = [
+        n for n, known in zip(found.base.names, found.known.tolist(), strict=True) if not known
+    ]
+    if len(names) == len(found.base):
+        raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
+    if not names:
+        return ()
+    return (f"not determined by the log: {', '.join(names)}",)
 
 
 def _bounds(

@@ -60,19 +60,25 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
         TorchidError: not such a file, another robot's, or values that are not finite.
     """
     data = _load(path)
-    effects = tuple(on_every_joint(data["settings"]["effects"], robot.n))
+    effects = tuple(on_every_joint(_names(data["settings"], "effects", path), robot.n))
     base = base_parameters(robot, effects)
-    if list(base.names) != data["base_names"]:
-        differing = [n for n in data["base_names"] if n not in base.names]
+    names = _names(data, "base_names", path)
+    if list(base.names) != names:
+        differing = [n for n in names if n not in base.names]
         raise TorchidError(
             f"'{path}' holds base parameters of another robot.",
-            got=f"{len(data['base_names'])} of '{data['robot']}'"
+            got=f"{len(names)} of '{data.get('robot')}'"
             + (f", e.g. {differing[0]}" if differing else ""),
             expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
         )
     b = len(base)
     values = _tensor(data, "base_values", (b,), path)
-    unknown = set(data["undetermined"])
+    unknown = set(_names(data, "undetermined", path))
+    if not unknown <= set(base.names):
+        raise TorchidError(
+            f"'{path}': what is undetermined is not among the base parameters.",
+            got=sorted(unknown - set(base.names)),
+        )
     known = torch.tensor([name not in unknown for name in base.names])
     return BaseValues(
         base,
@@ -103,6 +109,13 @@ def _load(path: Path) -> Mapping[str, Any]:
             hint=hint,
         )
     return data
+
+
+def _names(data: Any, key: str, path: Path) -> list[str]:
+    found = data.get(key) if isinstance(data, Mapping) else None
+    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+        raise TorchidError(f"'{path}': {key} is not a list of names.", got=found)
+    return found
 
 
 def _tensor(data: Mapping[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Tensor:

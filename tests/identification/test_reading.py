@@ -1,0 +1,76 @@
+"""Identifications read back from their files; damaged ones are refused."""
+
+import json
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from tests.arms import arm
+from torchid.errors import TorchidError
+from torchid.identification.base_parameters import base_parameters, nominal_values
+from torchid.identification.reading import read_base
+from torchid.identification.record import SCHEMA
+
+
+@lru_cache
+def whole() -> str:
+    robot = arm("3r")
+    base = base_parameters(robot, ())
+    count = len(base)
+    return json.dumps(
+        {
+            "schema": SCHEMA,
+            "robot": "3r",
+            "settings": {"effects": []},
+            "base_names": list(base.names),
+            "base_values": nominal_values(robot, base).tolist(),
+            "undetermined": [base.names[1]],
+            "covariance": torch.eye(count).tolist(),
+            "factor": torch.eye(count + 1).tolist(),
+        }
+    )
+
+
+def written(folder: Path, change: Callable[[dict[str, Any]], object] = lambda data: None) -> Path:
+    data = json.loads(whole())
+    change(data)
+    path = folder / "identification.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def test_values_come_back(tmp_path: Path) -> None:
+    robot = arm("3r")
+    found = read_base(written(tmp_path), robot)
+    assert torch.equal(found.values, nominal_values(robot, found.base))
+    assert (~found.known).nonzero().flatten().tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.update(settings={}), "effects"),
+        (lambda d: d.update(settings=3), "effects"),
+        (lambda d: d["settings"].update(effects=None), "effects"),
+        (lambda d: d.update(base_names=5), "base_names"),
+        (lambda d: d.update(undetermined=None), "undetermined"),
+        (lambda d: d.update(undetermined="m1"), "undetermined"),
+        (lambda d: d.update(undetermined=["m99"]), "m99"),
+        (lambda d: d["base_values"].__setitem__(0, None), "base_values"),
+        (lambda d: d.update(covariance=[[0.0]]), "covariance"),
+        (lambda d: d.pop("factor"), "factor"),
+        (lambda d: d["base_names"].__setitem__(0, "m77"), "m77"),
+    ],
+)
+def test_damaged_files_are_refused(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object], said: str
+) -> None:
+    path = written(tmp_path, change)
+    with pytest.raises(TorchidError) as caught:
+        read_base(path, arm("3r"))
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
