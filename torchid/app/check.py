@@ -121,7 +121,7 @@ def _read(
 ) -> tuple["Robot", "ParameterSets", Sequence["Finding"], tuple[str, ...]]:
     """The robot that counts, the sets, what its file's own elements show, and warnings."""
     from torchid.feasibility.findings import own_inertial_findings
-    from torchid.feasibility.sets import nominal_set, read_sets
+    from torchid.feasibility.sets import nominal_set, other_robot, read_sets
     from torchid.robot.library import load_robot
     from torchid.robot.shapes import own_inertials
 
@@ -133,11 +133,13 @@ def _read(
             )
         if robot is None:
             raise TorchidError(
-                f"--robot is needed: '{params}' does not say whose parameters it holds.",
+                f"--robot is needed: '{params}' holds parameters, not a robot's kinematics.",
                 expected="torchid check SETS.json --robot ROBOT",
             )
         found = load_robot(robot, tip=tip)
-        return found, read_sets(Path(params), found), (), ()
+        sets = read_sets(Path(params), found)
+        noticed = other_robot(Path(params), found)
+        return found, sets, (), () if noticed is None else (noticed,)
     names = [params] if robot is None else [params, robot]
     # A tip is for the files that can branch; where none can, the reader refuses it.
     trees = [name for name in names if Path(name).suffix.lower() in (".urdf", ".xml")]

@@ -1,6 +1,5 @@
 """`torchid excite`: trajectories that make the parameters visible."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,6 +8,7 @@ import typer
 from torchid.app.options import (
     Device,
     Json,
+    MaxAcceleration,
     Out,
     Output,
     Quiet,
@@ -18,7 +18,7 @@ from torchid.app.options import (
     Tip,
     device,
     effect_names,
-    numbers,
+    limited,
     open_output,
     progress_bar,
 )
@@ -61,10 +61,7 @@ def excite_command(
         str | None,
         typer.Option(metavar="V|V1,V2,..", help="Velocity limits, in place of the robot's."),
     ] = None,
-    max_acceleration: Annotated[
-        str | None,
-        typer.Option(metavar="A|A1,A2,..", help="Acceleration limits, in place of the robot's."),
-    ] = None,
+    max_acceleration: MaxAcceleration = None,
     tip: Tip = None,
     json_file: Json = None,
     out: Out = None,
@@ -82,7 +79,7 @@ def excite_command(
     from torchid.robot.library import load_robot
 
     target = _target(to, output)
-    found = _limited(load_robot(robot, tip=tip), max_velocity, max_acceleration)
+    found = limited(load_robot(robot, tip=tip), max_velocity, max_acceleration)
     _checked(count=count, duration=duration, rate=rate, usage=usage)
     settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
     if kind == "optimised":
@@ -232,22 +229,6 @@ def _target(to: Path | None, output: Output) -> Path | None:
             "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
         )
     return None
-
-
-def _limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
-    """The robot with velocity or acceleration limits from the command line."""
-    import torch
-
-    changed = {}
-    for name, text in (("velocity", velocity), ("acceleration", acceleration)):
-        if text is None:
-            continue
-        values = numbers(f"--max-{name}", text, robot.n)
-        upper = torch.tensor(values, dtype=torch.float64)
-        if not bool((upper > 0).all()):
-            raise TorchidError(f"--max-{name} must be positive.", got=text)
-        changed[name] = torch.stack([-upper, upper], -1)
-    return replace(robot, limits=replace(robot.limits, **changed)) if changed else robot
 
 
 def _checked(*, count: int, duration: float, rate: float, usage: float) -> None:

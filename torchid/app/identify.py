@@ -166,6 +166,8 @@ def _draw(result: "Identification", output: Output) -> None:
     from torchid.robot.model import JointType
 
     units = ["N" if t is JointType.PRISMATIC else "N m" for t in result.robot.joint_types]
+    for old in (*output.folder.glob("fit_*.png"), *output.folder.glob("held_out_*.png")):
+        old.unlink()  # of an earlier run, whose trajectories may have had other names
     drawn = [save(parameter_figure(result), output.folder / "parameters.png")]
     sets: tuple[tuple[str, Any], ...] = (
         ("fit", result.fit_predictions),

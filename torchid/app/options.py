@@ -5,7 +5,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +17,7 @@ from torchid.log.files import atomic_write
 
 if TYPE_CHECKING:
     from torchid.log.model import Log
+    from torchid.robot.model import Robot
 
 RobotArgument = Annotated[
     str,
@@ -37,7 +38,10 @@ Tip = Annotated[
     typer.Option("--tip", metavar="LINK", help="URDF, MJCF: last link of the chain."),
 ]
 Json = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write the result as JSON; - for standard output, alone."
+    ),
 ]
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder for JSON, tables and figures.")
@@ -50,6 +54,14 @@ Threads = Annotated[
         "--threads",
         min=1,
         help="Threads of torch and BLAS (default 1: fastest on shared machines).",
+    ),
+]
+MaxAcceleration = Annotated[
+    str | None,
+    typer.Option(
+        "--max-acceleration",
+        metavar="A|A1,A2,..",
+        help="Acceleration limits, in place of the robot's (a URDF has none).",
     ),
 ]
 Device = Annotated[str, typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ...")]
@@ -103,6 +115,8 @@ def open_output(
     Raises:
         TorchidError: a folder that does not exist or cannot be written.
     """
+    if str(json_file) == "-":
+        json_file, quiet = Path("/dev/stdout"), True
     if folder is not None:
         _make_folder(folder)
     if json_file is not None:
@@ -235,3 +249,19 @@ def cutoff_hz(text: str) -> float | Literal["auto"] | None:
     if value <= 0:
         raise TorchidError("--cutoff must be positive.", got=text)
     return value
+
+
+def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
+    """The robot with velocity or acceleration limits from the command line."""
+    import torch
+
+    changed = {}
+    for name, text in (("velocity", velocity), ("acceleration", acceleration)):
+        if text is None:
+            continue
+        values = numbers(f"--max-{name}", text, robot.n)
+        upper = torch.tensor(values, dtype=torch.float64)
+        if not bool((upper > 0).all()):
+            raise TorchidError(f"--max-{name} must be positive.", got=text)
+        changed[name] = torch.stack([-upper, upper], -1)
+    return replace(robot, limits=replace(robot.limits, **changed)) if changed else robot

@@ -7,6 +7,7 @@ import typer
 
 from torchid.app.options import (
     Json,
+    MaxAcceleration,
     Out,
     Output,
     Quiet,
@@ -14,6 +15,7 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    limited,
     numbers,
     open_output,
     progress_bar,
@@ -45,12 +47,21 @@ def wrenches_command(
     per_kind: Annotated[
         int, typer.Option("--per-kind", min=15, help="Sets of each kind of violation.")
     ] = 200,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="With --sets: compare with this set, not with the nominal one.",
+        ),
+    ] = None,
     trajectory: Annotated[
         Path | None,
         typer.Option(
-            metavar="LOG", help="Motion to compare on. Default: a sinusoid within the limits."
+            metavar="LOG",
+            help="Motion to compare on. Default: a sinusoid within the robot's limits.",
         ),
     ] = None,
+    max_acceleration: MaxAcceleration = None,
     geometry: Annotated[
         str | None,
         typer.Option(
@@ -91,17 +102,19 @@ def wrenches_command(
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 
     Examples: `torchid wrenches 3r --per-kind 300 --out result`;
-    `torchid wrenches kuka_lwr4 --sets extraction.json --trajectory motion.csv`
+    `torchid wrenches arm.urdf --sets sets/sets.json --reference run_1 --trajectory motion.csv`
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.robot.library import load_robot
 
-    found = load_robot(robot, tip=tip)
+    found = limited(load_robot(robot, tip=tip), None, max_acceleration)
     interval = None if total_mass is None else _interval(total_mass)
     motion = None if trajectory is None else _read_motion(trajectory, found)
+    if reference is not None and not sets:
+        raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
         conditions = _conditions(found, geometry, interval)
-        _given(found, sets, conditions, motion, resamples, seed, output)
+        _given(found, sets, reference, conditions, motion, resamples, seed, output)
     else:
         from torchid.study.equal_torque.setting import equal_torque_setting
 
@@ -150,6 +163,7 @@ def _equal_torque(
 def _given(
     robot: "Robot",
     files: list[Path],
+    reference: str | None,
     conditions: "Conditions",
     motion: "Motion | None",
     resamples: int,
@@ -158,15 +172,16 @@ def _given(
 ) -> None:
     from torchid.feasibility.sets import nominal_set
     from torchid.report.figures import save
-    from torchid.report.wrenches.given_sets import figures, headline, tables
+    from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
     from torchid.study.equal_torque.given_sets import given_sets
     from torchid.study.equal_torque.record import given_record
     from torchid.study.equal_torque.setting import reference_motion
 
+    sets = _read_sets(files, robot)
     found = given_sets(
         robot,
-        _read_sets(files, robot),
-        nominal_set(robot),
+        sets,
+        nominal_set(robot) if reference is None else _reference(sets, reference),
         conditions,
         motion or reference_motion(robot, seed),
         resamples=resamples,
@@ -174,10 +189,11 @@ def _given(
     )
     for table in tables(found):
         output.say(table)
+    told = (*_other_robot(files, robot), *unequal(found))
+    output.warn(told)
     output.say(f"\n{_plain(headline(found))}")
-    output.write_json(
-        {**given_record(found, [str(file) for file in files]), "seed": seed}, "wrenches.json"
-    )
+    data = given_record(found, [str(file) for file in files])
+    output.write_json({**data, "warnings": list(told), "seed": seed}, "wrenches.json")
     if output.folder is not None:
         for name, figure in figures(found).items():
             save(figure, output.folder / f"{name}.png")
@@ -204,6 +220,18 @@ def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
             for file, part in zip(files, parts, strict=True)
         ]
     return joined(parts)
+
+
+def _reference(sets: "ParameterSets", name: str) -> "ParameterSets":
+    if name not in sets.ids:
+        raise TorchidError("--reference names none of the sets.", got=name, available=sets.ids[:20])
+    return sets.part([sets.ids.index(name)])
+
+
+def _other_robot(files: list[Path], robot: "Robot") -> tuple[str, ...]:
+    from torchid.feasibility.sets import other_robot
+
+    return tuple(note for file in files if (note := other_robot(file, robot)))
 
 
 def _conditions(

@@ -22,7 +22,7 @@ from torchid.errors import TorchidError
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.sets import ParameterSets
-from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.base_parameters import VISIBLE, BaseParameters
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -220,24 +220,30 @@ def with_coefficient_bounds(
 ) -> tuple[Bounds, tuple[str, ...]]:
     """Bounds with an interval for every coefficient of the effects, and the names of those added.
 
-    A coefficient without bounds gets twice the largest absolute value that was identified for its
-    kind on any joint, from zero where physics forbids a negative one.
+    A coefficient without bounds gets twice its identified size, from zero where physics forbids a
+    negative one; one that the log determines in a sum only, twice what it would be if it were the
+    whole sum. None gets less than a tenth of the largest of its kind, or 1e-3.
     """
-    position = {k: b for b, k in enumerate(base.independent)}
-    start = base.n_rigid_parameters
-    largest: dict[str, float] = {}
-    signs: dict[str, bool] = {}
-    for effect in effects:
-        for c in effect.coefficients:
-            own = float(values[position[start]]) if start in position else 0.0
-            largest[c.name] = max(largest.get(c.name, 0.0), abs(own))
-            signs[c.name] = c.non_negative
-            start += 1
-    added = tuple(name for name in largest if name not in bounds.coefficients)
-    n = bounds.mass.shape[0]
+    size = _largest_sizes(base, values)[base.n_rigid_parameters :].tolist()
+    kinds = [(c, effect.joint) for effect in effects for c in effect.coefficients]
+    added = tuple(dict.fromkeys(c.name for c, _ in kinds if c.name not in bounds.coefficients))
     extra = {}
     for name in added:
-        high = max(2 * largest[name], 1e-3)
-        low = 0.0 if signs[name] else -high
-        extra[name] = torch.tensor([[low, high]] * n, dtype=bounds.mass.dtype)
+        own = {
+            j: (v, c.non_negative) for (c, j), v in zip(kinds, size, strict=True) if c.name == name
+        }
+        least = max(1e-3, 0.1 * max(v for v, _ in own.values()))
+        rows = torch.zeros(bounds.mass.shape[0], 2, dtype=bounds.mass.dtype)
+        rows[:, 1] = 2 * least
+        for joint, (value, non_negative) in own.items():
+            high = 2 * max(value, least)
+            rows[joint] = rows.new_tensor([0.0 if non_negative else -high, high])
+        extra[name] = rows
     return replace(bounds, coefficients={**bounds.coefficients, **extra}), added
+
+
+def _largest_sizes(base: BaseParameters, values: Tensor) -> Float[Tensor, " P"]:
+    """Size (P,) of each parameter if it alone made up one of the sums that it is part of."""
+    grouping = base.grouping.abs().to(values)
+    share = torch.where(grouping > VISIBLE, values.abs().unsqueeze(-1) / grouping, 0.0)
+    return share.amax(0)

@@ -152,6 +152,15 @@ def read_sets(path: Path, robot: Robot) -> ParameterSets:
     return joined(parts)
 
 
+def other_robot(path: Path, robot: Robot) -> str | None:
+    """A sentence if the file says that its sets belong to a robot of another name."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    name = data.get("robot")
+    if name is None or name == robot.name:
+        return None
+    return f"'{path}' says that its sets belong to '{name}'; the robot here is '{robot.name}'"
+
+
 def _entries(path: Path) -> list[Any]:
     expected = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
     try:

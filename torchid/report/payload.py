@@ -21,6 +21,11 @@ def tables(payload: Payload) -> list[Table]:
 def headline(payload: Payload) -> str:
     """One sentence: mass and centre of mass in the tool frame, and whether a body can have them."""
     mass, com = payload.tool.mass, payload.tool.com
+    if bool(mass.high < 0):
+        return (
+            f"The logs with the payload carry {-float(mass.value):.4g} kg less than those without: "
+            "are they exchanged?"
+        )
     if not payload.seen:
         return f"No payload can be seen on the last link of {payload.robot}."
     half = payload.quantile * float(mass.std)
@@ -34,8 +39,8 @@ def headline(payload: Payload) -> str:
 def body_table(payload: Payload) -> Table:
     """Mass, centre of mass and inertia about it, in the tool's and in the last link's frame."""
     table = compact(f"payload of {payload.robot} (value ± std, 95 % interval)")
-    table.add_column("quantity")
-    table.add_column("unit")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     for frame in ("tool frame", "last link's frame"):
         table.add_column(frame, justify="right", no_wrap=True)
         table.add_column("95 %", justify="right", no_wrap=True)

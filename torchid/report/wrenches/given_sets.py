@@ -27,6 +27,24 @@ def tables(found: GivenSets) -> list[Table]:
     return made
 
 
+UNEQUAL = 0.01
+"""Relative difference of a joint's torque above which sets do not count as having equal torque."""
+
+
+def unequal(found: GivenSets) -> list[str]:
+    """Says when the sets do not have the reference's torque: then the forces differ for that."""
+    worst = found.torque_relative.amax(-1)
+    count = int((worst > UNEQUAL).sum())
+    if count == 0:
+        return []
+    return [
+        f"{count} of {len(found.sets)} sets do not have the torque of the reference "
+        f"'{found.reference.ids[0]}' (up to {100 * float(worst.max()):.2g} % off at one joint): "
+        "these differences are not what equal torque leaves open. --reference ID compares sets with "
+        "one of them"
+    ]
+
+
 def headline(found: GivenSets) -> str:
     """One sentence: how far the torques and the forces are apart."""
     worst = found.errors.force_rms.amax(-1)
@@ -38,7 +56,7 @@ def headline(found: GivenSets) -> str:
     return (
         f"Against {_reference(found)}, on {found.motion.q.shape[0]} instants: the largest "
         f"force error over the joints is {extremes} RMS; torques differ by at most "
-        f"{float(found.torque_relative.max()):.2g} of a joint's own."
+        f"{100 * float(found.torque_relative.max()):.2g} % of a joint's own."
     )
 
 
@@ -51,7 +69,7 @@ def set_table(found: GivenSets) -> Table:
         rows = sorted(worst.argsort(descending=True)[:_MOST_ROWS].tolist())
         title += f" (the {_MOST_ROWS} of {len(worst)} sets with the largest)"
     table = compact(title)
-    for heading in ("set", "degree", "torque", "moment [N m]"):
+    for heading in ("set", "degree", "torque [%]", "moment [N m]"):
         table.add_column(heading, justify="left" if heading == "set" else "right", no_wrap=True)
     for joint in range(found.robot.n):
         table.add_column(f"j{joint + 1}", justify="right", no_wrap=True)
@@ -59,7 +77,7 @@ def set_table(found: GivenSets) -> Table:
     for k in rows:
         table.add_row(
             found.sets.ids[k], f"{float(found.checked.degree[k]):.2g}",
-            f"{float(found.torque_relative[k].max()):.0e}",
+            f"{100 * float(found.torque_relative[k].max()):.2g}",
             f"{float(found.errors.moment_rms[k].max()):.3g}",
             *(f"{v:.3g}" for v in found.errors.force_rms[k].tolist()),
             " ".join(found.checked.reasons(k)) or "feasible",
