@@ -30,6 +30,22 @@ def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
             assert verdicts[entry["id"]] == entry["feasible"]
 
 
+def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypatch):
+    import torchid.study.study as room
+
+    removed = []
+
+    def remove(settings, checkpoints):
+        assert (tmp_path / "3r_friction" / "study.json").is_file()
+        removed.extend(path.stem for path in checkpoints.iterdir())
+
+    monkeypatch.setattr("torchid.study.settings.study_names", lambda: ["3r", "3r_friction"])
+    monkeypatch.setattr(room, "remove_checkpoints", remove)
+    shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path)
+    assert shown.code == 0, shown.err
+    assert len(removed) == 12
+
+
 @pytest.mark.slow
 def test_all_studies(command, tmp_path):
     target = tmp_path / "all.json"

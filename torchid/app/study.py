@@ -122,6 +122,8 @@ def _run(
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
     import json
 
+    from rich.markup import escape
+
     from torchid.log.files import atomic_write
     from torchid.report.study.report import headline, tables, write_study
     from torchid.study.record import record
@@ -129,21 +131,12 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
     for table in tables(found):
         output.say(table)
     output.warn(found.warnings)
-    output.say(f"\n{headline(found)}\n")
+    output.say(f"\n{escape(headline(found))}\n")
     data = record(found)
     if folder is not None:
         with atomic_write(folder / "study.json", "w") as stream:
             stream.write(json.dumps(data, indent=1, allow_nan=False) + "\n")
         if figures:
             write_study(found, folder)
-        _tidy(folder / "checkpoints", [s.scenario.id for s in found.scenarios])
         output.say(f"results of {found.settings.name} are in {folder}")
     return data
-
-
-def _tidy(folder: Path, ids: list[str]) -> None:
-    """The checkpoints of a finished study, and their folder if nothing else is in it."""
-    for name in ids:
-        (folder / f"{name}.npz").unlink(missing_ok=True)
-    if not any(folder.iterdir()):
-        folder.rmdir()
