@@ -131,6 +131,15 @@ def test_a_lower_bound_of_zero_is_not_taken_for_a_set_without_loss(command, tmp_
     assert f"and {min(s['phi'] for s in data['sets']):.5g}." in out
 
 
+@pytest.mark.parametrize("options", [("extract", *SMALL), ("atlas",)])
+def test_brackets_in_a_name_are_no_markup(command, tmp_path, options):
+    robot = tmp_path / "relaxed.yaml"
+    robot.write_text(RELAXED.replace("name: relaxed", "name: '[/b]x'"))
+    shown = command(options[0], robot, *options[1:])
+    assert shown.code == 0, shown.err
+    assert "[/b]x" in shown.out
+
+
 def test_an_atlas_says_where_the_bounds_of_inertias_are_relaxed(command, tmp_path):
     robot = tmp_path / "relaxed.yaml"
     robot.write_text(RELAXED)

@@ -48,6 +48,8 @@ def atlas_command(
     Example: `torchid atlas kuka_lwr4 --bounds normal --out atlas`
     """
     output = open_output(json_file, out, quiet, threads)
+    from rich.markup import escape
+
     from torchid.extraction.convex.atlas import atlas
     from torchid.extraction.record import atlas_record
     from torchid.report.atlas import atlas_figure, atlas_table, headline
@@ -76,7 +78,7 @@ def atlas_command(
         )
     output.say(atlas_table(ranges))
     output.warn(notes)
-    output.say(f"\n{headline(ranges, problem)}")
+    output.say(f"\n{escape(headline(ranges, problem))}")
     output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
     if output.folder is not None:
         save(atlas_figure(ranges, problem), output.folder / "atlas.png")

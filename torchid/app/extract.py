@@ -198,12 +198,14 @@ def _searched(
 def _show(
     found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
 ) -> None:
+    from rich.markup import escape
+
     from torchid.report.extraction import headline, tables
 
     for table in tables(found, proof):
         output.say(table)
     output.warn(notes)
-    output.say(f"\n{headline(found, proof)}")
+    output.say(f"\n{escape(headline(found, proof))}")
 
 
 def _write(
