@@ -14,9 +14,11 @@ from torchid.extraction.record import (
     SCHEMA,
     certificate_record,
     noticeable,
+    number,
     problem_record,
     sets_record,
 )
+from torchid.extraction.torque import torque_error
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.report.figures import BLUE, GREY, INK, RED, new_figure, styled
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHOWN = 12
+_ON_A_BOUND = 1e-4
+"""Share of a bound's span within which a parameter counts as lying on it."""
+ON_THE_BOUNDARY = 1e-6
+"""Degree below which a feasible set is said to be on the boundary."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +44,7 @@ class Found:
         method: cma-es, log-cholesky or sdp.
         sets: K of them.
         phi, gamma: (K,) loss and penalty.
+        torque: (K, n) difference from the asked-for torque, relative (see `torque_error`).
         verdict: feasibility.
         search: the course of a population search, or None.
         seconds: it took.
@@ -48,6 +55,7 @@ class Found:
     sets: ParameterSets
     phi: Float[Tensor, " K"]
     gamma: Float[Tensor, " K"]
+    torque: Float[Tensor, "K n"]
     verdict: Feasibility
     search: Extraction | None
     seconds: float
@@ -62,31 +70,70 @@ class Found:
 
 def judged(
     problem: Problem, sets: ParameterSets
-) -> tuple[ParameterSets, Tensor, Tensor, Feasibility]:
-    """Sets with loss, penalty and feasibility."""
-    p = problem.search_vector(sets)
-    verdict = feasibility(sets, problem.conditions)
+) -> tuple[ParameterSets, Tensor, Tensor, Tensor, Feasibility]:
+    """Sets with loss, penalty, torque and feasibility."""
     return (
         sets,
         problem.residual_of_vector(sets.vector).square().sum(-1),
-        gamma(problem, p),
-        verdict,
+        gamma(problem, problem.search_vector(sets)),
+        torque_error(problem, sets),
+        feasibility(sets, problem.conditions),
     )
+
+
+def at_bounds(found: Found) -> list[str]:
+    """Parameters of the best set that lie on their bounds, e.g. m3 (upper)."""
+    problem = found.problem
+    n = problem.n
+    names = [f"m{i + 1}" for i in range(n)]
+    names += [f"c{i + 1}{axis}" for i in range(n) for axis in "xyz"]
+    names += [f"I{i + 1}{e}" for i in range(n) for e in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    names += found.sets.coefficient_names()
+    own = problem.search_vector(found.sets)[found.best]
+    low, high = problem.box.unbind(-1)
+    near = _ON_A_BOUND * (high - low)
+    lower, upper = (own - low < near).tolist(), (high - own < near).tolist()
+    return [
+        f"{name} ({'lower' if below else 'upper'})"
+        for name, below, above in zip(names, lower, upper, strict=True)
+        if below or above
+    ]
 
 
 def headline(found: Found, proof: Certificate | None) -> str:
     """One or two sentences: what came out."""
     k, count = found.best, int(found.verdict.feasible.sum())
+    degree = float(found.verdict.degree[k])
     verdict = (
-        f"feasible (degree {float(found.verdict.degree[k]):.2g})"
+        f"feasible ({'on the boundary, ' if degree < ON_THE_BOUNDARY else ''}degree {degree:.2g})"
         if bool(found.verdict.feasible[k])
         else f"infeasible: {', '.join(found.verdict.reasons(k))}"
     )
     text = (
         f"{len(found.sets)} sets of {found.problem.robot.name} by {found.method}, {count} of them "
-        f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}."
+        f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}; its "
+        f"torque is up to {100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
+        f"{int(found.torque[k].argmax()) + 1})."
     )
+    text += _equally_good(found)
+    edges = at_bounds(found)
+    if edges:
+        more = "" if len(edges) <= _SHOWN else f" and {len(edges) - _SHOWN} more"
+        text += f" On its bounds: {', '.join(edges[:_SHOWN])}{more}."
     return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
+
+
+def _equally_good(found: Found) -> str:
+    """Says when the loss does not choose between sets, and how different they are."""
+    phi = found.phi[found.verdict.feasible]
+    alike = phi <= 1.01 * phi.min() + 1e-18 if len(phi) else phi > 0
+    if int(alike.sum()) < 2:
+        return ""
+    total = found.sets.parameters.mass[found.verdict.feasible][alike].sum(-1)
+    return (
+        f" {int(alike.sum())} feasible sets have this loss (to 1 %); their total mass ranges from "
+        f"{float(total.min()):.4g} to {float(total.max()):.4g} kg."
+    )
 
 
 def least_loss(found: Found, proof: Certificate) -> str:
@@ -108,14 +155,20 @@ def least_loss(found: Found, proof: Certificate) -> str:
             f"{start}Whether some {whose} set reproduces the base parameters exactly is not known: "
             f"the least loss lies between phi_min = 0 and {best:.5g}.{relaxed}"
         )
-    forced = f", forced by {', '.join(proof.forcing)}" if proof.forcing else ""
+    forcing = [n for n, v in noticeable(proof).items() if v < 0.95 * proof.phi_min][:4]
+    names = forcing or proof.forcing
+    forced = f", forced by {', '.join(names)}" if names else ""
     return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
 
 
 def tables(found: Found, proof: Certificate | None) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    table = compact(f"best sets within the bounds '{found.problem.bounds.name}'")
-    for heading in ("set", "phi", "gamma", "feasible", "degree", "reasons"):
+    shown = min(_SHOWN, len(found.sets))
+    table = compact(
+        f"the best {shown} of {len(found.sets)} sets within the bounds "
+        f"'{found.problem.bounds.name}' (torque: largest joint)"
+    )
+    for heading in ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"):
         table.add_column(heading, justify="left" if heading in ("set", "reasons") else "right")
     verdict = found.verdict.feasible.tolist()
     order = sorted(range(len(found.sets)), key=lambda k: (not verdict[k], float(found.phi[k])))
@@ -123,6 +176,7 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
         table.add_row(
             found.sets.ids[k],
             f"{float(found.phi[k]):.5g}",
+            f"{100 * float(found.torque[k].max()):.2g}",
             f"{float(found.gamma[k]):.2g}",
             "yes" if verdict[k] else "no",
             f"{float(found.verdict.degree[k]):.2g}",
@@ -167,7 +221,15 @@ def extraction_record(
         "search": search,
         "certificate": certificate_record(proof),
         "best": found.sets.ids[found.best],
-        "sets": sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
+        "sets": [
+            {**entry, "torque_error_percent": [number(100 * x) for x in torque]}
+            for entry, torque in zip(
+                sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
+                found.torque.tolist(),
+                strict=True,
+            )
+        ],
+        "at_bounds": at_bounds(found),
         "seconds": found.seconds,
         "warnings": list(warnings),
     }

@@ -40,7 +40,7 @@ def unequal(found: GivenSets) -> list[str]:
     return [
         f"{count} of {len(found.sets)} sets do not have the torque of the reference "
         f"'{found.reference.ids[0]}' (up to {100 * float(worst.max()):.2g} % off at one joint): "
-        "these differences are not what equal torque leaves open. --reference ID compares sets with "
+        "these differences are not what equal torque leaves open. --reference ID compares with "
         "one of them"
     ]
 
