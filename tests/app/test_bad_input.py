@@ -231,3 +231,9 @@ def test_simulate_options(command, tmp_path):
     command("excite", "3r", "--kind", "random", "--to", motion)
     refused(command("simulate", "3r", motion), "nowhere to write")
     refused(command("simulate", "kuka_lwr4", motion, "--to", tmp_path / "l.csv"), "3", "7")
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+@pytest.mark.parametrize("arguments", [("extract", "3r"), ("wrenches", "3r"), ("study", "3r")])
+def test_seeds_that_no_generator_takes_are_wrong_usage(command, arguments, seed):
+    assert command(*arguments, "--seed", seed).code == 2

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from torchid.app.options import (
+    LARGEST_SEED,
     Device,
     Json,
     Out,
@@ -49,7 +50,10 @@ def study_command(
     figures: Annotated[bool, typer.Option(help="Draw the figures into --out.")] = True,
     json_file: Json = None,
     out: Out = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Of the searches.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", min=0, max=LARGEST_SEED, help="Of the searches."),
+    ] = None,
     quiet: Quiet = False,
     threads: Threads = None,
     device_name: Device = "cpu",
