@@ -199,6 +199,13 @@ def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypa
     monkeypatch.setattr(module, "save", interrupted)
     assert command("extract", "3r", *SMALL, "--out", halves).code == 130
     assert not (halves / "sets.json").exists()
+    # Whoever forgets --resume is told; whoever gives it without need, too.
+    monkeypatch.setattr(module, "save", save)
+    kept = (halves / "checkpoint.npz").read_bytes()
+    assert "--resume would have continued" in command("extract", "3r", *SMALL, "--out", halves).out
+    assert "starts anew" in command("extract", "3r", *SMALL, "--out", halves, "--resume").out
+    (halves / "checkpoint.npz").write_bytes(kept)
+    monkeypatch.setattr(module, "save", interrupted)
     assert command("extract", "3r", *SMALL, "--out", halves, "--resume").code == 0
     assert len(calls) == 3
     assert (whole / "sets.json").read_bytes() == (halves / "sets.json").read_bytes()

@@ -133,6 +133,8 @@ def _certificate(
 
 def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
     from torchid.extraction.convex.certificate import certificate
+    from torchid.extraction.polish.polish import polish
+    from torchid.extraction.polish.region import region
     from torchid.report.extraction import Found, judged
 
     proof = certificate(problem) if proof is None else proof
@@ -149,7 +151,14 @@ def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "F
             hint="other --bounds, --geometry or --total-mass; --search-anyway leaves the "
             "conditions out",
         )
-    return Found(problem, "sdp", *judged(problem, proof.sets), None, proof.seconds)
+    inside = region(problem, conditions=proof.with_conditions)
+    start = problem.search_vector(proof.sets)
+    # Bounds of barycentric inertias count in the program by a relaxation only: a descent within
+    # the true ones can still lower the loss of its set.
+    polished = problem.sets(polish(problem, inside, start), proof.sets.ids)
+    own, lower = judged(problem, proof.sets), judged(problem, polished)
+    better = bool(lower[-1].feasible[0]) and float(lower[1][0]) < float(own[1][0])
+    return Found(problem, "sdp", *(lower if better else own), None, proof.seconds)
 
 
 def _log_cholesky(
@@ -181,6 +190,15 @@ def _searched(
     from torchid.report.extraction import Found, judged
 
     checkpoint = None if output.folder is None else output.folder / "checkpoint.npz"
+    if checkpoint is not None and checkpoint.exists() != resume:
+        output.warn(
+            (
+                f"there is no checkpoint in {output.folder}: the search starts anew"
+                if resume
+                else f"{output.folder} held the checkpoint of an interrupted search, which starts "
+                "anew: --resume would have continued it",
+            )
+        )
     with progress_bar(output) as progress:
         found = extract(
             problem,

@@ -110,7 +110,8 @@ def headline(found: Found, proof: Certificate | None) -> str:
         else f"infeasible: {', '.join(found.verdict.reasons(k))}"
     )
     text = (
-        f"{len(found.sets)} sets of {found.problem.robot.name} by {found.method}, {count} of them "
+        f"{len(found.sets)} set{'s' * (len(found.sets) > 1)} of {found.problem.robot.name} by "
+        f"{found.method}, {count} of them "
         f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}; its "
         f"torque is up to {100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
         f"{int(found.torque[k].argmax()) + 1})."

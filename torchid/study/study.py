@@ -29,9 +29,9 @@ from torchid.robot.model import Robot
 from torchid.study.motions import excitation, new_motion, sets_torque, simulated, state, with_real
 from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
 from torchid.study.settings import Scenario, StudySettings
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Tensor
 from torchid.wrenches.compare import compare
-from torchid.wrenches.deviation import wrench_errors
+from torchid.wrenches.deviation import alike, wrench_errors
 from torchid.wrenches.regressor import wrench_norms
 
 Report = Callable[[str, int, int], None]
@@ -105,7 +105,7 @@ def run_study(
         errors.force_rms.amax(-1),
         [s.feasibility.reasons(k) for s in scenarios for k in range(runs)],
         torch.cat([s.feasibility.degree for s in scenarios]),
-        cluster=_alike(errors.force_rms, runs),
+        cluster=alike(errors.force_rms, torch.arange(len(errors.force_rms)) // runs),
     )
     on_sets, on_reference = (_on_motion(robot, best, plan) for plan in (test, reference))
     clock.start("payload")
@@ -202,16 +202,6 @@ def _below(result: ScenarioResult, proof: Certificate | None) -> list[str]:
     return [
         f"{result.scenario.id}: {int(below.sum())} sets are feasible and have a loss below phi_min"
     ] * bool(below.any())
-
-
-def _alike(force: Float[Tensor, "K n"], runs: int) -> Int[Tensor, " K"]:
-    """Which sets are one and the same: runs of a scenario whose forces agree to 0.1 %. Where the
-    least loss has one minimiser all runs end there, and they are one observation, not fifty."""
-    digits = (force.clamp(min=1e-9).log() * 1e3).round().long()
-    scenario = torch.arange(len(force)) // runs
-    return torch.unique(
-        torch.cat([scenario.unsqueeze(-1), digits], -1), dim=0, return_inverse=True
-    )[1]
 
 
 def _on_motion(robot: Robot, sets: ParameterSets, motion: Log) -> SetsOnMotion:

@@ -10,7 +10,7 @@ import torch
 
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Samples, Tensor
+from torchid.typing import Float, Int, Samples, Tensor
 from torchid.wrenches import tiles as sizes
 from torchid.wrenches.blocks import WrenchBlock, block_chunks
 from torchid.wrenches.grouping import lumped_parameters, wrench_chain
@@ -158,3 +158,17 @@ class _PartSums:
             vector.add_(of_reference)
         apart = torch.linalg.vector_norm(tile.norms().sub_(reference.squares), dim=-1)
         self.of_norms.addcmul_(apart, apart)
+
+
+def alike(force: Float[Tensor, "K n"], group: Int[Tensor, " K"] | None = None) -> Int[Tensor, " K"]:
+    """Which sets are one and the same (K,): those of a group whose forces agree to 0.1 %.
+
+    Where a loss has one minimiser all runs of a search end there: one observation, not fifty.
+
+    Args:
+        force: (K, n) force errors [N].
+        group: (K,) sets of different groups are never the same; one group if None.
+    """
+    digits = (force.clamp(min=1e-9).log() * 1e3).round().nan_to_num(0.0).long()
+    own = torch.zeros_like(digits[:, 0]) if group is None else group
+    return torch.unique(torch.cat([own.unsqueeze(-1), digits], -1), dim=0, return_inverse=True)[1]

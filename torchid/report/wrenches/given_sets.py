@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from torchid.report.figures import GREY, INK, new_figure, styled
@@ -64,7 +65,7 @@ def set_table(found: GivenSets) -> Table:
     """Reasons, degree and force error per joint; the sets with the largest errors if many."""
     worst = found.errors.force_rms.amax(-1)
     rows = list(range(len(found.sets)))
-    title = f"force error against {_reference(found)} [N], RMS over the motion"
+    title = f"force error against {escape(_reference(found))} [N], RMS over the motion"
     if len(rows) > _MOST_ROWS:
         rows = sorted(worst.argsort(descending=True)[:_MOST_ROWS].tolist())
         title += f" (the {_MOST_ROWS} of {len(worst)} sets with the largest)"
@@ -76,7 +77,7 @@ def set_table(found: GivenSets) -> Table:
     table.add_column("reasons", overflow="fold")
     for k in rows:
         table.add_row(
-            found.sets.ids[k], f"{float(found.checked.degree[k]):.2g}",
+            escape(found.sets.ids[k]), f"{float(found.checked.degree[k]):.2g}",
             f"{100 * float(found.torque_relative[k].max()):.2g}",
             f"{float(found.errors.moment_rms[k].max()):.3g}",
             *(f"{v:.3g}" for v in found.errors.force_rms[k].tolist()),

@@ -12,7 +12,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
-from torchid.wrenches.deviation import WrenchErrors, wrench_errors
+from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,7 @@ def given_sets(
             errors.force_rms.amax(-1),
             [checked.reasons(k) for k in range(len(sets))],
             checked.degree,
+            cluster=alike(errors.force_rms),
             resamples=resamples,
             seed=seed,
         ),
