@@ -1,3 +1,10 @@
+"""Sets that are one and the same."""
+
+import torch
+
+from torchid.wrenches.deviation import alike
+
+
 def test_sets_with_the_same_forces_are_one():
     force = torch.tensor([[1.0, 2.0], [1.00001, 2.00001], [1.0, 2.1], [1.0, 2.0]]).double()
     one = alike(force)
