@@ -80,8 +80,6 @@ def test_killed_three_times(tmp_path: Path, whole: Extraction) -> None:
     "changes", [{"penalty": "partial"}, {"schedule": "geometric"}, {"engine": "cma", "runs": 2}]
 )
 def test_of_every_kind_of_search(changes: dict[str, object], tmp_path: Path) -> None:
-    if changes.get("engine") == "cma":
-        pytest.importorskip("cma")
     settings = replace(SETTINGS, stages=3, **changes)
     path = tmp_path / "search.npz"
     killed_at(2, path, settings)

@@ -116,8 +116,6 @@ def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -
     ],
 )
 def test_figures_are_those_of_the_sets(changes: dict[str, object]) -> None:
-    if changes.get("engine") == "cma":
-        pytest.importorskip("cma")
     p, settings = problem_of("3r_friction"), with_settings(**changes)
     assert_consistent(p, extract(p, settings), settings)
 
@@ -163,8 +161,6 @@ def assert_descends(found: Extraction) -> None:
 @pytest.mark.parametrize("engine", ["batched", "cma"])
 @pytest.mark.parametrize("changes", [{}, {"penalty": "partial"}, {"schedule": "geometric"}])
 def test_search_alone_descends(engine: str, changes: dict[str, object]) -> None:
-    if engine == "cma":
-        pytest.importorskip("cma")
     size = {"stages": 6} if engine == "batched" else {"stages": 3, "runs": 2}
     settings = with_settings(polish=False, engine=engine, **size, **changes)
     found = extract(problem_of("3r"), settings)
@@ -191,7 +187,6 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
 
 
 def test_engine_of_pycma() -> None:
-    pytest.importorskip("cma")
     p = problem_of("3r")
     settings = with_settings(engine="cma", runs=2, stages=3)
     found = extract(p, settings)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.extraction.cma.search import (
     Objective,
     SearchState,
@@ -46,7 +46,6 @@ class PycmaEngine:
 
         Raises:
             TorchidError: n = 1, which pycma does not do, or as Engine says.
-            MissingExtraError: pycma is not installed.
         """
         size = population_of(state, generations, seed, population)
         if state.mean.shape[1] < 2:
@@ -110,10 +109,8 @@ class _Run:
 
 def _strategies(state: SearchState, seed: int, population: int) -> list[_Run]:
     """A pycma strategy for every run, each with its own random numbers."""
-    try:
-        import cma
-    except ImportError as error:
-        raise MissingExtraError("cma", "cma", "The search engine 'cma'") from error
+    import cma  # takes a second: only where it is asked for
+
     generator = generator_for(seed, state.generation, torch.device("cpu"))
     seeds = torch.randint(2**62, (state.mean.shape[0],), generator=generator).tolist()
     runs = []
