@@ -174,14 +174,22 @@ def test_coefficients_that_are_not_known_ask_for_nothing() -> None:
 
 
 def test_bounds_made_for_coefficients() -> None:
-    """Twice the largest of the kind, on all joints; from 0 where physics forbids less."""
+    """Twice each one's size; from 0 where physics forbids less."""
     base, p = base_of("3r_friction"), problem_of("3r_friction")
     effects, values = p.target.effects, p.target.values
     bare = read_bounds(arm("3r"), "normal")
     bounds, added = with_coefficient_bounds(bare, base, effects, values)
     assert added == ("Fv", "Fc", "F0")
-    torch.testing.assert_close(bounds.coefficients["Fv"], torch.tensor([[0.0, 2 * 0.1987]] * 3))
-    torch.testing.assert_close(bounds.coefficients["F0"], 0.3132 * torch.tensor([[-1.0, 1.0]] * 3))
+    viscous = torch.tensor([[0.0, 2 * v] for v in (0.0665, 0.1987, 0.0399)])
+    torch.testing.assert_close(bounds.coefficients["Fv"], viscous)
+    offsets = torch.tensor([[-2 * v, 2 * v] for v in (0.1073, 0.1566, 0.0686)])
+    torch.testing.assert_close(bounds.coefficients["F0"], offsets)
+    # One that was held at zero keeps room: a tenth of the largest of its kind.
+    held = values.clone()
+    held[base.names.index("Fv1")] = 0.0
+    assert with_coefficient_bounds(bare, base, effects, held)[0].coefficients["Fv"][0, 1] == (
+        pytest.approx(2 * 0.01987)
+    )
     own, none = with_coefficient_bounds(p.bounds, base, effects, values)
     assert none == ()
     assert torch.equal(own.box(effects), p.box)

@@ -115,7 +115,7 @@ def _bounds(
     group = asked or ("normal" if "normal" in bounds_groups(robot) else FROM_ROBOT)
     limits = derive_bounds(robot) if group == FROM_ROBOT else read_bounds(robot, group)
     full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
-    note = f"bounds of {', '.join(added)}: within twice the largest identified" if added else ""
+    note = f"bounds of {', '.join(added)}: within twice the identified sizes" if added else ""
     return full, (note,) if note else ()
 
 
