@@ -161,7 +161,6 @@ def extract(
         problem: loss, bounds, conditions.
         settings: of the search.
         checkpoint: file that keeps the state after every stage, and is removed at the end.
-        keep: leave it there, for a caller with more to do that could be interrupted.
         keep: leave the checkpoint, so that a search that is part of something longer can be
             resumed when it is over.
         resume: continue from the checkpoint if there is one. The result is the same, bit for bit,
@@ -223,7 +222,13 @@ def _next_stage(
 def _finished(problem: Problem, settings: SearchSettings, now: Progress) -> Extraction:
     searched = problem.physical(now.state.best)
     inside = region(problem, conditions=settings.penalty == "full")
-    p = polish(problem, inside, searched) if settings.polish else searched
+    p = searched
+    if settings.polish:
+        polished = polish(problem, inside, searched)
+        weight = 10.0 * settings.stages if settings.penalty == "full" else 0.0
+        # A run that the polish could not bring to an end stays as the search left it.
+        before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (p, polished))
+        p = torch.where((after <= before).unsqueeze(-1), polished, searched)
     phi, violated = problem.phi(p), gamma(problem, p)
     return Extraction(
         problem=problem,

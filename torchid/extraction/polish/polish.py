@@ -47,7 +47,7 @@ def polish(
 
     Args:
         problem: loss.
-        region: from `interior.region`; bounds alone, or with the conditions.
+        region: from `region.region`; bounds alone, or with the conditions.
         p: (R, D) search vectors within the bounds; those outside the region are first moved
             towards its interior point, as little as it takes.
         steps: Newton steps at most.
