@@ -11,7 +11,6 @@ from torchid.errors import TorchidError
 from torchid.extraction.convex.certificate import certificate
 from torchid.extraction.log_cholesky.extract import extract_log_cholesky
 from torchid.extraction.log_cholesky.merit import along, link_p, link_x, theta_of
-from torchid.extraction.log_cholesky.start import second_moments
 from torchid.extraction.penalty import gamma
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
@@ -19,6 +18,7 @@ from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters
+from torchid.robot.inertia import second_moment
 
 
 @lru_cache
@@ -41,7 +41,7 @@ def assert_inside(given: Problem, p: torch.Tensor) -> None:
 
 def test_the_ten_numbers_are_the_link() -> None:
     parameters = consistent_parameters(5, seed=0, batch=(3,))
-    theta = theta_of(parameters.mass, parameters.com, second_moments(parameters.inertia_about_com))
+    theta = theta_of(parameters.mass, parameters.com, second_moment(parameters.inertia_about_com))
     p = torch.func.vmap(torch.func.vmap(link_p))(theta)
     torch.testing.assert_close(p[..., 0], parameters.mass)
     torch.testing.assert_close(p[..., 1:4], parameters.com)
@@ -62,7 +62,7 @@ def test_any_ten_numbers_are_a_body_and_no_body_has_none() -> None:
     x = torch.func.vmap(torch.func.vmap(lambda t: link_x(link_p(t))))(theta)
     assert bool((x[..., 0] > 0).all())
     inertia = torch.func.vmap(torch.func.vmap(link_p))(theta)[..., 4:]
-    eigenvalues = torch.linalg.eigvalsh(second_moments(inertia))
+    eigenvalues = torch.linalg.eigvalsh(second_moment(inertia))
     assert bool((eigenvalues[..., 0] > -1e-12 * eigenvalues[..., 2]).all())
     flat = theta_of(torch.ones(1, 1), torch.zeros(1, 1, 3), -torch.eye(3).expand(1, 1, 3, 3))
     assert bool(torch.isnan(flat).all())

@@ -221,11 +221,13 @@ def _next_stage(
 
 def _finished(problem: Problem, settings: SearchSettings, now: Progress) -> Extraction:
     searched = problem.physical(now.state.best)
-    inside = region(problem, conditions=settings.penalty == "full")
+    conditioned = region(problem, conditions=True)
     p = searched
     if settings.polish:
+        full = settings.penalty == "full"
+        inside = conditioned if full else region(problem, conditions=False)
         polished = polish(problem, inside, searched)
-        weight = 10.0 * settings.stages if settings.penalty == "full" else 0.0
+        weight = 10.0 * settings.stages if full else 0.0
         # A run that the polish could not bring to an end stays as the search left it.
         before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (p, polished))
         p = torch.where((after <= before).unsqueeze(-1), polished, searched)
@@ -240,6 +242,6 @@ def _finished(problem: Problem, settings: SearchSettings, now: Progress) -> Extr
         searched_gamma=now.gamma[:, -1],
         history_phi=now.phi,
         history_gamma=now.gamma,
-        contradictions=region(problem, conditions=True).contradictions,
+        contradictions=conditioned.contradictions,
         seconds=math.nan,
     )

@@ -13,6 +13,7 @@ parameters explain is left out of phi.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -23,7 +24,7 @@ from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.sets import ParameterSets
 from torchid.identification.base_parameters import VISIBLE, BaseParameters
-from torchid.robot.inertia import InertialParameters
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -48,6 +49,19 @@ class Target:
     weight: Float[Tensor, "R B"]
     offset: Float[Tensor, " R"]
     loss: LossName
+
+    @cached_property
+    def matrix(self) -> Float[Tensor, "R P"]:
+        """weight G: the loss is || matrix x - offset ||^2 of full parameter vectors x."""
+        return self.weight @ self.base.grouping.to(self.weight)
+
+    @cached_property
+    def matrix_by_link(self) -> Float[Tensor, "R P"]:
+        """The same with the rigid columns link by link, ten each; the effects' follow."""
+        rigid = self.base.n_rigid_parameters
+        columns = self.matrix.clone()
+        columns[:, paper_order(rigid // PARAMETERS_PER_LINK)] = self.matrix[:, :rigid]
+        return columns
 
 
 def two_step(
@@ -189,8 +203,7 @@ class Problem:
 
     def residual_of_vector(self, x: Float[Tensor, "*batch P"]) -> Float[Tensor, "*batch R"]:
         """The same from full parameter vectors, in which it is linear."""
-        weight = (self.target.weight @ self.target.base.grouping.to(self.target.weight)).to(x)
-        return x @ weight.T - self.target.offset.to(x)
+        return x @ self.target.matrix.to(x).T - self.target.offset.to(x)
 
     def phi(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch"]:
         """The loss (2.28) or (2.29)."""

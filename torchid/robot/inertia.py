@@ -115,9 +115,7 @@ class InertialParameters:
         Positive definite exactly when the link is physically consistent: positive mass, positive
         definite barycentric inertia that meets the triangle inequality (Wensing et al. 2018).
         """
-        j = symmetric(self.pi[..., 4:])
-        half_trace = j.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
-        s = half_trace[..., None, None] * torch.eye(3, dtype=j.dtype, device=j.device) - j
+        s = second_moment(self.pi[..., 4:])
         h = self.first_moment.unsqueeze(-1)
         top = torch.cat([s, h], dim=-1)
         bottom = torch.cat([h.transpose(-1, -2), self.mass[..., None, None]], dim=-1)
@@ -147,6 +145,17 @@ def six(matrix: Matrix3) -> Inertia6:
     return matrix[..., rows, columns]
 
 
+def second_moment(inertia: Inertia6) -> Matrix3:
+    """S = tr(I)/2 E - I (..., 3, 3): the second moments of the mass about the same point [kg m^2].
+
+    A body has them positive definite, which is the triangle inequality of its inertia tensor.
+    """
+    tensor = symmetric(inertia)
+    half_trace = tensor.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
+    eye = torch.eye(3, dtype=tensor.dtype, device=tensor.device)
+    return half_trace[..., None, None] * eye - tensor
+
+
 def parallel_axis(mass: Float[Tensor, "*batch"], com: Vector3) -> Inertia6:
     """m (c'c E - c c'): what moving the reference point by c adds to a barycentric inertia."""
     x, y, z = com.unbind(-1)
@@ -169,9 +178,7 @@ def move(
     """
     rotation, p = transform[..., :3, :3], transform[..., :3, 3]
     m = parameters[..., :1]
-    j = symmetric(parameters[..., 4:])
-    eye = torch.eye(3, dtype=j.dtype, device=j.device)
-    second = j.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] / 2 * eye - j
+    second = second_moment(parameters[..., 4:])
     h = (rotation @ parameters[..., 1:4].unsqueeze(-1)).squeeze(-1)
     hp = h.unsqueeze(-1) * p.unsqueeze(-2)
     pp = p.unsqueeze(-1) * p.unsqueeze(-2)
@@ -182,6 +189,7 @@ def move(
         + m.unsqueeze(-1) * pp
     )
     trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    eye = torch.eye(3, dtype=second.dtype, device=second.device)
     # The mass alone has not been broadcast against a batch of transforms.
     mass = m.expand(*h.shape[:-1], 1)
     return torch.cat([mass, h + m * p, six(trace * eye - second)], dim=-1)

@@ -274,8 +274,7 @@ class _Question:
 def loss_matrix(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """W G (R, P) and -t (R,): phi = ||W G x - t||^2."""
     target = problem.target
-    weight = target.weight @ target.base.grouping.to(target.weight)
-    return weight.cpu().double().numpy(), -target.offset.cpu().double().numpy()
+    return target.matrix.cpu().double().numpy(), -target.offset.cpu().double().numpy()
 
 
 def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) -> Certificate:

@@ -5,16 +5,16 @@ See `torchid.extraction.log_cholesky.extract`.
 
 import torch
 
-from torchid.extraction.log_cholesky.start import Room, second_moments
+from torchid.extraction.log_cholesky.start import Room
 from torchid.extraction.problem import Problem
-from torchid.robot.inertia import InertialParameters, paper_order
+from torchid.robot.inertia import InertialParameters, second_moment
 from torchid.typing import Float, Tensor
 
 
 def to_theta(problem: Problem, p: Float[Tensor, "K D"]) -> tuple[Tensor, Tensor]:
     """(K, n, 10) log-Cholesky parameters and (K, E) coefficients of p."""
     mass, com, inertia, rest = problem.split(p)
-    return theta_of(mass, com, second_moments(inertia)), rest
+    return theta_of(mass, com, second_moment(inertia)), rest
 
 
 def theta_of(mass: Tensor, com: Tensor, second: Tensor) -> Tensor:
@@ -37,7 +37,7 @@ def along(theta: Tensor, turn: Tensor, length: Tensor) -> Tensor:
     x = torch.func.vmap(torch.func.vmap(link_x))(_POINT(theta))
     x = x + length[:, None, None] * (_JACOBIAN(theta) @ turn.unsqueeze(-1)).squeeze(-1)
     parameters = InertialParameters(x)
-    return theta_of(parameters.mass, parameters.com, second_moments(parameters.inertia_about_com))
+    return theta_of(parameters.mass, parameters.com, second_moment(parameters.inertia_about_com))
 
 
 def link_p(theta: Tensor) -> Tensor:
@@ -97,11 +97,9 @@ class Merit:
     def __init__(self, problem: Problem, room: Room):
         n = problem.n
         target = problem.target
-        a = (target.weight @ target.base.grouping.to(target.weight)).cpu().double()
+        a = target.matrix_by_link.cpu().double()
         self.problem, self.n = problem, n
-        self.links = torch.empty(a.shape[0], 10 * n, dtype=a.dtype)
-        self.links[:, paper_order(n)] = a[:, : 10 * n]
-        self.rest = a[:, 10 * n :]
+        self.links, self.rest = a[:, : 10 * n], a[:, 10 * n :]
         self.offset = target.offset.cpu().double()
         c = room.conditions
         own = [room.box[:n, None], room.box[n : 4 * n].unflatten(0, (n, 3))]

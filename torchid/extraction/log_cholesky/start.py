@@ -8,7 +8,7 @@ import torch
 from torchid.errors import TorchidError
 from torchid.extraction.problem import Problem
 from torchid.feasibility.conditions import Conditions, physics_only
-from torchid.robot.inertia import symmetric
+from torchid.robot.inertia import second_moment
 from torchid.typing import Bool, Float, Tensor
 
 _ROOM = 1e-3
@@ -84,16 +84,9 @@ def _in_shape(asked: Conditions, com: Float[Tensor, "*batch n 3"]) -> Bool[Tenso
     return away < (1 - _ROOM) * asked.round_radius
 
 
-def second_moments(inertia: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
-    """Second moments about the centre of mass, tr(I)/2 E - I."""
-    full = symmetric(inertia)
-    half = full.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
-    return half[..., None, None] * torch.eye(3, dtype=inertia.dtype) - full
-
-
 def _is_body(inertia: Float[Tensor, "*batch 6"]) -> Bool[Tensor, "*batch"]:
     """Whether second moments are positive definite, not nearly singular."""
-    values = torch.linalg.eigvalsh(second_moments(inertia))
+    values = torch.linalg.eigvalsh(second_moment(inertia))
     return values[..., 0] > 1e-3 * _ROOM * values[..., 2].abs()
 
 
@@ -123,7 +116,7 @@ def moved_inside(problem: Problem, room: Room, p: Float[Tensor, "K D"]) -> Float
         return (total > low + rim) & (total < high - rim)
 
     limits = box[4 * n : 10 * n].reshape(n, 6, 2)
-    values, vectors = torch.linalg.eigh(second_moments(inertia))
+    values, vectors = torch.linalg.eigh(second_moment(inertia))
     values = torch.maximum(values, _ROOM * values[..., 2:].clamp(min=1e-12))
     s = vectors @ torch.diag_embed(values) @ vectors.mT
     trace = s.diagonal(dim1=-2, dim2=-1).sum(-1)

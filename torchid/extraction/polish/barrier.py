@@ -4,17 +4,42 @@ Layout of x: the ten parameters of link 1 in torchid's order, those of link 2, .
 All values and derivatives are for R points in one batch.
 """
 
+from typing import NamedTuple
+
 import torch
 
 from torchid.extraction.polish.region import Region
 from torchid.extraction.problem import Problem
-from torchid.robot.inertia import InertialParameters, paper_order
+from torchid.robot.inertia import InertialParameters, second_moment
 from torchid.typing import Bool, Float, Tensor
 
 _STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 0.99, 1.0)
 """Shares of the way to the interior point; the last is that point, which is always inside."""
 _EDGE = 1e-7
 """Share of a span, or of a link's second moments, that a start keeps from the boundary."""
+
+
+class _Slacks(NamedTuple):
+    """Slacks that are numbers; pairs are those of the lower and of the upper bound.
+
+    Attributes:
+        linear: (R, n, 8) of masses and centres of mass.
+        inertia: (R, n, 6) twice, of the barycentric inertias.
+        rest: (R, E) twice, of the coefficients.
+        total: (R, 2) of the total mass, or None where it is not asked for.
+        round: (R, L) of the links with a cylinder or a sphere, or None.
+    """
+
+    linear: Tensor
+    inertia: tuple[Tensor, Tensor]
+    rest: tuple[Tensor, Tensor]
+    total: Tensor | None
+    round: Tensor | None
+
+    def all(self) -> list[Tensor]:
+        """Every slack there is."""
+        every = [self.linear, *self.inertia, *self.rest, self.total, self.round]
+        return [slack for slack in every if slack is not None]
 
 
 class Barrier:
@@ -35,10 +60,7 @@ class Barrier:
         self._basis = _pseudo_inertia_basis()
         self._round = region.round_links & torch.tensor(region.physical)
         self._total = region.physical and bool(torch.isfinite(region.total_mass).all())
-        back = torch.empty(10 * n, dtype=torch.long)
-        back[paper_order(n)] = torch.arange(10 * n)
-        weight = problem.target.weight @ problem.target.base.grouping.to(problem.target.weight)
-        self.weight = torch.cat([weight[:, : 10 * n][:, back], weight[:, 10 * n :]], -1)
+        self.weight = problem.target.matrix_by_link
         physical = 4 * n + 2 * int(self._round.sum()) + 2 * self._total if region.physical else 0
         self.count = 2 * len(box) + physical
 
@@ -74,40 +96,40 @@ class Barrier:
 
     def _well_inside(self, p: Tensor) -> Bool[Tensor, " R"]:
         _, _, inertia, _ = self._problem.split(p)
-        zero = torch.zeros_like(inertia[..., :1])
-        pseudo = torch.einsum(
-            "rnk,kij->rnij", torch.cat([zero.expand(*zero.shape[:-1], 4), inertia], -1),
-            self._basis.to(p),
-        )[..., :3, :3]  # fmt: skip
-        smallest = torch.linalg.eigvalsh(pseudo)[..., 0]
-        size = pseudo.diagonal(dim1=-2, dim2=-1).sum(-1).abs()
+        second = second_moment(inertia)
+        smallest = torch.linalg.eigvalsh(second)[..., 0]
+        size = second.diagonal(dim1=-2, dim2=-1).sum(-1).abs()
         return (smallest > _EDGE * size).all(-1)
 
     def _links(self, x: Tensor) -> Float[Tensor, "R n 10"]:
         return x[:, : 10 * self._n].unflatten(-1, (self._n, 10))
 
-    def _slacks(self, x: Tensor) -> list[Tensor]:
-        """Slacks that are numbers: linear ones (R, n, 8), both sides of the inertias (R, n, 6) and
-        of the coefficients (R, E), total mass (R, 2), round shapes (R, links)."""
+    def _slacks(self, x: Tensor) -> _Slacks:
         links = self._links(x)
-        linear = torch.einsum("njk,rnk->rnj", self._linear.to(x), links) + self._constant.to(x)
         inertia = InertialParameters(links).inertia_about_com
         low, high = self._inertia.to(x).unbind(-1)
-        rest = x[:, 10 * self._n :]
-        out = [linear, inertia - low, high - inertia]
-        out += [rest - self._rest[:, 0].to(x), self._rest[:, 1].to(x) - rest]
+        rest, (least, most) = x[:, 10 * self._n :], self._rest.to(x).unbind(-1)
+        total = None
         if self._total:
-            total = links[..., 0].sum(-1)
-            low, high = self._region.total_mass.to(x).unbind(-1)
-            out.append(torch.stack([total - low, high - total], -1))
-        if bool(self._round.any()):
-            out.append(self._round_slack(links))
-        return out
+            sum_of_masses = links[..., 0].sum(-1)
+            lower, upper = self._region.total_mass.to(x).unbind(-1)
+            total = torch.stack([sum_of_masses - lower, upper - sum_of_masses], -1)
+        return _Slacks(
+            linear=self._linear_slack(links),
+            inertia=(inertia - low, high - inertia),
+            rest=(rest - least, most - rest),
+            total=total,
+            round=self._round_slack(links) if bool(self._round.any()) else None,
+        )
+
+    def _linear_slack(self, links: Tensor) -> Float[Tensor, "R n 8"]:
+        constant = self._constant.to(links)
+        return torch.einsum("njk,rnk->rnj", self._linear.to(links), links) + constant
 
     def value(self, x: Float[Tensor, "R P"]) -> Float[Tensor, " R"]:
         """The barrier (R,); infinite outside."""
         value = torch.zeros_like(x[:, 0])
-        for slack in self._slacks(x):
+        for slack in self._slacks(x).all():
             value = value - slack.clamp(min=0.0).log().flatten(1).sum(-1)
         if self._region.physical:
             factor, info = torch.linalg.cholesky_ex(self._pseudo_inertia(x))
@@ -120,40 +142,39 @@ class Barrier:
 
     def derivatives(self, x: Float[Tensor, "R P"]) -> tuple[Tensor, Tensor]:
         """Gradient (R, P), and the positive semidefinite Hessian (R, P, P)."""
-        n = self._n
-        slope, curve = self._of_linear(x)
-        more, extra = self._of_inertias(x)
+        n, slacks = self._n, self._slacks(x)
+        slope, curve = self._of_linear(slacks.linear)
+        more, extra = self._of_inertias(x, *slacks.inertia)
         slope, curve = slope + more, curve + extra
         if self._region.physical:
             more, extra = self._of_pseudo_inertia(x)
             slope, curve = slope + more, curve + extra
-        if bool(self._round.any()):
-            more, extra = self._of_round(x)
+        if slacks.round is not None:
+            more, extra = self._of_round(x, slacks.round)
             slope, curve = slope + more, curve + extra
         gradient = torch.zeros_like(x)
         hessian = x.new_zeros(*x.shape, x.shape[-1])
         gradient[:, : 10 * n] = slope.flatten(1)
         for i in range(n):
             hessian[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = curve[:, i]
-        below, above = self._slacks(x)[3:5]
+        below, above = slacks.rest
         gradient[:, 10 * n :] = 1 / above - 1 / below
         hessian.diagonal(dim1=-2, dim2=-1)[:, 10 * n :] = below.pow(-2) + above.pow(-2)
-        if self._total:
-            below, above = self._slacks(x)[5].unbind(-1)
-            gradient[:, 0 : 10 * n : 10] += (1 / above - 1 / below).unsqueeze(-1)
-            hessian[:, 0 : 10 * n : 10, 0 : 10 * n : 10] += (below.pow(-2) + above.pow(-2))[
-                :, None, None
-            ]
+        if slacks.total is not None:
+            below, above = slacks.total.unbind(-1)
+            masses = slice(0, 10 * n, 10)
+            gradient[:, masses] += (1 / above - 1 / below).unsqueeze(-1)
+            hessian[:, masses, masses] += (below.pow(-2) + above.pow(-2))[:, None, None]
         return gradient, hessian
 
-    def _of_linear(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        c = self._linear.to(x)
-        inverse = 1 / self._slacks(x)[0]
+    def _of_linear(self, slack: Tensor) -> tuple[Tensor, Tensor]:
+        c = self._linear.to(slack)
+        inverse = 1 / slack
         slope = -torch.einsum("njk,rnj->rnk", c, inverse)
         scaled = c * inverse.unsqueeze(-1)
         return slope, scaled.transpose(-1, -2) @ scaled
 
-    def _of_inertias(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def _of_inertias(self, x: Tensor, below: Tensor, above: Tensor) -> tuple[Tensor, Tensor]:
         """Bounds on the barycentric inertias: I = J - u(mc)/m, u the parallel-axis terms.
 
         Beside the slopes' outer products, diagonal entries have curvature: the lower bound's slack
@@ -161,7 +182,6 @@ class Barrier:
         """
         links = self._links(x)
         com, mass = InertialParameters(links).com, links[..., 0]
-        below, above = self._slacks(x)[1:3]
         slopes = _barycentric_slopes(com)
         slope = torch.einsum("rnjk,rnj->rnk", slopes, 1 / above - 1 / below)
         weight = below.pow(-2) + above.pow(-2)
@@ -201,11 +221,11 @@ class Barrier:
             forms.append(form)
         return torch.stack(forms)
 
-    def _of_round(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def _of_round(self, x: Tensor, slack: Tensor) -> tuple[Tensor, Tensor]:
         links = self._links(x)
         forms = self._round_forms().to(x)
         own = links[:, self._round, :4]
-        slack = self._round_slack(links)[..., None]
+        slack = slack.unsqueeze(-1)
         push = 2 * torch.einsum("nkl,rnl->rnk", forms, own) / slack
         slope = torch.zeros_like(links)
         curve = links.new_zeros(*links.shape, 10)
@@ -218,7 +238,7 @@ class Barrier:
     def reach(self, x: Float[Tensor, "R P"], step: Float[Tensor, "R P"]) -> Float[Tensor, " R"]:
         """How far along `step` the linear slacks and the pseudo-inertias stay positive (R,)."""
         move = self._links(step)
-        slack = self._slacks(x)[0]
+        slack = self._linear_slack(self._links(x))
         change = torch.einsum("njk,rnk->rnj", self._linear.to(x), move)
         ratios = [torch.where(change < 0, -slack / change, torch.inf).flatten(1)]
         rest, moved = x[:, 10 * self._n :], step[:, 10 * self._n :]

@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 
 from torchid.extraction.problem import Problem
 from torchid.feasibility.sets import coefficient_reasons
-from torchid.robot.inertia import symmetric
+from torchid.robot.inertia import second_moment
 from torchid.typing import Bool, Float, Tensor
 
 _SLIVER = 1e-6
@@ -174,7 +174,7 @@ def _best_inertia(box: Float[Tensor, "6 2"]) -> Float[Tensor, "6"]:
         return inside if float(second_moments(inside)[0]) > 0 else inertia
     low, high = _shrunk(low, high)
     for k in range(_ASCENT):
-        values, vectors = torch.linalg.eigh(_second_moment(inertia))
+        values, vectors = torch.linalg.eigh(second_moment(inertia))
         if float(values[0]) > value:
             best, value = inertia, float(values[0])
         v = vectors[:, 0]
@@ -193,13 +193,6 @@ def _shrunk(low: Tensor, high: Tensor) -> Tensor:
     return torch.stack([low + margin, high - margin])
 
 
-def _second_moment(inertia: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
-    """S = tr(I)/2 E - I (..., 3, 3): the second moments of the link's mass about its centre."""
-    tensor = symmetric(inertia)
-    half = tensor.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
-    return half[..., None, None] * torch.eye(3, dtype=inertia.dtype, device=inertia.device) - tensor
-
-
 def second_moments(inertia: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3"]:
     """Eigenvalues of S (..., 3), ascending."""
-    return torch.linalg.eigvalsh(_second_moment(inertia))
+    return torch.linalg.eigvalsh(second_moment(inertia))
