@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, number, open_output
+from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, interval, open_output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.nearest import NearestSets
-    from torchid.feasibility.bounds import Bounds
     from torchid.feasibility.findings import Finding
     from torchid.feasibility.record import Check
     from torchid.feasibility.sets import ParameterSets
@@ -84,17 +83,17 @@ def check_command(
     output = open_output(json_file, out, quiet, threads)
     if nearest is not None and not nearest.parent.is_dir():
         raise TorchidError(f"the folder of '{nearest}' does not exist.")
+    from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets, record
 
     found, sets, also, noticed = _read(params, robot, tip)
-    interval = _total_mass(total_mass, found)
     check = check_sets(
         found,
         sets,
         geometry=geometry,
         round_shapes=shapes,
-        total_mass=interval,
-        bounds=None if bounds is None else _bounds(bounds, found),
+        total_mass=_total_mass(total_mass, found),
+        bounds=None if bounds is None else named_bounds(found, bounds),
         also=also,
         seed=seed,
     )
@@ -181,20 +180,7 @@ def _total_mass(text: str | None, robot: "Robot") -> tuple[float, float] | None:
         return read_total_mass(robot)
     if text == "none":
         return None
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise TorchidError("--total-mass needs two numbers.", got=text, expected="LO,HI in kg")
-    low, high = (number("--total-mass", part, "LO,HI in kg") for part in parts)
-    if not low < high:
-        raise TorchidError("--total-mass: the lower end is not below the upper.", got=text)
-    return low, high
-
-
-def _bounds(group: str, robot: "Robot") -> "Bounds":
-    from torchid.feasibility.bounds import read_bounds
-    from torchid.feasibility.derived_bounds import NAME, derive_bounds
-
-    return derive_bounds(robot) if group == NAME else read_bounds(robot, group)
+    return interval("--total-mass", text)
 
 
 def _repair(check: "Check", seed: int) -> "NearestSets | None":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from torchid.errors import TorchidError
 from torchid.log.files import atomic_write
@@ -104,11 +105,7 @@ class Output:
     def warn(self, warnings: tuple[str, ...]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
-            self.say(f"[yellow]![/] {_plain(warning)}")
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")
+            self.say(f"[yellow]![/] {escape(warning)}")
 
 
 def open_output(
@@ -222,6 +219,18 @@ def numbers(option: str, text: str, n: int) -> list[float]:
     if len(values) != n:
         raise TorchidError(f"{option} needs one number a joint.", got=len(values), expected=n)
     return values
+
+
+def interval(option: str, text: str) -> tuple[float, float]:
+    """LO,HI from the command line.
+
+    Raises:
+        TorchidError: not two numbers in order.
+    """
+    parts = [number(option, part, "LO,HI") for part in text.split(",")]
+    if len(parts) != 2 or not parts[0] < parts[1]:
+        raise TorchidError(f"{option} is not an interval.", got=text, expected="LO,HI with LO < HI")
+    return parts[0], parts[1]
 
 
 def effect_names(text: str) -> tuple[str, ...]:

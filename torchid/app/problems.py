@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import number
+from torchid.app.options import interval
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from torchid.feasibility.bounds import Bounds
     from torchid.identification.reading import BaseValues
     from torchid.robot.model import Robot
-
-FROM_ROBOT = "from-robot"
 
 ResultArgument = Annotated[
     Path | None,
@@ -109,11 +107,11 @@ def _bounds(
     robot: "Robot", asked: str | None, found: "BaseValues"
 ) -> "tuple[Bounds, tuple[str, ...]]":
     from torchid.extraction.problem import with_coefficient_bounds
-    from torchid.feasibility.bounds import bounds_groups, read_bounds
-    from torchid.feasibility.derived_bounds import derive_bounds
+    from torchid.feasibility.bounds import bounds_groups
+    from torchid.feasibility.derived_bounds import NAME, named_bounds
 
-    group = asked or ("normal" if "normal" in bounds_groups(robot) else FROM_ROBOT)
-    limits = derive_bounds(robot) if group == FROM_ROBOT else read_bounds(robot, group)
+    group = asked or ("normal" if "normal" in bounds_groups(robot) else NAME)
+    limits = named_bounds(robot, group)
     full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
     note = f"bounds of {', '.join(added)}: within twice the identified sizes" if added else ""
     return full, (note,) if note else ()
@@ -129,15 +127,3 @@ def _geometry(robot: "Robot", asked: str | None, limits: "Bounds"):  # type: ign
     if asked is not None:
         return read_bounds(robot, asked).com
     return None if "normal" in bounds_groups(robot) else limits.com
-
-
-def interval(option: str, text: str) -> tuple[float, float]:
-    """LO,HI from the command line.
-
-    Raises:
-        TorchidError: not two numbers in order.
-    """
-    parts = [number(option, part, "LO,HI") for part in text.split(",")]
-    if len(parts) != 2 or not parts[0] < parts[1]:
-        raise TorchidError(f"{option} is not an interval.", got=text, expected="LO,HI with LO < HI")
-    return parts[0], parts[1]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from torchid.app.options import (
     Json,
@@ -15,8 +16,8 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    interval,
     limited,
-    numbers,
     open_output,
     progress_bar,
 )
@@ -108,17 +109,17 @@ def wrenches_command(
     from torchid.robot.library import load_robot
 
     found = limited(load_robot(robot, tip=tip), None, max_acceleration)
-    interval = None if total_mass is None else _interval(total_mass)
+    total = None if total_mass is None else _interval(total_mass)
     motion = None if trajectory is None else _read_motion(trajectory, found)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
-        conditions = _conditions(found, geometry, interval)
+        conditions = _conditions(found, geometry, total)
         _given(found, sets, reference, conditions, motion, resamples, seed, output)
     else:
         from torchid.study.equal_torque.setting import equal_torque_setting
 
-        setting = equal_torque_setting(found, geometry=geometry, total_mass=interval, margin=margin)
+        setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
         _equal_torque(setting, per_kind, motion, variants, resamples, seed, output)
 
 
@@ -153,7 +154,7 @@ def _equal_torque(
         output.say(table)
     output.warn(study.warnings)
     told = findings(study)
-    output.say("\n" + "\n".join(f"- {_plain(sentence)}" for sentence in told))
+    output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
     output.write_json({**study_record(study), "findings": told}, "wrenches.json")
     if output.folder is not None:
         for name, figure in figures(study).items():
@@ -191,7 +192,7 @@ def _given(
         output.say(table)
     told = (*_other_robot(files, robot), *unequal(found))
     output.warn(told)
-    output.say(f"\n{_plain(headline(found))}")
+    output.say(f"\n{escape(headline(found))}")
     data = given_record(found, [str(file) for file in files])
     output.write_json({**data, "warnings": list(told), "seed": seed}, "wrenches.json")
     if output.folder is not None:
@@ -272,11 +273,7 @@ def _read_motion(path: Path, robot: "Robot") -> "Motion":
 
 
 def _interval(text: str) -> tuple[float, float]:
-    low, high = numbers("--total-mass", text, 2)
-    if not 0 <= low < high:
+    low, high = interval("--total-mass", text)
+    if low < 0:
         raise TorchidError("--total-mass is not an interval.", got=text, expected="LO,HI in kg")
     return low, high
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")

@@ -23,7 +23,7 @@ import torch
 from torchid.effects.base import Coefficient
 from torchid.effects.registry import nominal_effects
 from torchid.errors import RobotError, TorchidError
-from torchid.feasibility.bounds import Bounds
+from torchid.feasibility.bounds import Bounds, read_bounds
 from torchid.feasibility.sets import nominal_set
 from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, joint_points, link_lengths, link_shapes
@@ -37,6 +37,15 @@ MARGIN_OF_LENGTH = 0.5
 """Default margin of the centres of mass, as a share of the link's length (`link_lengths`)."""
 _THINNEST = 1e-3
 """Smallest side of a box [m]: a flat shape still has a thickness."""
+
+
+def named_bounds(robot: Robot, name: str) -> Bounds:
+    """A group of bounds of the robot's yaml, or under the name `from-robot` the derived ones.
+
+    Raises:
+        RobotError: see `read_bounds` and `derive_bounds`.
+    """
+    return derive_bounds(robot) if name == NAME else read_bounds(robot, name)
 
 
 def derive_bounds(
