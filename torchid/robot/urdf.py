@@ -59,13 +59,29 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
     root = parse_xml(path)
     _is_urdf(root, source)
     refuse_xacro(root, source)
+    warnings: list[str] = []
+    return assemble(
+        urdf_tree(root, source, warnings),
+        tip=tip,
+        name=(root.get("name") or path.stem).strip(),
+        gravity=STANDARD_GRAVITY,
+        path=path,
+        warnings=warnings,
+    )
+
+
+def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
+    """Links and joints of a parsed URDF; what is odd about them is added to `warnings`.
+
+    Raises:
+        RobotError: see `read_urdf`.
+    """
     links: dict[str, Tensor | None] = {}
     for element in root.findall("link"):
         name = attribute(element, "name", source)
         if name in links:
             raise RobotError(f"{source}: two links have the same name.", got=name)
         links[name] = _inertial(element, f"{source}: link '{name}'")
-    warnings: list[str] = []
     joints: dict[str, TreeJoint] = {}
     for element in root.findall("joint"):
         joint = _joint(element, source, warnings)
@@ -74,14 +90,7 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
         joints[joint.name] = joint
     if not links:
         raise RobotError(f"{source}: the robot has no links.")
-    return assemble(
-        Tree(links, tuple(joints.values()), source),
-        tip=tip,
-        name=(root.get("name") or path.stem).strip(),
-        gravity=STANDARD_GRAVITY,
-        path=path,
-        warnings=warnings,
-    )
+    return Tree(links, tuple(joints.values()), source)
 
 
 def _is_urdf(root: Any, source: str) -> None:

@@ -14,9 +14,10 @@ import torch
 
 from torchid.errors import RobotError
 from torchid.robot.mesh_files import find_mesh, mesh_vertices
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import Robot
 from torchid.robot.solids import LinkShapes, Solid, assembled, box, capsule, cylinder, points
-from torchid.robot.tree import Tree, TreeJoint
+from torchid.robot.tree import Tree
+from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import attribute, child, number, numbers, origin, parse_xml
 from torchid.typing import Inertia6, Tensor
 
@@ -67,7 +68,7 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
         RobotError: the file is not XML, or has not the robot's links.
     """
     root = parse_xml(path)
-    tree = _tree(root, str(path))
+    tree = urdf_tree(root, str(path), [])
     elements = dict(_named(root, str(path)))
     parts: list[tuple[list[Solid], str] | None] = []
     problems: dict[str, str] = {}
@@ -98,7 +99,7 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
     if path.suffix.lower() != ".urdf":
         return ()
     root = parse_xml(path)
-    tree = _tree(root, str(path))
+    tree = urdf_tree(root, str(path), [])
     elements = [(name, e.find("inertial")) for name, e in _named(root, str(path))]
     given = {name for name, inertial in elements if inertial is not None}
     groups = [set(_group(tree, link)) for link in robot.link_names]
@@ -123,25 +124,6 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
 
 def _named(root: Any, source: str) -> list[tuple[str, Any]]:
     return [(attribute(element, "name", source), element) for element in root.findall("link")]
-
-
-def _tree(root: Any, source: str) -> Tree:
-    """Links and joints as `torchid.robot.urdf` reads them, but for what joints do."""
-    joints = []
-    for element in root.findall("joint"):
-        name = attribute(element, "name", source)
-        where = f"{source}: joint '{name}'"
-        fixed = attribute(element, "type", where) == "fixed"
-        joints.append(
-            TreeJoint(
-                name,
-                attribute(child(element, "parent", where), "link", where),
-                attribute(child(element, "child", where), "link", where),
-                None if fixed else JointType.REVOLUTE,
-                origin(element, where),
-            )
-        )
-    return Tree({name: None for name, _ in _named(root, source)}, tuple(joints), source)
 
 
 def _group(tree: Tree, link: str) -> Mapping[str, Tensor]:
