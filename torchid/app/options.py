@@ -235,11 +235,11 @@ def interval(option: str, text: str) -> tuple[float, float]:
 
 def effect_names(text: str) -> tuple[str, ...]:
     """Names of effects separated by commas; `none` for none."""
-    from torchid.effects.registry import effect_kind
+    from torchid.effects.registry import column_kind
 
     if text.strip() in ("", "none"):
         return ()
-    return tuple(effect_kind(name.strip()).name for name in text.split(","))
+    return tuple(column_kind(name.strip()).name for name in text.split(","))
 
 
 def read_logs(paths: list[Path], gains: list[float] | None) -> "Log":

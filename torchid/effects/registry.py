@@ -1,10 +1,12 @@
 """The library of effects: one line a kind."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
-from torchid.effects.base import Effect, Motion
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import PLACES, Effect, JointEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.rotor_inertia import RotorInertia
 from torchid.errors import RobotError, TorchidError
@@ -15,6 +17,18 @@ KINDS: dict[str, type[Effect]] = {
     kind.name: kind for kind in (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
 }
 
+FAMILIES: dict[str, str] = {name: kind.family for name, kind in KINDS.items()}
+
+COLUMN_KINDS: dict[str, type[JointEffect]] = {
+    name: kind
+    for name, kind in KINDS.items()
+    if issubclass(kind, JointEffect) and not (kind.shapes or kind.needs or kind.memory)
+}
+"""Effects whose columns depend on the present motion alone: those that identification fits."""
+
+Valued = tuple[Effect, list[float]]
+"""An effect and its coefficients."""
+
 
 def effect_kind(name: str) -> type[Effect]:
     """The class of an effect by name, or a TorchidError that lists those that exist."""
@@ -23,42 +37,129 @@ def effect_kind(name: str) -> type[Effect]:
     return KINDS[name]
 
 
-def on_every_joint(names: Iterable[str], n: int) -> list[Effect]:
+def column_kind(name: str) -> type[JointEffect]:
+    """The class of an effect that identification can fit, or a TorchidError that lists those."""
+    if name in KINDS and name not in COLUMN_KINDS:
+        raise TorchidError(
+            f"effect '{name}' cannot be fitted as plain columns.",
+            available=list(COLUMN_KINDS),
+            hint="`torchid gap` searches over all effects",
+        )
+    effect_kind(name)
+    return COLUMN_KINDS[name]
+
+
+def on_every_joint(names: Iterable[str], n: int) -> list[JointEffect]:
     """The named effects on all n joints: effect by effect, joint by joint."""
-    return [effect_kind(name)(joint) for name in names for joint in range(n)]
+    return [column_kind(name)(joint) for name in names for joint in range(n)]
 
 
-def nominal_effects(robot: Robot) -> list[tuple[Effect, list[float]]]:
+def nominal_effects(robot: Robot) -> list[Valued]:
     """The effects a robot's description lists, with their coefficients.
 
     Raises:
         RobotError: a record without a joint or without a coefficient, or with an unknown key.
     """
-    return [_from_record(record, robot) for record in robot.effects]
+    return [effect_from_record(record, robot) for record in robot.effects]
+
+
+def nominal_columns(robot: Robot) -> list[tuple[JointEffect, list[float]]]:
+    """Those of the nominal effects that identification can fit."""
+    return [
+        (effect, values)
+        for effect, values in nominal_effects(robot)
+        if isinstance(effect, JointEffect) and effect.name in COLUMN_KINDS
+    ]
 
 
 def nominal_effect_torque(robot: Robot, motion: Motion) -> Joints:
     """Torque (..., n) of the robot's nominal effects."""
+    effects = nominal_effects(robot)
+    if all(effect.name in COLUMN_KINDS for effect, _ in effects):
+        return effect_torque(robot, effects, motion)
+    return effect_torque(robot, effects, motion, inverse_dynamics(robot, *motion.state))
+
+
+def effect_torque(
+    robot: Robot, effects: Sequence[Valued], motion: Motion, rigid: Joints | None = None
+) -> Joints:
+    """Torque (..., n) of effects, in two rounds: first those that do not depend on the torque, then
+    the others, whose `motion.torque` is the rigid body's with the first round's.
+
+    Args:
+        robot: with the parameters that effects of the model need.
+        effects: with their coefficients.
+        motion: with t where an effect needs it.
+        rigid: (..., n) torque of the rigid body, where an effect needs the torque.
+    """
     tau = motion.q * 0.0
-    for effect, values in nominal_effects(robot):
-        tau[..., effect.joint] += effect.torque(motion, values)
-    return tau
+    later: list[Valued] = []
+    for effect, values in effects:
+        if "torque" in effect.needs:
+            later.append((effect, values))
+        else:
+            tau = tau + effect.all_torques(motion, values, robot)
+    if not later:
+        return tau
+    assert rigid is not None, "effects that depend on the torque need the rigid body's"
+    loaded = motion._replace(torque=rigid + tau)
+    return tau + sum(effect.all_torques(loaded, values, robot) for effect, values in later)
 
 
-def _from_record(record: Mapping[str, Any], robot: Robot) -> tuple[Effect, list[float]]:
+def model_torque(robot: Robot, effects: Sequence[Valued], motion: Motion) -> Joints:
+    """Torque (..., n) [N m; N] of the rigid body with effects along a motion.
+
+    Raises:
+        RobotError: the robot has no parameters.
+    """
+    rigid = inverse_dynamics(robot, *motion.state)
+    return rigid + effect_torque(robot, effects, motion, rigid)
+
+
+def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
+    """An effect and its coefficients from {effect, joint, <coefficient>: value, <shape>: value}.
+
+    Shape parameters and other fields of the effect with a default may be left out.
+
+    Raises:
+        RobotError: an unknown effect, joint or key, a missing coefficient, a value of another type.
+    """
     where = f"robot '{robot.name}': an effect"
     if "effect" not in record:
         raise RobotError(f"{where} has no key 'effect'.", got=dict(record), available=list(KINDS))
     kind = effect_kind(str(record["effect"]))
-    expected = ["effect", "joint", *(c.name for c in kind.coefficients)]
-    if sorted(record) != sorted(expected):
-        raise RobotError(f"{where} has wrong entries.", got=dict(record), expected=expected)
-    joint = record["joint"]
-    if not isinstance(joint, int) or not 1 <= joint <= robot.n:
-        joints = list(range(1, robot.n + 1))
-        raise RobotError(f"{where} is on a joint that does not exist.", got=joint, available=joints)
-    values = [record[c.name] for c in kind.coefficients]
-    for value in values:
-        if not isinstance(value, int | float) or not math.isfinite(value):
+    names = [c.name for c in kind.coefficients]
+    own = [f.name for f in fields(kind)]
+    places = [name for name in PLACES if name in own]
+    expected = ["effect", *places, *names]
+    optional = [name for name in own if name not in places]
+    if not set(expected) <= set(record) <= {*expected, *optional}:
+        raise RobotError(
+            f"{where} has wrong entries.", got=dict(record), expected=[*expected, *optional]
+        )
+    for place in places:
+        joint = record[place]
+        if not isinstance(joint, int) or not 1 <= joint <= robot.n:
+            joints = list(range(1, robot.n + 1))
+            raise RobotError(
+                f"{where} is on a joint that does not exist.", got=joint, available=joints
+            )
+    numbers = [*names, *(s.name for s in kind.shapes if s.name in record)]
+    for name in numbers:
+        value = record[name]
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise RobotError(f"{where} has a value that is not a number.", got=dict(record))
-    return kind(joint - 1), [float(value) for value in values]
+    given = {name: record[name] for name in optional if name in record}
+    try:
+        effect = kind(**{place: record[place] - 1 for place in places}, **given)
+    except (TypeError, ValueError) as error:
+        raise RobotError(f"{where} cannot be made: {error}", got=dict(record)) from error
+    return effect, [float(record[name]) for name in names]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

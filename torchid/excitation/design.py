@@ -16,7 +16,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Effect, Motion
+from torchid.effects.base import JointEffect, Motion
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
@@ -73,7 +73,7 @@ def condition_number(
     motion: Motion,
     weights: Float[Tensor, " n"] | None = None,
     *,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[JointEffect] = (),
 ) -> float:
     """Condition number (2-norm) of the weighted stacked regressor of the base parameters.
 
@@ -104,7 +104,7 @@ def base_regressor(
     motion: Motion,
     weights: Float[Tensor, " n"] | None = None,
     *,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[JointEffect] = (),
 ) -> Float[Tensor, "R B"]:
     """Weighted stacked regressor of the base parameters (R, B), R instants times joints.
 
@@ -139,7 +139,7 @@ def row_weights(robot: Robot) -> Float[Tensor, " n"] | None:
 
 def optimise_trajectory(
     robot: Robot,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[JointEffect] = (),
     *,
     seed: int,
     restarts: int = 8,

@@ -18,7 +18,7 @@ from typing import Literal
 
 import torch
 
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.errors import TorchidError
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
@@ -44,7 +44,7 @@ class Target:
     """
 
     base: BaseParameters
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     values: Float[Tensor, " B"]
     weight: Float[Tensor, "R B"]
     offset: Float[Tensor, " R"]
@@ -66,7 +66,7 @@ class Target:
 
 def two_step(
     base: BaseParameters,
-    effects: Sequence[Effect],
+    effects: Sequence[JointEffect],
     values: Tensor,
     known: Bool[Tensor, " B"] | None = None,
 ) -> Target:
@@ -89,7 +89,7 @@ def two_step(
 
 def one_step(
     base: BaseParameters,
-    effects: Sequence[Effect],
+    effects: Sequence[JointEffect],
     values: Tensor,
     factor: Float[Tensor, "C C"],
 ) -> Target:
@@ -229,7 +229,10 @@ def extraction_problem(
 
 
 def with_coefficient_bounds(
-    bounds: Bounds, base: BaseParameters, effects: Sequence[Effect], values: Float[Tensor, " B"]
+    bounds: Bounds,
+    base: BaseParameters,
+    effects: Sequence[JointEffect],
+    values: Float[Tensor, " B"],
 ) -> tuple[Bounds, tuple[str, ...]]:
     """Bounds with an interval for every coefficient of the effects, and the names of those added.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.errors import RobotError
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -40,7 +40,7 @@ class Bounds:
     inertia: Float[Tensor, "n 6 2"]
     coefficients: Mapping[str, Tensor]
 
-    def box(self, effects: Sequence[Effect] = ()) -> Float[Tensor, "D 2"]:
+    def box(self, effects: Sequence[JointEffect] = ()) -> Float[Tensor, "D 2"]:
         """Bounds of the search variables: masses, centres of mass, barycentric inertias, then the
         effects' coefficients, link by link within each.
 

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import torch
 
 from torchid.effects.base import Coefficient
-from torchid.effects.registry import nominal_effects
+from torchid.effects.registry import nominal_columns
 from torchid.errors import RobotError, TorchidError
 from torchid.feasibility.bounds import Bounds, read_bounds
 from torchid.feasibility.sets import nominal_set
@@ -180,7 +180,7 @@ def _coefficient_bounds(robot: Robot) -> Mapping[str, Tensor]:
     nominal 0, has the bounds of the joint where it is largest; 1 in its unit where all are 0."""
     nominal: dict[str, Tensor] = {}
     kinds: dict[str, Coefficient] = {}
-    for effect, values in nominal_effects(robot):
+    for effect, values in nominal_columns(robot):
         for c, value in zip(effect.coefficients, values, strict=True):
             sizes = nominal.setdefault(c.name, torch.zeros(robot.n, dtype=torch.float64))
             sizes[effect.joint] = abs(value)

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from torchid.effects.base import Effect
-from torchid.effects.registry import effect_kind, nominal_effects
+from torchid.effects.base import JointEffect
+from torchid.effects.registry import column_kind, nominal_columns
 from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.model import Robot
@@ -31,7 +31,7 @@ class ParameterSets:
 
     ids: tuple[str, ...]
     parameters: InertialParameters
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     coefficients: Float[Tensor, "K E"]
 
     def __len__(self) -> int:
@@ -66,7 +66,7 @@ class ParameterSets:
         return robot.with_parameters(InertialParameters(self.parameters.pi[k].clone()))
 
 
-def coefficient_reasons(effects: Sequence[Effect]) -> tuple[str, ...]:
+def coefficient_reasons(effects: Sequence[JointEffect]) -> tuple[str, ...]:
     """Names of the effects' coefficients as reasons are written: Fv_6, not Fv6."""
     return tuple(f"{c.name}_{e.joint + 1}" for e in effects for c in e.coefficients)
 
@@ -78,7 +78,7 @@ def nominal_set(robot: Robot) -> ParameterSets:
         RobotError: the robot has no inertial parameters, or an effect that is not known.
     """
     pi = robot.require_parameters("a check").pi.double()
-    pairs = nominal_effects(robot)
+    pairs = nominal_columns(robot)
     values = [value for _, own in pairs for value in own]
     return ParameterSets(
         (robot.name,),
@@ -229,11 +229,11 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
     return values
 
 
-def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[Effect, ...], Tensor]:
+def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[JointEffect, ...], Tensor]:
     data = [] if data is None else data
     if not isinstance(data, list):
         raise TorchidError(f"{where}: effects must be a list.", got=type(data).__name__)
-    effects: list[Effect] = []
+    effects: list[JointEffect] = []
     values: list[float] = []
     for record in data:
         if not isinstance(record, Mapping) or "effect" not in record:
@@ -242,7 +242,7 @@ def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[Effect, ..
                 got=record,
                 expected="{effect: viscous_friction, joint: 1, Fv: 0.07}",
             )
-        kind = effect_kind(str(record["effect"]))
+        kind = column_kind(str(record["effect"]))
         joint = record.get("joint")
         if not isinstance(joint, int) or not 1 <= joint <= robot.n:
             raise TorchidError(

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.regressor import regressor
-from torchid.effects.base import Effect, Motion
-from torchid.effects.registry import nominal_effects
+from torchid.effects.base import JointEffect, Motion
+from torchid.effects.registry import nominal_columns
 from torchid.errors import IdentificationError
 from torchid.identification.rank import independent_columns
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
@@ -82,7 +82,7 @@ class BaseParameters:
 
 
 def base_parameters(
-    robot: Robot, effects: Sequence[Effect] = (), *, seed: int = 0, samples: int | None = None
+    robot: Robot, effects: Sequence[JointEffect] = (), *, seed: int = 0, samples: int | None = None
 ) -> BaseParameters:
     """The robot's base parameters, by QR of the regressor at random states.
 
@@ -115,7 +115,7 @@ def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
     """
     known = {
         name: value
-        for effect, values in nominal_effects(robot)
+        for effect, values in nominal_columns(robot)
         for name, value in zip(effect.coefficient_names(), values, strict=True)
     }
     names = base.parameter_names[base.n_rigid_parameters :]
@@ -136,7 +136,7 @@ def random_states(robot: Robot, seed: int = 0, samples: int | None = None) -> Mo
 
 
 def stacked_regressor(
-    robot: Robot, effects: Sequence[Effect], motion: Motion
+    robot: Robot, effects: Sequence[JointEffect], motion: Motion
 ) -> Float[Tensor, "R P"]:
     """Regressor and effect columns of M states, stacked to (M n, P) (eq. 2.19)."""
     rigid = regressor(robot, *motion.state)

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from torchid.effects.base import Effect
-from torchid.effects.registry import nominal_effects, on_every_joint
+from torchid.effects.base import JointEffect
+from torchid.effects.registry import nominal_columns, on_every_joint
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import (
     BaseParameters,
@@ -34,7 +34,7 @@ class BaseValues:
     """
 
     base: BaseParameters
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     values: Float[Tensor, " B"]
     known: Bool[Tensor, " B"]
     covariance: Float[Tensor, "B B"] | None
@@ -47,7 +47,7 @@ def nominal_base(robot: Robot) -> BaseValues:
     Raises:
         RobotError: the robot has no nominal parameters.
     """
-    effects = tuple(effect for effect, _ in nominal_effects(robot))
+    effects = tuple(effect for effect, _ in nominal_columns(robot))
     base = base_parameters(robot, effects)
     known = torch.ones(len(base), dtype=torch.bool)
     return BaseValues(base, effects, nominal_values(robot, base), known, None, None)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.effects.base import Effect, Motion
+from torchid.effects.base import JointEffect, Motion
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.settings import Settings
@@ -49,7 +49,7 @@ class Identification:
 
     robot: Robot
     base: BaseParameters
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     values: Float[Tensor, " B"]
     covariance: Float[Tensor, "B B"]
     factor: Float[Tensor, "C C"]

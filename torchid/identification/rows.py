@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import torch
 
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
@@ -49,7 +49,7 @@ class Layout:
 
     robot: Robot
     base: BaseParameters
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     order: tuple[int, ...]
     rigid: tuple[tuple[tuple[int, int], ...], ...]
     own: tuple[tuple[tuple[int, int], ...], ...]
@@ -61,7 +61,7 @@ class Layout:
         return len(self.order)
 
 
-def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Layout:
+def layout(robot: Robot, base: BaseParameters, effects: Sequence[JointEffect]) -> Layout:
     """The columns of each torque row, for the base parameters of a robot with effects."""
     flat = paper_order(robot.n).tolist()
     coefficients = [(e, c) for e, effect in enumerate(effects) for c in range(_width(effect))]
@@ -92,7 +92,7 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Lay
     )
 
 
-def _width(effect: Effect) -> int:
+def _width(effect: JointEffect) -> int:
     return len(effect.coefficients)
 
 

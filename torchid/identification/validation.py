@@ -8,7 +8,7 @@ from operator import add
 import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Effect, Motion
+from torchid.effects.base import JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter
@@ -87,7 +87,7 @@ class Prediction:
 def model_torque(
     robot: Robot,
     base: BaseParameters,
-    effects: Sequence[Effect],
+    effects: Sequence[JointEffect],
     values: Float[Tensor, " B"],
     motion: Motion,
 ) -> Float[Tensor, "*batch n"]:
@@ -110,7 +110,7 @@ def predict(
     measurement: Measurement,
     robot: Robot,
     base: BaseParameters,
-    effects: Sequence[Effect],
+    effects: Sequence[JointEffect],
     values: Float[Tensor, " B"],
 ) -> Prediction:
     """Measured and predicted torque, both through the measurement's filter."""

@@ -5,7 +5,7 @@ import math
 from rich import box
 from rich.table import Table
 
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.identification.identify import Identification
 from torchid.identification.motion import MOVING
 from torchid.identification.validation import Errors
@@ -57,7 +57,7 @@ def effect_table(result: Identification) -> Table:
     """Coefficients with standard deviations, joints as rows."""
     table = compact("effects on the joints (value ± std)")
     table.add_column("joint")
-    kinds: dict[str, list[Effect]] = {}
+    kinds: dict[str, list[JointEffect]] = {}
     for effect in result.effects:
         kinds.setdefault(effect.name, []).append(effect)
     mixed = len(set(result.robot.joint_types)) > 1

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.extraction.convex.conic import Rows, triangle
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
@@ -46,7 +46,9 @@ def length_scale(robot: Robot) -> float:
 class RowBuilder:
     """Collects rows in x scaled to entries near 1: v = x / scale."""
 
-    def __init__(self, robot: Robot, effects: Sequence[Effect], margin: float | Sequence[float]):
+    def __init__(
+        self, robot: Robot, effects: Sequence[JointEffect], margin: float | Sequence[float]
+    ):
         self.n = robot.n
         self.effects = tuple(effects)
         self.size = 10 * robot.n + sum(len(e.coefficients) for e in effects)

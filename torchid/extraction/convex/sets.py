@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.effects.base import Effect
+from torchid.effects.base import JointEffect
 from torchid.extraction.convex.conic import Rows, Solution, minimise
 from torchid.extraction.convex.rows import RowBuilder
 from torchid.feasibility.bounds import Bounds
@@ -169,7 +169,9 @@ class ConvexSets:
         return found, self.x(found.point)
 
 
-def sets_of(x: np.ndarray, n: int, effects: Sequence[Effect], ids: Sequence[str]) -> ParameterSets:
+def sets_of(
+    x: np.ndarray, n: int, effects: Sequence[JointEffect], ids: Sequence[str]
+) -> ParameterSets:
     """Vectors (K, P) as parameter sets."""
     full = torch.as_tensor(x, dtype=torch.float64)
     return ParameterSets(
@@ -182,7 +184,7 @@ def sets_of(x: np.ndarray, n: int, effects: Sequence[Effect], ids: Sequence[str]
 
 def convex_sets(
     robot: Robot,
-    effects: Sequence[Effect],
+    effects: Sequence[JointEffect],
     conditions: Conditions | None,
     bounds: Bounds | None,
     *,
