@@ -1,0 +1,230 @@
+"""The answer: where the gap lies, which effects cause it, how far it shrinks."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from torchid.effects.base import Effect, Motion
+from torchid.effects.registry import Valued
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+Status = Literal["no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"]
+
+Regime = Literal[
+    "velocity_reversal",
+    "low_speed",
+    "high_speed",
+    "high_acceleration",
+    "gravity_load",
+    "position_periodic",
+    "high_frequency",
+    "slow_drift",
+    "transient",
+]
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One trajectory's torque in the band of the report, before and after, none of it fitted on
+    this trajectory (or block).
+
+    Attributes:
+        name: of the trajectory.
+        rate: [Hz].
+        motion: q, dq, ddq, t.
+        measured, before, after: (T, n) torque [N m; N]: measured; of the model as given; of the
+            model with the accepted effects, selected and fitted on other trajectories or blocks.
+        valid: (T,) instants that count (edges and gaps between blocks do not).
+    """
+
+    name: str
+    rate: float
+    motion: Motion
+    measured: Float[Tensor, "T n"]
+    before: Float[Tensor, "T n"]
+    after: Float[Tensor, "T n"]
+    valid: Bool[Tensor, " T"]
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """RMS of the noise in the band of the report.
+
+    Attributes:
+        low, high: (n,) bracket [N m; N].
+        source: `repeats` or `bracket`.
+        notes: sentences for the user.
+    """
+
+    low: Float[Tensor, " n"]
+    high: Float[Tensor, " n"]
+    source: Literal["repeats", "bracket"]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointGap:
+    """Gap of the model as given on one joint (from 0)."""
+
+    joint: int
+    gap_rms: float
+    noise_floor_rms: Interval
+    share: float
+
+
+@dataclass(frozen=True)
+class RegimeGap:
+    """Excess of the squared gap in one regime of one joint (from 0) over the rest of its rows.
+
+    Attributes:
+        joint, regime: where.
+        excess: share of the joint's squared gap above the noise floor that lies in the regime
+            beyond what the regime's share of time would hold.
+        ci95: its interval, over blocks.
+        p: corrected for the maximum over all joints and regimes.
+        times: (start, end) of the windows [s], for transients.
+    """
+
+    joint: int
+    regime: Regime
+    excess: float
+    ci95: Interval
+    p: float
+    times: tuple[Interval, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An accepted effect.
+
+    Attributes:
+        effect, values: which, and its coefficients. For several columns of one joint that are one
+            law (Coulomb + offset is asymmetric friction), already merged.
+        joints: from 0; of a global effect those whose torque it changes beyond noise.
+        ambiguous_with: names of effects the data do not separate it from.
+        std: block-robust standard deviations of the coefficients.
+        p_value: family-wise.
+        share: of the closable gap that is lost without it, the others refitted.
+        first: of the closable gap that it closes alone.
+        notes: sentences, e.g. a coefficient that moves with the cut-off.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    joints: tuple[int, ...]
+    ambiguous_with: tuple[str, ...]
+    std: tuple[float, ...]
+    p_value: float
+    share: float
+    first: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def valued(self) -> Valued:
+        """Effect and coefficients, for a model."""
+        return self.effect, list(self.values)
+
+
+@dataclass(frozen=True)
+class Parametric:
+    """Inertial parameters that had to be changed: of one link, or all base parameters.
+
+    Attributes:
+        links: from 0; empty for all base parameters.
+        share, p_value: as Finding's.
+        ambiguous_with: names of effects.
+    """
+
+    links: tuple[int, ...]
+    share: float
+    p_value: float
+    ambiguous_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """RMS over all joints in the band of the report, each joint divided by nothing: N m (or N).
+
+    Attributes:
+        rms_before, rms_after: (n,) on data used for no choice.
+        closed: closed fraction of the closable gap, (L0 - L*) / (L0 - Ln), joints weighted by
+            their noise; None where the gap's interval holds zero.
+        closed_ci95: over blocks of whole trajectories or contiguous stretches.
+        rollout: see torchid.gap.rollout, or None.
+    """
+
+    rms_before: Float[Tensor, " n"]
+    rms_after: Float[Tensor, " n"]
+    closed: float | None
+    closed_ci95: Interval | None
+    rollout: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Shares of the gap: what refitted base parameters close, what effects close, what is left."""
+
+    parametric: float
+    structural: float
+    unexplained: float
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect these data could not show.
+
+    Attributes:
+        effect: name.
+        joint: from 0; None for a global effect.
+        smallest_detectable: coefficient that would have been detected, in `unit`; None where no
+            size would: its columns vanish or are exactly those of base parameters.
+        unit: of the first coefficient.
+        reason: one sentence.
+    """
+
+    effect: str
+    joint: int | None
+    smallest_detectable: float | None
+    unit: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All of it.
+
+    Attributes:
+        robot: the model as given (with fitted parameters, where it had none).
+        corrected: the robot with accepted effects and corrected parameters.
+        status: the verdict.
+        joints, regimes: where.
+        findings, parametric: which.
+        how_far, budget: how far.
+        floor: noise in the band of the report.
+        not_testable: effects these data cannot show, with the smallest size that could be seen.
+        next_experiment: what would separate an ambiguity, or None.
+        traces: held-out torque before and after, trajectory by trajectory.
+        band, cutoff: of the report and of the fit [Hz].
+        settings: as a record.
+        warnings: sentences for the user.
+    """
+
+    robot: Robot
+    corrected: Robot
+    status: Status
+    joints: tuple[JointGap, ...]
+    regimes: tuple[RegimeGap, ...]
+    findings: tuple[Finding, ...]
+    parametric: tuple[Parametric, ...]
+    how_far: HowFar
+    budget: Budget
+    floor: NoiseFloor
+    not_testable: tuple[NotTestable, ...]
+    next_experiment: dict[str, Any] | None
+    traces: tuple[Trace, ...]
+    band: float
+    cutoff: float
+    settings: dict[str, Any]
+    warnings: tuple[str, ...]

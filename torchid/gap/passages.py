@@ -1,0 +1,149 @@
+"""What the diagnosis looks at: trajectories on a common grid, and the rows of its least squares.
+
+Columns that jump (signs, hysteresis, dead bands) must be computed from sharp motion and be smoothed
+afterwards like the torque; so there are two bands. A `Passage` is one trajectory in the wide band,
+on which all columns are evaluated. `Rows` takes any signal on passages to the narrow band: one
+zero-phase filter for torque and columns alike, decimated to two and a half samples a period of the
+cut-off, so that white noise stays nearly white and rows are few.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from torchid.effects.base import Motion
+from torchid.errors import LogError
+from torchid.identification.motion import WIDE, Measurement
+from torchid.log.filtering import ZeroPhaseFilter, extended
+from torchid.typing import Bool, Float, Int, Signals, Tensor
+
+GRID = 6.0
+"""Samples of a passage a period of the wide band's edge, at least where the log has as many."""
+
+ROWS = 2.5
+"""Rows a period of the cut-off."""
+
+RESTING = 0.02
+"""|dq| below which a joint's friction is undetermined [rad/s or m/s]."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """One trajectory in the wide band.
+
+    Attributes:
+        name: of the trajectory.
+        trajectory: number of the trajectory in the log.
+        rate: of the grid [Hz].
+        band: low-pass of the signals [Hz].
+        motion: q, dq, ddq, direction (T, n) and t (T,) [s].
+        tau: (T, n) measured torque [N m; N].
+        lagging: whether dq is measured on its own, so that it can lag behind q.
+        held: (T, n) s by which a measured torque is older than its stamp, where a value is held
+            (see torchid.gap.held); 0 where it is fresh.
+    """
+
+    name: str
+    trajectory: int
+    rate: float
+    band: float
+    motion: Motion
+    tau: Float[Tensor, "T n"]
+    lagging: bool
+    held: Float[Tensor, "T n"]
+
+    @property
+    def samples(self) -> int:
+        """T."""
+        return self.tau.shape[0]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.tau.shape[1]
+
+
+class Rows:
+    """Signals of passages, low-passed and decimated, edges left out.
+
+    Args:
+        passages: all on the same rate.
+        cutoff: [Hz].
+    """
+
+    def __init__(self, passages: Sequence[Passage], cutoff: float):
+        rates = {p.rate for p in passages}
+        assert len(rates) == 1, "passages are resampled to one rate"
+        self.rate = rates.pop()
+        self.cutoff = cutoff
+        self.passages = tuple(passages)
+        self.step = max(1, int(self.rate / (ROWS * cutoff)))
+        self._filter = ZeroPhaseFilter(self.rate, cutoff) if cutoff < 0.45 * self.rate else None
+        self.edge = round(self.rate / cutoff)
+
+    @property
+    def interval(self) -> float:
+        """Seconds between rows."""
+        return self.step / self.rate
+
+    @cached_property
+    def bounds(self) -> tuple[slice, ...]:
+        """Rows of each passage."""
+        counts = [len(range(self.edge, p.samples - self.edge, self.step)) for p in self.passages]
+        ends = list(itertools.accumulate(counts, initial=0))
+        return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+    def __len__(self) -> int:
+        return self.bounds[-1].stop
+
+    def apply(self, signals: Sequence[Signals]) -> Float[Tensor, "*batch N"]:
+        """Rows (..., N) of signals (..., T_p), one tensor a passage."""
+        return torch.cat([self._one(x) for x in signals], -1)
+
+    def pick(self, signals: Sequence[Tensor]) -> Tensor:
+        """Unfiltered values (N, ...) of signals (T_p, ...) at the rows' instants."""
+        return torch.cat([x[self.edge : x.shape[0] - self.edge : self.step] for x in signals])
+
+    def _one(self, x: Signals) -> Signals:
+        last = x.shape[-1] - self.edge
+        if self._filter is None:
+            return x[..., self.edge : last : self.step]
+        tail = self._filter.tail
+        padded = extended(x, tail, tail)
+        return self._filter.decimated(padded, self.step, tail + self.edge, tail + last)
+
+
+def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
+    """Passages of trajectories differentiated in the wide band (see `measurements`).
+
+    Args:
+        measured: with the wide band as their cut-off.
+        band: the wide band's edge [Hz].
+    """
+    out = []
+    for k, m in enumerate(measured):
+        step = max(1, int(m.rate / (GRID * band)))
+        tau = m.tau
+        if step > 1:
+            tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
+        motion = m.motion._replace(t=m.t - measured[0].t[0])
+        held = torch.zeros_like(tau)
+        out.append(
+            Passage(
+                name=m.name,
+                trajectory=k,
+                rate=m.rate / step,
+                band=band,
+                motion=Motion(*(None if x is None else x[::step] for x in motion)),  # type: ignore[arg-type]
+                tau=tau[::step].contiguous(),
+                lagging=False,
+                held=held[::step],
+            )
+        )
+    return out
+
+
+__all__ = ["GRID", "RESTING", "ROWS", "WIDE", "Bool", "Int", "LogError", "Passage", "Rows"]
