@@ -44,8 +44,8 @@ Family = Literal[
 """What effects of one family have in common is their signature in the torque."""
 
 Scale = Literal["one", "speed", "torque", "travel"]
-"""What the grid of a shape parameter is relative to: nothing, or the joint's 99 % speed, model's
-99 % torque, or range of positions."""
+"""What the grid of a shape parameter is relative to: nothing, or the joint's 99 % speed, the 99 %
+torque of its model, or its range of positions."""
 
 
 PLACES = ("joint", "source_joint")
@@ -62,6 +62,8 @@ class Motion(NamedTuple):
         t: (...,) [s] since the arm was switched on or the log began; where it is known.
         torque: (..., n) torque of the model along this motion [N m; N], never a measured one;
             where it is known.
+        age: (..., n) [s] by which the measured torque is older than its stamp, where samples were
+            held; where it is known.
     """
 
     q: Tensor
@@ -70,6 +72,7 @@ class Motion(NamedTuple):
     direction: Tensor | None = None
     t: Tensor | None = None
     torque: Tensor | None = None
+    age: Tensor | None = None
 
     @property
     def state(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -90,7 +93,7 @@ class Motion(NamedTuple):
         return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]
 
     def require(self, what: str, effect: str) -> Tensor:
-        """`t` or `torque`, which an effect needs; a ValueError (of the programmer) without it."""
+        """`t`, `torque` or `age`, which an effect needs; a ValueError (of the programmer) without it."""
         value: Tensor | None = getattr(self, what)
         if value is None:
             raise ValueError(f"{effect} needs the motion's {what}.")
@@ -155,7 +158,8 @@ class Effect(ABC):
         meaning: what it is physically, one sentence.
         remedy: what an engineer does about it, one sentence.
         source: where its equation comes from.
-        needs: which of `t`, `torque`, `robot` its columns need.
+        needs: which of `t`, `torque`, `age`, `robot`, and `velocity` (that dq was measured on its
+            own, not differentiated from q) its columns need.
         jumps: whether its columns are discontinuous in the motion.
     """
 

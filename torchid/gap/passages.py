@@ -15,10 +15,9 @@ from functools import cached_property
 import torch
 
 from torchid.effects.base import Motion
-from torchid.errors import LogError
-from torchid.identification.motion import WIDE, Measurement
+from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
-from torchid.typing import Bool, Float, Int, Signals, Tensor
+from torchid.typing import Float, Signals, Tensor
 
 GRID = 6.0
 """Samples of a passage a period of the wide band's edge, at least where the log has as many."""
@@ -39,11 +38,9 @@ class Passage:
         trajectory: number of the trajectory in the log.
         rate: of the grid [Hz].
         band: low-pass of the signals [Hz].
-        motion: q, dq, ddq, direction (T, n) and t (T,) [s].
+        motion: q, dq, ddq, direction, age (T, n) and t (T,) [s].
         tau: (T, n) measured torque [N m; N].
-        lagging: whether dq is measured on its own, so that it can lag behind q.
-        held: (T, n) s by which a measured torque is older than its stamp, where a value is held
-            (see torchid.gap.held); 0 where it is fresh.
+        own_velocity: whether dq was measured on its own, so that it can lag behind q.
     """
 
     name: str
@@ -52,8 +49,7 @@ class Passage:
     band: float
     motion: Motion
     tau: Float[Tensor, "T n"]
-    lagging: bool
-    held: Float[Tensor, "T n"]
+    own_velocity: bool
 
     @property
     def samples(self) -> int:
@@ -130,7 +126,6 @@ def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
         if step > 1:
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
         motion = m.motion._replace(t=m.t - measured[0].t[0])
-        held = torch.zeros_like(tau)
         out.append(
             Passage(
                 name=m.name,
@@ -139,11 +134,7 @@ def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
                 band=band,
                 motion=Motion(*(None if x is None else x[::step] for x in motion)),  # type: ignore[arg-type]
                 tau=tau[::step].contiguous(),
-                lagging=False,
-                held=held[::step],
+                own_velocity=m.own_velocity,
             )
         )
     return out
-
-
-__all__ = ["GRID", "RESTING", "ROWS", "WIDE", "Bool", "Int", "LogError", "Passage", "Rows"]

@@ -38,6 +38,7 @@ class Measurement:
         t: (T,) [s].
         motion: q, dq, ddq, each (T, n), filtered at the cut-off, and the direction of each joint.
         tau: (T, n) measured torque, unfiltered.
+        own_velocity: whether dq was measured, not differentiated from q.
         warnings: sentences for the user.
     """
 
@@ -47,6 +48,7 @@ class Measurement:
     t: Float[Tensor, " T"]
     motion: Motion
     tau: Float[Tensor, "T n"]
+    own_velocity: bool = False
     warnings: tuple[str, ...] = ()
 
     @property
@@ -153,7 +155,7 @@ def _held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
 def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor) -> Measurement:
     assert log.tau is not None
     q = log.q.T
-    dq, ddq, warnings = _derivatives(log, rate, cutoff)
+    dq, ddq, own, warnings = _derivatives(log, rate, cutoff)
     sharp = dq
     if cutoff is not None:
         sharp = _low_passed(dq, rate, WIDE * cutoff)
@@ -162,7 +164,7 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     # Without a filter and a reversal speed the log is taken at its word, rest included.
     literal = cutoff is None and not bool(threshold.any())
     motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
-    return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, tuple(warnings))
+    return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, own, tuple(warnings))
 
 
 def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
@@ -170,12 +172,14 @@ def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
     return ZeroPhaseFilter(rate, cutoff).apply(x) if cutoff < 0.45 * rate else x
 
 
-def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, Tensor, list[str]]:
-    """dq and ddq (n, T), and what was noticed about the ones measured."""
+def _derivatives(
+    log: Log, rate: float, cutoff: float | None
+) -> tuple[Tensor, Tensor, bool, list[str]]:
+    """dq and ddq (n, T), whether dq is the measured one, and what was noticed about those measured."""
     warnings: list[str] = []
     derivative = central_difference(log.q.T, rate)
     dq = derivative if log.dq is None else log.dq.T
-    own = central_difference(dq, rate)
+    own, measured = central_difference(dq, rate), log.dq is not None
     if log.dq is not None and cutoff is not None:
         lag, difference = _lag(derivative, dq, rate, cutoff)
         if difference > _VELOCITY_AGREES:
@@ -183,24 +187,24 @@ def _derivatives(log: Log, rate: float, cutoff: float | None) -> tuple[Tensor, T
                 f"{log.names[0]}: measured dq differs from the derivative of q by "
                 f"{100 * difference:.0f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
             )
-            dq, own = derivative, central_difference(derivative, rate)
+            dq, own, measured = derivative, central_difference(derivative, rate), False
         elif abs(lag) > _LAG_WORTH_SAYING:
             word = "lags" if lag > 0 else "leads"
             warnings.append(
                 f"{log.names[0]}: measured dq {word} the derivative of q by {abs(lag) * 1e3:.1f} ms"
             )
     if log.ddq is None:
-        return dq, own, warnings
+        return dq, own, measured, warnings
     if cutoff is None:
-        return dq, log.ddq.T, warnings
+        return dq, log.ddq.T, measured, warnings
     lag, difference = _lag(own, log.ddq.T, rate, cutoff)
     if difference < _AGREE:
-        return dq, log.ddq.T, warnings
+        return dq, log.ddq.T, measured, warnings
     warnings.append(
         f"{log.names[0]}: the log's ddq differs from the derivative of dq by "
         f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
     )
-    return dq, own, warnings
+    return dq, own, measured, warnings
 
 
 def _lag(reference: Tensor, signal: Tensor, rate: float, cutoff: float) -> tuple[float, float]:
