@@ -201,7 +201,7 @@ def _write_nearest(
     import math
 
     from torchid.feasibility.sets import to_record
-    from torchid.log.files import atomic_write
+    from torchid.files import atomic_write
 
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:

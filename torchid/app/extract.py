@@ -232,7 +232,7 @@ def _write(
     import json
 
     from torchid.feasibility.sets import to_record
-    from torchid.log.files import atomic_write
+    from torchid.files import atomic_write
     from torchid.report.extraction import extraction_record
     from torchid.report.figures import save
 

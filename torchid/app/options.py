@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchid.errors import TorchidError
-from torchid.log.files import atomic_write
+from torchid.files import atomic_write
 
 if TYPE_CHECKING:
     from torchid.log.model import Log

@@ -128,7 +128,7 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
 
     from rich.markup import escape
 
-    from torchid.log.files import atomic_write
+    from torchid.files import atomic_write
     from torchid.report.study.report import headline, tables, write_study
     from torchid.study.record import record
 

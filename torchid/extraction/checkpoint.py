@@ -12,7 +12,7 @@ import torch
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import SearchState
 from torchid.extraction.problem import Problem
-from torchid.log.files import atomic_write
+from torchid.files import atomic_write
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import IO
 
 from torchid.errors import LogError
+from torchid.files import atomic_write
 from torchid.log.columns import Columns, columns_of, log_from_columns
-from torchid.log.files import atomic_write
 from torchid.log.formats import (
     read_csv,
     read_npz,

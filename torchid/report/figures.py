@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from torchid.files import atomic_write
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Prediction
-from torchid.log.files import atomic_write
 from torchid.typing import Tensor
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import torch
 
-from torchid.log.files import atomic_write
+from torchid.files import atomic_write
 from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, styled
 from torchid.typing import Tensor
 from torchid.wrenches.classes import FEASIBLE, MIXED

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import ParameterSets, joined, to_record
-from torchid.log.files import atomic_write
+from torchid.files import atomic_write
 from torchid.report.study.figures import drawings, save
 from torchid.report.study.page import page
 from torchid.report.study.sheets import rich_table

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from torchid.errors import TorchidError
-from torchid.log.files import atomic_write
+from torchid.files import atomic_write
 
 
 def test_writes_text_and_bytes(tmp_path: Path) -> None:
