@@ -93,7 +93,7 @@ class Motion(NamedTuple):
         return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]
 
     def require(self, what: str, effect: str) -> Tensor:
-        """`t`, `torque` or `age`, which an effect needs; a ValueError (of the programmer) without it."""
+        """`t`, `torque` or `age`, which an effect needs; ValueError (a programmer's) without it."""
         value: Tensor | None = getattr(self, what)
         if value is None:
             raise ValueError(f"{effect} needs the motion's {what}.")

@@ -175,7 +175,7 @@ def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
 def _derivatives(
     log: Log, rate: float, cutoff: float | None
 ) -> tuple[Tensor, Tensor, bool, list[str]]:
-    """dq and ddq (n, T), whether dq is the measured one, and what was noticed about those measured."""
+    """dq and ddq (n, T), whether that dq is a measured one, and what was noticed about it."""
     warnings: list[str] = []
     derivative = central_difference(log.q.T, rate)
     dq = derivative if log.dq is None else log.dq.T
