@@ -58,5 +58,5 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
 def _refuse_tip(tip: str | None, name: str) -> None:
     if tip is not None:
         raise RobotError(
-            f"--tip chooses a chain in a URDF or MJCF; '{name}' is a DH table.", got=tip
+            f"--tip chooses a chain in a URDF or MJCF; '{name}' is one chain.", got=tip
         )

@@ -1,0 +1,175 @@
+"""Writing a robot as torchid's yaml, so that reading it gives the same robot to the last bit."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from torch import Tensor
+
+from torchid.files import atomic_write
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Limits, Robot
+from torchid.robot.yaml_kinematics import dh_step
+from torchid.typing import Float
+
+_CONVENTIONS = ("classical", "modified")
+_LIMITS = ("position", "velocity", "acceleration", "torque")
+
+
+def write_robot(robot: Robot, path: Path) -> None:
+    """Write a robot's yaml (format in docs/robots.md), in place of the file only when complete.
+
+    Numbers are written so that they are read back exactly, and inertial parameters as they are
+    stored: masses, first moments, inertias about the link frames' origins. The kinematics are a DH
+    table where one gives the same poses exactly, otherwise placements. What the reader of the
+    robot noticed goes into comments.
+
+    Args:
+        robot: one robot, not a batch of candidates.
+        path: the file, *.yaml.
+
+    Raises:
+        TorchidError: the file cannot be written.
+    """
+    text = robot_yaml(robot)
+    with atomic_write(path) as file:
+        file.write(text)
+
+
+def robot_yaml(robot: Robot) -> str:
+    """The text that `write_robot` writes."""
+    body = yaml.safe_dump(
+        to_mapping(robot), sort_keys=False, default_flow_style=None, allow_unicode=True, width=200
+    )
+    # Whatever separates lines would end a comment: all white space becomes one blank.
+    comments = [f"# warning: {' '.join(warning.split())}\n" for warning in robot.warnings]
+    return "".join(comments) + body
+
+
+def to_mapping(robot: Robot) -> dict[str, Any]:
+    """Content of the robot's yaml as plain Python values; the inverse of `from_mapping`."""
+    out: dict[str, Any] = {"name": robot.name}
+    out |= _dh(robot) or _placements(robot)
+    out["gravity"] = robot.gravity.tolist()
+    if not _is_identity(robot.tool):
+        out["tool"] = robot.tool.tolist()
+    out |= _unless_empty("limits", _limits(robot.limits))
+    if robot.parameters is not None:
+        out["parameters"] = _parameters(robot.parameters)
+    out |= _unless_empty("effects", [_plain(record) for record in robot.effects])
+    if robot.drive_gain is not None:
+        out["drive_gain"] = robot.drive_gain.tolist()
+    return out | _unless_empty("bounds", _plain(robot.bounds))
+
+
+def _unless_empty(key: str, value: Any) -> dict[str, Any]:
+    return {key: value} if value else {}
+
+
+def _dh(robot: Robot) -> dict[str, Any]:
+    """A DH table with exactly the robot's poses; empty where there is none."""
+    for convention in _CONVENTIONS:
+        rows = [
+            _dh_row(convention, before, after)
+            for before, after in zip(robot.before, robot.after, strict=True)
+        ]
+        exact = [row for row in rows if row is not None]
+        if len(exact) == robot.n:
+            return {"dh": {"convention": convention, "joints": _named(robot, exact)}}
+    return {}
+
+
+def _dh_row(
+    convention: str, before: Float[Tensor, "4 4"], after: Float[Tensor, "4 4"]
+) -> dict[str, Any] | None:
+    """The row of a DH table whose poses are these, bit by bit; None where there is none."""
+    r, p = (after if convention == "classical" else before)[:3, :].split([3, 1], dim=-1)
+    if convention == "classical":  # Rz(theta) Tz(d) Tx(a) Rx(alpha): p = (a c, a s, d)
+        theta = math.atan2(r[1, 0], r[0, 0])
+        alpha = math.atan2(r[2, 1], r[2, 2])
+        along_x, d = r[:, 0] @ p[:, 0], p[2, 0]
+    else:  # Rx(alpha) Tx(a) Rz(theta) Tz(d): p = (a, -d sin(alpha), d cos(alpha))
+        theta = math.atan2(-r[0, 1], r[0, 0])
+        alpha = math.atan2(-r[1, 2], r[2, 2])
+        along_x, d = p[0, 0], r[:, 2] @ p[:, 0]
+    a, d = float(along_x), float(d)
+    if not all(
+        torch.equal(made, given)
+        for made, given in zip(
+            dh_step(convention, a, alpha, d, theta), (before, after), strict=True
+        )
+    ):
+        return None
+    return {"a": a, **_angle("alpha", alpha), "d": d, **_angle("theta", theta)}
+
+
+def _angle(key: str, value: float) -> dict[str, float]:
+    """In whole degrees where that is the same number."""
+    degrees = round(math.degrees(value))
+    return {f"{key}_deg": degrees} if math.radians(degrees) == value else {key: value}
+
+
+def _placements(robot: Robot) -> dict[str, Any]:
+    rows = [
+        _unless_empty("before", _pose(before)) | _unless_empty("after", _pose(after))
+        for before, after in zip(robot.before, robot.after, strict=True)
+    ]
+    return {"placements": {"joints": _named(robot, rows)}}
+
+
+def _named(robot: Robot, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with names, where they are not the reader's own, and types in front."""
+    out = []
+    named = zip(robot.joint_names, robot.link_names, robot.joint_types, rows, strict=True)
+    for i, (joint, link, kind, row) in enumerate(named, start=1):
+        names = {"name": joint} if joint != f"joint_{i}" else {}
+        names |= {"link": link} if link != f"link_{i}" else {}
+        out.append({**names, "type": kind.value, **row})
+    return out
+
+
+def _pose(matrix: Float[Tensor, "4 4"]) -> dict[str, Any]:
+    """{xyz, rotation} without what is zero or the identity."""
+    out = {}
+    if matrix[:3, 3].any():
+        out["xyz"] = matrix[:3, 3].tolist()
+    if not _is_identity(matrix[:3, :3]):
+        out["rotation"] = matrix[:3, :3].tolist()
+    return out
+
+
+def _is_identity(matrix: Tensor) -> bool:
+    return torch.equal(matrix, torch.eye(matrix.shape[-1], dtype=matrix.dtype))
+
+
+def _limits(limits: Limits) -> dict[str, Any]:
+    known = {name: getattr(limits, name) for name in _LIMITS}
+    return {name: value.tolist() for name, value in known.items() if value is not None}
+
+
+def _parameters(parameters: InertialParameters) -> dict[str, Any]:
+    if parameters.pi.ndim != 2:
+        raise ValueError("a robot's yaml holds one set of parameters, not a batch.")
+    return {
+        "mass": parameters.mass.tolist(),
+        "first_moment": parameters.first_moment.tolist(),
+        "inertia_about_link_frame": parameters.inertia_about_link_frame.tolist(),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Mappings, sequences, tensors and numbers of numpy as what yaml knows."""
+    if isinstance(value, Mapping):
+        return {_plain(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, Tensor | np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return _plain(value.value)
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(entry) for entry in value]
+    return value

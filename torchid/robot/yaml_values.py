@@ -1,0 +1,46 @@
+"""Checked values of a parsed yaml: known keys, finite numbers, tensors of a given shape."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchid.errors import RobotError
+
+_EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
+
+
+def known(data: Any, keys: Sequence[str], where: str) -> None:
+    """Raise RobotError unless `data` is a mapping without other keys."""
+    if not isinstance(data, Mapping):
+        raise RobotError(f"{where}: must be a mapping.", got=data, expected=list(keys))
+    for key in data:
+        if key not in keys:
+            raise RobotError(f"{where}: unknown key.", got=key, available=list(keys))
+
+
+def number(value: Any, where: str) -> float:
+    """A finite number, or a RobotError."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        hint = _EXPONENT if isinstance(value, str) else None
+        raise RobotError(f"{where}: not a finite number.", got=repr(value), hint=hint)
+    return float(value)
+
+
+def numbers(data: Any, shape: tuple[int, ...], where: str, *, finite: bool = True) -> Tensor:
+    """A tensor of this shape, or a RobotError; infinities only where `finite` is False."""
+    try:
+        tensor = torch.tensor(data, dtype=torch.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RobotError(
+            f"{where}: not numbers, or rows of unequal length.", got=data, hint=_EXPONENT
+        ) from error
+    if tuple(tensor.shape) != shape:
+        raise RobotError(
+            f"{where}: wrong size.", got=tuple(tensor.shape), expected=f"{shape} for this robot"
+        )
+    if tensor.isnan().any() or (finite and tensor.isinf().any()):
+        raise RobotError(f"{where}: not all finite.", got=data)
+    return tensor
