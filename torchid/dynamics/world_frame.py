@@ -1,0 +1,203 @@
+"""Equations of motion of a batch of arms in the axes of the base, all links of all arms at once.
+
+The recursion of `recursion.py` handles one robot on many samples: its cost is the number of kernel
+calls, some thousand, whatever the batch. A simulation steps a few states many times; here only the
+chain of poses is sequential, and everything else is a handful of products of small matrices.
+
+With everything in base axes about the base's origin, sums along the chain need no transformation.
+Let T_l be the pose of link l (4x4), S_i the twist of a unit rate of joint i as a matrix [w]x, v
+(its last row of zeros left out: 3x4), and P_l = T_l P0_l T_l' the pseudo-inertia
+
+    P0 = [[tr(J)/2 1 - J, h], [h', m]].
+
+A point r (homogeneous) of link l accelerates by A_l r, A_l = sum_{i<=l} (S_i ddq_i + dS_i/dt dq_i)
++ V_l V_l - g, where V_l = sum_{i<=l} S_i dq_i and dS_i/dt = V_i S_i - S_i V_i. By virtual work
+
+    tau_i = sum_{l>=i} <S_i, A_l P_l>,     M_ij = <S_i, S_j sum_{l>=max(i,j)} P_l>
+
+with <,> the sum of products of entries (Uicker 1965; Hollerbach 1980; the sums are the composite
+bodies of Walker and Orin 1982).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from torchid.robot.inertia import InertialParameters, symmetric
+from torchid.robot.model import JointType, Robot
+from torchid.typing import BroadcastJoints, Float, JointMatrix, Joints
+
+# vec([w]x) = w @ _CROSS, row by row.
+_CROSS = ((0, 0, 0, 0, 0, -1, 0, 1, 0), (0, 0, 1, 0, 0, 0, -1, 0, 0), (0, -1, 0, 1, 0, 0, 0, 0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """What does not move, of one arm for the whole batch or of one arm per element of it.
+
+    Attributes:
+        constant, cosine, sine, slide: (*arms, n, 4, 4); the pose of link i in link i-1 is
+            constant + cosine cos q + sine sin q + slide q.
+        pose_of_axis: (*arms, n, 3, 2): in link axes, the unit vector along the joint's axis, and a
+            point of it at q = 0, from the link frame's origin.
+        revolute: (n,) 1 or 0.
+        inertia: (*arms, n, 4, 4) pseudo-inertias about the link frames.
+        gravity: (*arms, 3) in the base frame [m/s^2].
+        lower: (n, n) ones on and below the diagonal.
+        cross: (3, 9) takes w to the rows of [w]x.
+        slides: whether any joint is prismatic.
+    """
+
+    constant: Tensor
+    cosine: Tensor
+    sine: Tensor
+    slide: Tensor
+    pose_of_axis: Tensor
+    revolute: Tensor
+    inertia: Tensor
+    gravity: Tensor
+    lower: Tensor
+    cross: Tensor
+    slides: bool
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.revolute.shape[0]
+
+    def at(self, q: Float[Tensor, "*batch n"]) -> "Posture":
+        """The arms at positions q (*batch, n); the batch ends with the axes of the arms."""
+        poses = self._poses(q)
+        axis = poses[..., :3, :3] @ self.pose_of_axis
+        along, point = axis[..., 0], axis[..., 1] + poses[..., :3, 3]
+        turn = (along @ self.cross).unflatten(-1, (3, 3))
+        if self.slides:
+            r = self.revolute.unsqueeze(-1)
+            turn = turn * r.unsqueeze(-1)
+            shift = along * (1 - r) - (turn @ point.unsqueeze(-1)).squeeze(-1)
+        else:
+            shift = -(turn @ point.unsqueeze(-1)).squeeze(-1)
+        screws = torch.cat([turn, shift.unsqueeze(-1)], -1)
+        return Posture(self, screws, poses @ self.inertia @ poses.transpose(-1, -2))
+
+    def _poses(self, q: Tensor) -> Tensor:
+        """T_l (*batch, n, 4, 4), in the base frame."""
+        x = q[..., None, None]
+        steps = torch.addcmul(
+            torch.addcmul(self.constant, self.cosine, x.cos()), self.sine, x.sin()
+        )
+        if self.slides:
+            steps = torch.addcmul(steps, self.slide, x)
+        chain = list(steps.unbind(-3))
+        for i in range(1, len(chain)):
+            chain[i] = chain[i - 1] @ chain[i]
+        return torch.stack(chain, -3)
+
+
+class Posture:
+    """Arms at one position each: what M and the bias have in common."""
+
+    def __init__(self, arms: Arms, screws: Tensor, inertia: Tensor):
+        self._arms = arms
+        self._screws = screws  # S_i (*batch, n, 3, 4)
+        self._inertia = inertia  # P_l (*batch, n, 4, 4)
+        self._flat = screws.flatten(-2)
+
+    def mass_matrix(self) -> JointMatrix:
+        """M(q) [kg m^2]."""
+        upper = self._arms.lower.T
+        composite = (upper @ self._inertia.flatten(-2)).unflatten(-1, (4, 4))
+        # <S_i, S_j sum_{l>=j} P_l> is M_ij for i <= j only.
+        half = self._flat @ (self._screws @ composite).flatten(-2).transpose(-1, -2)
+        return torch.where(self._arms.lower == 0, half, half.transpose(-1, -2))
+
+    def torque(self, dq: BroadcastJoints, ddq: BroadcastJoints | None = None) -> Joints:
+        """M ddq + S dq + g [N m; N]; the bias alone if ddq is None."""
+        arms, s = self._arms, self._screws
+        rate = dq[..., None, None]
+        v = self._along_the_chain(s * rate)
+        turning = v[..., :3]
+        # dS/dt dq, in which S dq's own part of V cancels.
+        change = (turning @ s - s[..., :3] @ v) * rate
+        if ddq is not None:
+            change = torch.addcmul(change, s, ddq[..., None, None])
+        a = self._along_the_chain(change) + turning @ v
+        a[..., 3] -= arms.gravity.unsqueeze(-2)
+        force = arms.lower.T @ (a @ self._inertia).flatten(-2)
+        return (self._flat * force).sum(-1)
+
+    def _along_the_chain(self, x: Tensor) -> Tensor:
+        return (self._arms.lower @ x.flatten(-2)).unflatten(-1, (3, 4))
+
+
+def arms_of(
+    robots: Sequence[Robot], like: Tensor, parameters: Sequence[InertialParameters] | None = None
+) -> Arms:
+    """A batch of arms, (B,) with one robot an element; () arms if there is one robot only.
+
+    Args:
+        robots: with the same joint types.
+        like: dtype and device of the result.
+        parameters: (..., n, 10) each, in place of the robots' own.
+
+    Raises:
+        RobotError: a robot has no inertial parameters, and none are given.
+    """
+    if parameters is None:
+        parameters = [r.require_parameters("the equations of motion") for r in robots]
+    joined = torch.stack if len(robots) > 1 else _only
+    frames = [_frames(robot) for robot in robots]
+    constant, cosine, sine, slide, axis = (
+        joined(list(parts)).to(like) for parts in zip(*frames, strict=True)
+    )
+    revolute = torch.tensor([t is JointType.REVOLUTE for t in robots[0].joint_types])
+    return Arms(
+        constant=constant,
+        cosine=cosine,
+        sine=sine,
+        slide=slide,
+        pose_of_axis=axis,
+        revolute=revolute.to(like),
+        inertia=joined([pseudo_inertia(p.pi) for p in parameters]).to(like),
+        gravity=joined([robot.gravity for robot in robots]).to(like),
+        lower=torch.ones(robots[0].n, robots[0].n).tril().to(like),
+        cross=torch.tensor(_CROSS).to(like),
+        slides=not bool(revolute.all()),
+    )
+
+
+def _only(tensors: list[Tensor]) -> Tensor:
+    return tensors[0]
+
+
+def pseudo_inertia(pi: Float[Tensor, "*batch 10"]) -> Float[Tensor, "*batch 4 4"]:
+    """[[tr(J)/2 1 - J, h], [h', m]] of inertial parameters (Wensing et al. 2018)."""
+    inertia = symmetric(pi[..., 4:])
+    half_trace = inertia.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] / 2
+    second = half_trace * torch.eye(3, dtype=pi.dtype, device=pi.device) - inertia
+    h = pi[..., 1:4, None]
+    top = torch.cat([second, h], -1)
+    bottom = torch.cat([h.transpose(-1, -2), pi[..., :1, None]], -1)
+    return torch.cat([top, bottom], -2)
+
+
+@lru_cache(maxsize=256)
+def _frames(robot: Robot) -> tuple[Tensor, ...]:
+    """constant, cosine, sine, slide and pose_of_axis of one robot."""
+    before, after = robot.before.double().cpu(), robot.after.double().cpu()
+    eye = torch.eye(4, dtype=torch.float64)
+    revolute = torch.tensor([t is JointType.REVOLUTE for t in robot.joint_types])[:, None, None]
+    turned, quarter, lift = (torch.zeros(4, 4, dtype=torch.float64) for _ in range(3))
+    turned[0, 0] = turned[1, 1] = quarter[1, 0] = lift[2, 3] = 1.0
+    quarter[0, 1] = -1.0
+    none = torch.zeros_like(before)
+    constant = torch.where(revolute, before @ (eye - turned) @ after, before @ after)
+    cosine = torch.where(revolute, before @ turned @ after, none)
+    sine = torch.where(revolute, before @ quarter @ after, none)
+    slide = torch.where(revolute, none, before @ lift @ after)
+    axis = after[:, 2, :3]
+    point = -(after[:, :3, :3].transpose(1, 2) @ after[:, :3, 3:]).squeeze(-1)
+    return constant, cosine, sine, slide, torch.stack([axis, point], -1)
