@@ -8,13 +8,37 @@ from typing import Any
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import PLACES, Effect, JointEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.effects.friction_laws import (
+    AsymmetricFriction,
+    LoadDependentFriction,
+    PowerLawFriction,
+    StribeckFriction,
+)
+from torchid.effects.hysteresis import PreslidingHysteresis
+from torchid.effects.periodic import Cogging
 from torchid.effects.rotor_inertia import RotorInertia
+from torchid.effects.spring import JointSpring
+from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
 from torchid.typing import Joints
 
 KINDS: dict[str, type[Effect]] = {
-    kind.name: kind for kind in (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
+    kind.name: kind
+    for kind in (
+        ViscousFriction,
+        PowerLawFriction,
+        CoulombFriction,
+        StribeckFriction,
+        LoadDependentFriction,
+        TorqueOffset,
+        AsymmetricFriction,
+        JointSpring,
+        RotorInertia,
+        PreslidingHysteresis,
+        Cogging,
+        ThermalFrictionDrift,
+    )
 }
 
 FAMILIES: dict[str, str] = {name: kind.family for name, kind in KINDS.items()}

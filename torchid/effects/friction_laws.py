@@ -1,0 +1,182 @@
+"""Friction beyond the paper's model: curved, falling with speed, growing with load, one-sided.
+
+Each law is one term that is added to `viscous_friction` and `coulomb_friction`, so that its
+coefficient is zero where the plain model suffices.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.typing import Float
+
+RESTING = 0.02
+"""|dq| below which a joint dwells [rad/s or m/s]: static friction then holds any torque up to the
+breakaway torque, and the sign of dq is noise."""
+
+
+@dataclass(frozen=True)
+class PowerLawFriction(JointEffect):
+    """Friction whose growth with speed is curved: |dq|^a sgn dq.
+
+    It is continuous at rest. F2 may be negative: beside viscous friction it is then lubricant that
+    thins with speed, as harmonic drives show; the sum still resists motion at the speeds it was
+    fitted to, not beyond.
+
+    Attributes:
+        a: exponent [1].
+    """
+
+    a: float = 2.0
+
+    name: ClassVar[str] = "power_law_friction"
+    family: ClassVar[Family] = "speed"
+    coefficients: ClassVar = (
+        Coefficient("F2", "N m (s/rad)^a", False, "curvature of the viscous friction"),
+    )
+    shapes: ClassVar = (Shape("a", "1", 1.1, 3.0, (1.5, 2.0, 2.5), "exponent of the speed"),)
+    meaning: ClassVar[str] = (
+        "Lubricant is churned (F2 > 0) or thinned (F2 < 0) at speed, so friction is curved."
+    )
+    remedy: ClassVar[str] = (
+        "Use a friction curve of speed, or set the joint's damping for the speeds of the task."
+    )
+    source: ClassVar[str] = (
+        "Waiboer, Aarts and Jonker 2005, Velocity dependence of joint friction in robotic "
+        "manipulators with gear transmissions (Multibody Dynamics, ECCOMAS); Wolf and Iskandar "
+        "2018, Extending a dynamic friction model with nonlinear viscous and thermal dependency "
+        "for a motor and harmonic drive gear (ICRA)"
+    )
+
+    def __post_init__(self) -> None:
+        if not self.a > 0:
+            raise ValueError(f"the exponent a must be positive, not {self.a}.")
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """|dq|^a sgn dq; shapes: a."""
+        (a,) = shapes
+        return (torch.sign(motion.dq) * motion.dq.abs() ** a).unsqueeze(-1)
+
+
+@dataclass(frozen=True)
+class StribeckFriction(JointEffect):
+    """Friction in excess of Coulomb's at low speed: exp(-|dq/vs|^d) sgn dq.
+
+    Attributes:
+        vs: Stribeck speed [rad/s; m/s].
+        d: exponent of the decay [1]; 2 is Gaussian, 1 exponential. Data seldom tell them apart, so
+            no search is made over it.
+    """
+
+    vs: float = 0.1
+    d: float = 2.0
+
+    name: ClassVar[str] = "stribeck_friction"
+    family: ClassVar[Family] = "sign"
+    jumps: ClassVar[bool] = True
+    coefficients: ClassVar = (
+        Coefficient("Fs", "N m", True, "breakaway friction in excess of Coulomb friction"),
+    )
+    shapes: ClassVar = (
+        Shape(
+            "vs", "rad/s", 0.005, 0.8, (0.03, 0.06, 0.1, 0.17, 0.3), "Stribeck speed", scale="speed"
+        ),
+    )
+    meaning: ClassVar[str] = (
+        "At low speed the lubricant film breaks down, so friction is higher than at speed."
+    )
+    remedy: ClassVar[str] = (
+        "Add the Stribeck term to the simulator's friction, or keep clear of speeds below vs."
+    )
+    source: ClassVar[str] = (
+        "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, A survey of models, analysis tools "
+        "and compensation methods for the control of machines with friction (Automatica 30), "
+        "section 2.1; Bo and Pavelescu 1982"
+    )
+
+    def __post_init__(self) -> None:
+        if not (self.vs > 0 and self.d > 0):
+            raise ValueError(f"vs and d must be positive, not {self.vs} and {self.d}.")
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """exp(-|dq/vs|^d) times the direction; shapes: vs, and d where it is not 2."""
+        vs, *exponent = shapes
+        d = exponent[0] if exponent else 2.0
+        return (torch.exp(-((motion.dq / vs).abs() ** d)) * motion.sign).unsqueeze(-1)
+
+    def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
+        """Column (..., 1) of the joint, with its own exponent."""
+        shapes = (torch.as_tensor(v).to(motion.dq) for v in (self.vs, self.d))
+        return self.formula(motion, *shapes)[..., self.joint, :]
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(JointEffect):
+    """Coulomb friction that grows with the torque the joint transmits: mu |tau| sgn dq.
+
+    The torque is the model's, never the measured one, whose noise would explain itself. Gears and
+    bearings carry the moments across the axis too; those are left out.
+    """
+
+    name: ClassVar[str] = "load_dependent_friction"
+    family: ClassVar[Family] = "sign"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
+    jumps: ClassVar[bool] = True
+    coefficients: ClassVar = (
+        Coefficient("mu", "1", True, "friction as a fraction of the transmitted torque"),
+    )
+    meaning: ClassVar[str] = "Tooth and bearing forces press harder under load, so friction rises."
+    remedy: ClassVar[str] = (
+        "Scale the joint's dry friction with its torque (a gear efficiency of about 1 - mu)."
+    )
+    source: ClassVar[str] = (
+        "Bittencourt and Gunnarsson 2012, Static friction in a robot joint: modeling and "
+        "identification of load and temperature effects (J. Dyn. Sys., Meas., Control 134)"
+    )
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """|torque of the model| times the direction."""
+        return (motion.require("torque", cls.name).abs() * motion.sign).unsqueeze(-1)
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(JointEffect):
+    """Friction that differs between the directions: dF |sgn dq| + dFv |dq|.
+
+    Coulomb friction is Fc + dF one way and Fc - dF the other; viscous friction likewise. While the
+    joint moves the first column is 1, exactly that of `torque_offset`; only where the joint dwells
+    do they differ: there an offset stays, and friction is undetermined, which is written as 0 where
+    |dq| < RESTING. The dead band is needed since a measured dq is never exactly 0.
+    """
+
+    name: ClassVar[str] = "asymmetric_friction"
+    family: ClassVar[Family] = "constant"
+    jumps: ClassVar[bool] = True
+    coefficients: ClassVar = (
+        Coefficient("dF", "N m", False, "Coulomb friction: half of forward minus backward"),
+        Coefficient("dFv", "N m s/rad", False, "viscous friction: half of forward minus backward"),
+    )
+    meaning: ClassVar[str] = (
+        "Worm or preloaded gears and seals resist one direction of motion more than the other."
+    )
+    remedy: ClassVar[str] = (
+        "Give the simulator one friction curve a direction: Fc + dF, Fv + dFv forwards and "
+        "Fc - dF, Fv - dFv backwards."
+    )
+    source: ClassVar[str] = (
+        "Armstrong-Helouvry 1991, Control of Machines with Friction (direction-dependent friction "
+        "of the PUMA 560)"
+    )
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """Whether the joint moves, and |dq|."""
+        speed = motion.dq.abs()
+        moves = motion.sign.abs() * (speed >= RESTING).to(speed)
+        return torch.stack((moves, speed), -1)

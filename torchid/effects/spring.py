@@ -1,0 +1,93 @@
+"""Torque of springs between the links: return springs, cables and hoses, counterbalances."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.typing import Float
+
+_SERIES = 1e-3
+"""|curvature q^2| below which the series of C and S is exact to rounding."""
+
+
+@dataclass(frozen=True)
+class JointSpring(JointEffect):
+    """A spring about an unknown rest position, straight, progressive or a counterbalance.
+
+    Its torque is any solution of tau'' = -curvature tau, primes along the position:
+
+    - curvature 0: k q + c0, the spring k (q - q0) with c0 = -k q0;
+    - curvature w^2 > 0: (k/w) sin wq + c0 cos wq; w = 1 is a counterbalance, whose lever turns with
+      the joint (a sin q + b cos q), w < 1 a spring that softens;
+    - curvature -w^2 < 0: (k/w) sinh wq + c0 cosh wq, a spring that hardens, as dress packs do:
+      k' (x + w^2 x^3/6 + ..) about its rest position, x = q - q0, so k3 is about w^2 k'/6.
+
+    So one law with one shape covers them, two columns each. Where the rest position lies need not
+    be searched: the columns' span is the same about any position (addition theorems), and k and c0
+    are stiffness and torque at q = 0. Travel far from 0 costs conditioning only: about q0 / travel
+    for the straight spring, nothing for waves, but e^(2 w q0) for hardening ones (1e5 to 1e6 half a
+    turn away, one radian of travel).
+
+    k may be negative: a counterbalance beyond its balance point pushes away from it.
+
+    Attributes:
+        curvature: -tau''/tau [1/rad^2; 1/m^2].
+    """
+
+    curvature: float = 0.0
+
+    name: ClassVar[str] = "joint_spring"
+    family: ClassVar[Family] = "gravity"
+    coefficients: ClassVar = (
+        Coefficient("k", "N m/rad", False, "stiffness at q = 0"),
+        Coefficient("c0", "N m", False, "torque at q = 0; -k q0 for a straight spring"),
+    )
+    shapes: ClassVar = (
+        Shape(
+            "curvature",
+            "1/rad^2",
+            -6.0,
+            2.0,
+            (-4.0, -1.0, 0.0, 1.0),
+            "0 straight, < 0 hardening, 1 a counterbalance",
+            logarithmic=False,
+        ),
+    )
+    meaning: ClassVar[str] = (
+        "A spring, cable, hose or counterbalance pulls the joint towards a position."
+    )
+    remedy: ClassVar[str] = (
+        "Set the joint's stiffness to k and its rest position to q0 = -c0/k in the simulator, or "
+        "reroute the cable; model a counterbalance as a torque over position."
+    )
+    source: ClassVar[str] = (
+        "Arakelian 2016, Gravity compensation in robotics (Advanced Robotics 30), for "
+        "counterbalances; Duffing's equation for k3"
+    )
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """q S and C of curvature q^2 (`stumpff`); shapes: curvature."""
+        (curvature,) = shapes
+        c, s = stumpff(curvature * motion.q**2)
+        return torch.stack((motion.q * s, c), -1)
+
+
+def stumpff(x: Tensor) -> tuple[Tensor, Tensor]:
+    """C = cos sqrt(x) and S = sin sqrt(x) / sqrt(x), as entire functions of x of either sign.
+
+    With cosh and sinh for x < 0, and the power series about 0, where they have a gradient too
+    (Stumpff's functions c0 and c1, Battin 1999, section 4.5).
+    """
+    near = x.abs() < _SERIES
+    root = torch.where(near, 1.0, x).abs().sqrt()
+    waves = torch.where(near | (x < 0), 0.0, root)
+    grows = torch.where(x < 0, root, 0.0)
+    c = torch.where(x < 0, torch.cosh(grows), torch.cos(waves))
+    s = torch.where(x < 0, torch.sinh(grows), torch.sin(waves)) / root
+    c_series = 1 - x / 2 * (1 - x / 12 * (1 - x / 30))
+    s_series = 1 - x / 6 * (1 - x / 20 * (1 - x / 42))
+    return torch.where(near, c_series, c), torch.where(near, s_series, s)
