@@ -6,7 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.backlash import Backlash
 from torchid.effects.base import PLACES, Effect, JointEffect, Motion
+from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import (
     AsymmetricFriction,
@@ -14,11 +16,21 @@ from torchid.effects.friction_laws import (
     PowerLawFriction,
     StribeckFriction,
 )
+from torchid.effects.gravity import (
+    BaseTilt,
+    EncoderOffset,
+    KinematicError,
+    TorqueCrosstalk,
+    TorqueGain,
+)
 from torchid.effects.hysteresis import PreslidingHysteresis
+from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.periodic import Cogging
+from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.rotor_inertia import RotorInertia
 from torchid.effects.spring import JointSpring
 from torchid.effects.thermal import ThermalFrictionDrift
+from torchid.effects.transient import Contact, DroppedSamples, Saturation
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
 from torchid.typing import Joints
@@ -38,6 +50,21 @@ KINDS: dict[str, type[Effect]] = {
         PreslidingHysteresis,
         Cogging,
         ThermalFrictionDrift,
+        GearCoupling,
+        BaseTilt,
+        TorqueGain,
+        TorqueCrosstalk,
+        EncoderOffset,
+        KinematicError,
+        Payload,
+        LinkInertia,
+        TimeDelay,
+        FilterLag,
+        JointElasticity,
+        Backlash,
+        Saturation,
+        Contact,
+        DroppedSamples,
     )
 }
 
@@ -116,18 +143,21 @@ def effect_torque(
         motion: with t where an effect needs it.
         rigid: (..., n) torque of the rigid body, where an effect needs the torque.
     """
+    first, later = in_rounds(effects)
     tau = motion.q * 0.0
-    later: list[Valued] = []
-    for effect, values in effects:
-        if "torque" in effect.needs:
-            later.append((effect, values))
-        else:
-            tau = tau + effect.all_torques(motion, values, robot)
+    for effect, values in first:
+        tau = tau + effect.all_torques(motion, values, robot)
     if not later:
         return tau
     assert rigid is not None, "effects that depend on the torque need the rigid body's"
     loaded = motion._replace(torque=rigid + tau)
     return tau + sum(effect.all_torques(loaded, values, robot) for effect, values in later)
+
+
+def in_rounds(effects: Sequence[Valued]) -> tuple[list[Valued], list[Valued]]:
+    """Effects that do not depend on the torque, and those that do."""
+    first = [pair for pair in effects if "torque" not in pair[0].needs]
+    return first, [pair for pair in effects if "torque" in pair[0].needs]
 
 
 def model_torque(robot: Robot, effects: Sequence[Valued], motion: Motion) -> Joints:

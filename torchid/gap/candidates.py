@@ -1,0 +1,300 @@
+"""Columns of every effect on every joint, for whole grids of shapes, as rows of the least squares.
+
+A `Bank` holds the members of one effect at one place: one set of columns a shape. Columns are
+evaluated in the wide band, filtered and whitened like the torque.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import torch
+
+from torchid.dynamics.regressor import regressor_chunks
+from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
+from torchid.gap.passages import Rows
+from torchid.robot.inertia import PARAMETERS_PER_LINK
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+AT_ONCE = 64
+"""Signals filtered at a time: bounds the memory of a search over long logs."""
+
+MOST_RIPPLES = 120
+"""Wave numbers tried on a joint."""
+
+Place = int | None
+"""A joint, from 0, whose rows alone the columns are in; or None for the rows of all joints."""
+
+Whiten = Callable[[Tensor, int], Tensor]
+"""Rows (..., N) of a joint to whitened rows."""
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Members of one effect at one place, which differ in shape parameters.
+
+    Attributes:
+        name: of the effect, or a composite's, e.g. `coulomb_friction+viscous_friction`.
+        place: whose rows the columns are in.
+        members: per member the effects whose coefficients the columns belong to, in order.
+        columns: (S, C, N) or, on all joints, (S, C, n N); whitened rows.
+        non_negative: C; whether a coefficient must not be negative.
+        looks: tests this bank counts for: its members, or fewer where they are strongly related.
+        extra: penalty beyond that of its columns (see select.PENALTY).
+        vanishing: per column its size before whitening is next to nothing.
+    """
+
+    name: str
+    place: Place
+    members: tuple[tuple[Effect, ...], ...]
+    columns: Float[Tensor, "S C R"]
+    non_negative: tuple[bool, ...]
+    looks: float
+    extra: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """C."""
+        return len(self.non_negative)
+
+
+class Evaluator:
+    """Evaluates columns along passages for the present model.
+
+    Args:
+        robot: with the parameters of the present model.
+        effects: of the present model, with coefficients.
+        rows: of the passages.
+        whiten: see `Whiten`.
+    """
+
+    def __init__(self, robot: Robot, effects: Sequence[Valued], rows: Rows, whiten: Whiten):
+        self.robot = robot
+        self.rows = rows
+        self.whiten = whiten
+        self.effects = tuple(effects)
+        first, _ = in_rounds(effects)
+        loads = [model_torque(robot, first, p.motion) for p in rows.passages]
+        self.motions = [
+            p.motion._replace(torque=load) for p, load in zip(rows.passages, loads, strict=True)
+        ]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    def with_model(self, robot: Robot, effects: Sequence[Valued]) -> "Evaluator":
+        """The same rows, another model."""
+        other = Evaluator(robot, effects, self.rows, self.whiten)
+        if torch.equal(robot.gravity, self.robot.gravity) and robot.before is self.robot.before:
+            other.__dict__["regressor"] = self.regressor  # it does not depend on parameters
+        return other
+
+    def residual(self) -> Float[Tensor, "n N"]:
+        """Whitened rows of the measured torque minus the model's."""
+        predicted = (model_torque(self.robot, self.effects, p.motion) for p in self.rows.passages)
+        pairs = zip(self.rows.passages, predicted, strict=True)
+        return self.on_all([(p.tau - tau).T for p, tau in pairs])
+
+    def on_joint(self, signals: Sequence[Tensor], joint: int) -> Float[Tensor, "*batch N"]:
+        """Whitened rows (..., N) of signals (..., T_p) of a joint's torque, a few at a time."""
+        flat = [x.reshape(-1, x.shape[-1]) for x in signals]
+        parts = [
+            self.whiten(self.rows.apply([x[k : k + AT_ONCE] for x in flat]), joint)
+            for k in range(0, flat[0].shape[0], AT_ONCE)
+        ]
+        return torch.cat(parts).reshape(*signals[0].shape[:-1], -1)
+
+    def on_all(self, signals: Sequence[Tensor]) -> Float[Tensor, "*batch n N"]:
+        """Whitened rows (..., n, N) of signals (..., n, T_p), one row a joint's torque."""
+        rows = [self.on_joint([x[..., j, :] for x in signals], j) for j in range(self.n)]
+        return torch.stack(rows, -2)
+
+    def columns(self, effect: Effect) -> tuple[Place, Float[Tensor, "C R"]]:
+        """Whitened columns of one effect, and the rows they are in."""
+        if isinstance(effect, JointEffect):
+            shapes = torch.tensor([effect.shape_values], dtype=torch.float64)
+            return effect.joint, self._joint_columns(type(effect), effect.joint, shapes)[0]
+        signals = [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in self.motions]
+        place = _place(effect, signals)
+        if place is not None:
+            return place, self.on_joint([x[:, place] for x in signals], place)
+        return None, self.on_all(signals).flatten(1)
+
+    def _joint_columns(
+        self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"]
+    ) -> Float[Tensor, "S C N"]:
+        """Columns of a joint effect for a list of shapes."""
+        own = slice(joint, joint + 1)
+        parts = []
+        step = max(1, AT_ONCE // len(kind.coefficients))
+        for some in shapes.split(step) if len(kind.shapes) else [shapes[:1]]:
+            given = [s.reshape(-1, 1, 1) for s in some.unbind(1)]
+            signals = [kind.formula(_only(m, own), *given)[..., 0, :] for m in self.motions]
+            signals = [x if given else x.unsqueeze(0) for x in signals]
+            parts.append(self.on_joint([x.transpose(-1, -2) for x in signals], joint))
+        return torch.cat(parts)
+
+    def joint_bank(
+        self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"] | None = None
+    ) -> Bank:
+        """All shapes of a joint effect on a joint: of the grid, or the given ones."""
+        if shapes is None:
+            shapes = self.grid(kind, joint)
+        names = [s.name for s in kind.shapes]
+        members = tuple(
+            (kind(joint, **dict(zip(names, row, strict=True))),) for row in shapes.tolist()
+        )
+        looks = float(max(1, len(members)))
+        return Bank(
+            kind.name,
+            joint,
+            members,
+            self._joint_columns(kind, joint, shapes),
+            tuple(c.non_negative for c in kind.coefficients),
+            looks,
+            EXTRA.get(kind.name, 0.0),
+        )
+
+    def model_bank(self, kind: type[ModelEffect]) -> list[Bank]:
+        """All instances of a model effect."""
+        banks = []
+        for effect in kind.candidates(self.robot):
+            place, columns = self.columns(effect)
+            signs = tuple(c.non_negative for c in kind.coefficients)
+            bank = Bank(kind.name, place, ((effect,),), columns.unsqueeze(0), signs, 1.0)
+            banks.append(replace(bank, extra=EXTRA.get(kind.name, 0.0)))
+        return banks
+
+    @cached_property
+    def regressor(self) -> Float[Tensor, "n 10 n N"]:
+        """Whitened rows of the rigid body's regressor, link by link; zero where a joint does not
+        feel a link."""
+        n = self.n
+        out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.rows), dtype=torch.float64)
+        chunks = [list(regressor_chunks(self.robot, *m.state)) for m in self.motions]
+        for j in range(n):
+            for link in range(j, n):
+                own = [(link, k) for k in range(PARAMETERS_PER_LINK)]
+                signals = [torch.cat([c.row(j, own) for c in part], -1) for part in chunks]
+                out[link, :, j] = self.on_joint(signals, j)
+        return out
+
+    def rigid_bank(self, name: str, effects: tuple[Effect, ...], columns: Sequence[int]) -> Bank:
+        """Bank of some of the 10 n rigid parameters (numbers link by link), entering together."""
+        flat = self.regressor.reshape(-1, self.n * len(self.rows))
+        return Bank(
+            name,
+            None,
+            (effects,),
+            flat[list(columns)].unsqueeze(0),
+            (False,) * len(columns),
+            1.0,
+            EXTRA.get(name, 0.0),
+        )
+
+    def grid(self, kind: type[JointEffect], joint: int) -> Float[Tensor, "S P"]:
+        """Values of the shape parameters tried at first, one combination a row."""
+        if kind.name == "cogging":
+            return self._wave_numbers(joint).unsqueeze(-1)
+        scales = [self.scale(s, joint) for s in kind.shapes]
+        values = [[v * k for v in s.grid] for s, k in zip(kind.shapes, scales, strict=True)]
+        return torch.tensor(list(product(*values)), dtype=torch.float64)
+
+    def scale(self, shape: Shape, joint: int) -> float:
+        """What a shape's bounds and grid are relative to, on this joint."""
+        if shape.scale == "one":
+            return 1.0
+        if shape.scale == "travel":
+            return max(1e-9, self._travel(joint))
+        torques = [m.require("torque", "a grid") for m in self.motions]
+        x = [m.dq for m in self.motions] if shape.scale == "speed" else torques
+        size = torch.cat([s[:, joint] for s in x]).abs()
+        return max(1e-9, float(torch.quantile(size[:: max(1, len(size) // 100_000)], 0.99)))
+
+    def _travel(self, joint: int) -> float:
+        q = torch.cat([m.q[:, joint] for m in self.motions])
+        return float(q.max() - q.min())
+
+    def _wave_numbers(self, joint: int) -> Float[Tensor, " S"]:
+        """Wave numbers that the log resolves: half a period apart over the joint's travel, from one
+        and a half periods up to where the ripple leaves the band at half the usual speed."""
+        travel = self._travel(joint)
+        if travel < 1e-3:
+            return torch.empty(0, dtype=torch.float64)
+        step = math.pi / travel
+        speed = torch.cat([m.dq[:, joint] for m in self.motions]).abs().median()
+        highest = 2 * math.pi * self.rows.cutoff / max(1e-6, 0.5 * float(speed))
+        count = min(MOST_RIPPLES, int(highest / step) - 2)
+        return step * (3 + torch.arange(max(0, count), dtype=torch.float64))
+
+
+EXTRA = {
+    "link_inertia": 2.0,
+    "all_base": 6.0,
+    "cogging": 6.0,
+    "torque_crosstalk": 1.0,
+    "gear_coupling": 1.0,
+    "kinematic_error": 1.0,
+    "contact": 6.0,
+}
+"""Penalties beyond those of the columns, in whitened squared units."""
+
+RIPPLE_LOOKS = 60.0
+
+
+def _only(motion: Motion, own: slice) -> Motion:
+    """Motion of one joint."""
+    return Motion(
+        motion.q[..., own],
+        motion.dq[..., own],
+        motion.ddq[..., own],
+        None if motion.direction is None else motion.direction[..., own],
+        motion.t,
+        None if motion.torque is None else motion.torque[..., own],
+        None if motion.age is None else motion.age[..., own],
+    )
+
+
+def _place(effect: Effect, signals: Sequence[Tensor]) -> Place:
+    """The joint whose rows alone hold the columns, if there is one."""
+    filled = torch.stack([x.abs().amax((0, 2)) for x in signals]).amax(0) > 0
+    hit = filled.nonzero().flatten().tolist()
+    return hit[0] if len(hit) == 1 else None
+
+
+def composite(name: str, banks: Sequence[Bank]) -> Bank:
+    """Banks of one member each, at one place, as one that enters together."""
+    return Bank(
+        name,
+        banks[0].place,
+        (tuple(e for bank in banks for e in bank.members[0]),),
+        torch.cat([bank.columns for bank in banks], 1),
+        tuple(sign for bank in banks for sign in bank.non_negative),
+        1.0,
+    )
+
+
+def all_banks(
+    evaluator: Evaluator, names: Sequence[str], *, own_velocity: bool, age: bool
+) -> Iterator[Bank]:
+    """Banks of the named effects, place by place, where their columns can be evaluated."""
+    missing = set() if own_velocity else {"velocity"}
+    missing |= set() if age else {"age"}
+    for name in names:
+        kind = KINDS[name]
+        if kind.needs & missing:
+            continue
+        if issubclass(kind, JointEffect):
+            for joint in range(evaluator.n):
+                bank = evaluator.joint_bank(kind, joint)
+                if bank.members:
+                    yield bank
+        else:
+            assert issubclass(kind, ModelEffect)
+            yield from evaluator.model_bank(kind)

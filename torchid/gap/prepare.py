@@ -1,0 +1,153 @@
+"""From logs to passages: checked, resampled, differentiated and filtered before the search."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.errors import LogError
+from torchid.gap.passages import RESTING, Passage, Rows, passages_of
+from torchid.identification.identify import prepared
+from torchid.identification.motion import direction, fast_speed, measurements
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+CUTOFF = 8.0
+"""Default cut-off [Hz]. Higher ones let in columns that differentiate again (elasticity, backlash)
+and share the encoder's noise with the residual."""
+
+WIDE_BAND = 40.0
+"""Band [Hz] of the motion from which columns are computed, at the default cut-off."""
+
+REVERSAL = 0.004
+"""Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
+
+NEVER = 1e-3
+"""A joint that travels less than this never moves [rad or m]."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Logs ready for a search.
+
+    Attributes:
+        rows: of the passages.
+        keep: (n, N) rows that count: those whose own joint moves, unless it hardly ever does.
+        own_velocity: whether dq was measured on its own in every passage.
+        age: whether held samples were found.
+        still: joints, from 0, that never move.
+        warnings: sentences for the user.
+    """
+
+    rows: Rows
+    keep: Bool[Tensor, "n N"]
+    own_velocity: bool
+    age: bool
+    still: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
+    """Cut-off and wide band [Hz] that the log allows: by default 8 Hz, and five times as much.
+
+    Raises:
+        LogError: trajectories at different rates, or a cut-off that the log cannot hold.
+    """
+    rates = sampling_rate(log)
+    rate = min(rates)
+    if max(rates) > 1.02 * rate:
+        listed = ", ".join(f"{n} {r:.4g} Hz" for n, r in zip(log.names, rates, strict=True))
+        raise LogError(
+            "the logs have different sampling rates.",
+            got=listed,
+            expected="one rate",
+            hint="diagnose them one by one, or resample them to the lowest rate",
+        )
+    chosen = min(CUTOFF, rate / 6) if cutoff is None else cutoff
+    if chosen > 0.4 * rate:
+        raise LogError(
+            "the cut-off is outside the log's band.",
+            got=f"{chosen:g} Hz",
+            expected=f"below {0.4 * rate:.4g} Hz at {rate:.4g} Hz",
+        )
+    return chosen, min(max(WIDE_BAND / CUTOFF * chosen, 20.0), 0.4 * rate)
+
+
+def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
+    """Check, resample, differentiate and filter logs.
+
+    Args:
+        robot: the logs' arm.
+        log: one or several trajectories.
+        cutoff: [Hz]; None for the default.
+
+    Raises:
+        LogError: what `torchid.identification.identify.prepared` refuses; different rates.
+    """
+    even, warnings = prepared(log, robot)
+    narrow, wide = bands(even, cutoff)
+    measured = measurements(even, wide)
+    threshold = reversal_speed(measured)
+    measured = [
+        replace(m, motion=m.motion._replace(direction=direction(m.motion.dq, threshold)))
+        for m in measured
+    ]
+    passages = passages_of(measured, wide)
+    long = [p for p in passages if p.samples > 4 * p.rate / narrow + 20]
+    if not long:
+        raise LogError(
+            "every trajectory is too short for the diagnosis.",
+            got=f"{max(p.samples / p.rate for p in passages):.3g} s",
+            expected=f"more than {4 / narrow + 0.5:.3g} s at a cut-off of {narrow:g} Hz",
+        )
+    rows = Rows(long, narrow)
+    keep, still = moving_rows(rows)
+    return Prepared(
+        rows,
+        keep,
+        all(p.own_velocity for p in long),
+        any(p.motion.age is not None for p in long),
+        still,
+        (*warnings, *(w for m in measured for w in m.warnings), *_said(still, passages, long)),
+    )
+
+
+def reversal_speed(measured: list) -> Float[Tensor, " n"]:  # type: ignore[type-arg]
+    """Speed (n,) that is neither noise nor much of the joint's own: four standard deviations of
+    the velocity's noise, taken from its fastest changes, or 0.4 % of its 99 % speed."""
+    speed = fast_speed(measured)
+    rough = torch.cat([m.motion.dq.diff(dim=0).diff(dim=0) for m in measured])
+    noise = 1.4826 * rough.abs().median(0).values / math.sqrt(6.0)
+    return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
+
+
+def moving_rows(rows: Rows) -> tuple[Bool[Tensor, "n N"], tuple[int, ...]]:
+    """Rows whose own joint moves, and the joints that never do.
+
+    At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
+    keeps them all: what holds it is then most of what is known about it.
+    """
+    dq = rows.pick([p.motion.dq for p in rows.passages]).T
+    q = torch.cat([p.motion.q for p in rows.passages])
+    moving = dq.abs() > RESTING
+    still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
+    mostly = moving.double().mean(1) > 0.1
+    return moving | ~mostly.unsqueeze(1), tuple(still)
+
+
+def _said(still: tuple[int, ...], passages: list[Passage], kept: list[Passage]) -> list[str]:
+    said = []
+    if still:
+        names = ", ".join(str(j + 1) for j in still)
+        said.append(f"joint {names} never moves: its friction and inertia cannot be told")
+    left_out = [p.name for p in passages if p not in kept]
+    if left_out:
+        said.append("left out, too short for the filter: " + ", ".join(left_out))
+    return said
+
+
+def report_band(rows: Rows, wanted: float) -> float:
+    """Band of the report [Hz]: wider than the fit's, as far as the passages go."""
+    return max(rows.cutoff, min(wanted, 0.8 * rows.passages[0].band))

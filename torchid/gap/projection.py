@@ -1,0 +1,129 @@
+"""Gains of candidate columns on the residual, beyond what is already in the model.
+
+With Q an orthonormal basis of the columns in the model and r the residual (so Q' r = 0), columns X
+that join the model lower the sum of squares by b' G^-1 b, b = X' r, G = X' X - (Q' X)' (Q' X): the
+squared length of r along the part of X that Q does not hold. Joint banks only meet the rows of
+their joint. Q' X is kept and extended when columns join.
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+from torchid.gap.candidates import Bank
+from torchid.typing import Float, Int, Tensor
+
+VISIBLE = 2e-4
+"""Share of a column's square that must be left outside the model for it to be seen at all; what is
+left of less is rounding of the filters and of the geometry, and noise of the regressors."""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Of a bank's members.
+
+    Attributes:
+        gain: (S,) fall of the sum of squares; 0 where physics forbids the sign.
+        df: (S,) directions of the columns that are visible.
+        values: (S, C) coefficients; those of invisible directions have the least norm.
+    """
+
+    gain: Float[Tensor, " S"]
+    df: Int[Tensor, " S"]
+    values: Float[Tensor, "S C"]
+
+
+class Projector:
+    """Residual and orthonormal basis of a growing model.
+
+    Args:
+        y: (n, N) whitened torque the model must explain.
+    """
+
+    def __init__(self, y: Float[Tensor, "n N"]):
+        self.n, self.count = y.shape
+        self.y = y
+        self.q = y.new_zeros(0, y.numel())
+        self.r = y.clone()
+
+    def add(self, columns: Float[Tensor, "C R"], place: int | None) -> None:
+        """Columns join the model: those not yet in it, to rounding."""
+        full = self.full(columns, place)
+        size = full.norm(dim=1, keepdim=True)
+        full = full[(size > 0).flatten()] / size[size > 0].unsqueeze(-1)
+        for _ in range(2):  # once more: classical Gram-Schmidt loses digits
+            full = full - (full @ self.q.T) @ self.q
+        _, s, v = torch.linalg.svd(full, full_matrices=False)
+        new = v[s**2 > VISIBLE]
+        new = new - (new @ self.q.T) @ self.q
+        self.q = torch.cat([self.q, torch.linalg.qr(new.T).Q.T])
+        flat = self.r.flatten()
+        self.r = (flat - (flat @ self.q.T) @ self.q).reshape(self.n, self.count)
+
+    def full(self, columns: Float[Tensor, "C R"], place: int | None) -> Float[Tensor, "C nN"]:
+        """Columns with zeros in the rows of other joints."""
+        if place is None:
+            return columns
+        out = columns.new_zeros(columns.shape[0], self.n, self.count)
+        out[:, place] = columns
+        return out.flatten(1)
+
+    @property
+    def loss(self) -> float:
+        """Sum of squares."""
+        return float(self.r.square().sum())
+
+    def rows_of(self, place: int | None) -> slice:
+        """Where a place's rows are in the stacked ones."""
+        if place is None:
+            return slice(0, self.n * self.count)
+        return slice(place * self.count, (place + 1) * self.count)
+
+
+class Scanner:
+    """Gains of a bank while a projector's model grows."""
+
+    def __init__(self, bank: Bank):
+        self.bank = bank
+        self.gram = bank.columns @ bank.columns.transpose(1, 2)
+        self._held = bank.columns.new_zeros(*bank.columns.shape[:2], 0)
+        self._basis: Tensor | None = None
+
+    def _projections(self, q: Float[Tensor, "p nN"], rows: slice) -> Float[Tensor, "S C p"]:
+        """Q' X, extended by what joined; made anew where the basis is another one."""
+        known = self._held.shape[-1]
+        same = self._basis is not None and known <= len(q) and _begins_with(q, self._basis)
+        if not same:
+            known, self._held = 0, self._held[..., :0]
+        if known < len(q):
+            self._held = torch.cat([self._held, self.bank.columns @ q[known:, rows].T], -1)
+        self._basis = q
+        return self._held
+
+    def gains(self, model: Projector) -> Gains:
+        """Gains of all members."""
+        rows = model.rows_of(self.bank.place)
+        b = self.bank.columns @ model.r.flatten()[rows]
+        held = self._projections(model.q, rows)
+        left = self.gram - held @ held.transpose(1, 2)
+        return _solve(self.gram, left, b, self.bank.non_negative)
+
+
+def _begins_with(q: Tensor, start: Tensor) -> bool:
+    return q is start or (len(start) <= len(q) and torch.equal(q[: len(start), :64], start[:, :64]))
+
+
+def _solve(gram: Tensor, left: Tensor, b: Tensor, non_negative: tuple[bool, ...]) -> Gains:
+    """Gains from what is left of the Gram matrices (S, C, C), in units where columns have length
+    one."""
+    size = gram.diagonal(dim1=1, dim2=2).clamp(min=1e-300).sqrt()
+    scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))
+    values, vectors = torch.linalg.eigh(scaled)
+    seen = values > VISIBLE
+    along = (vectors.transpose(1, 2) @ (b / size).unsqueeze(-1)).squeeze(-1)
+    safe = torch.where(seen, values, torch.ones_like(values))
+    along = torch.where(seen, along, torch.zeros_like(along))
+    gain = (along.square() / safe).sum(-1)
+    x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
+    wrong = ((x < 0) & torch.tensor(non_negative)).any(-1)
+    return Gains(torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x)

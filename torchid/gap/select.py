@@ -1,0 +1,368 @@
+"""Which effects: forward selection by group, with drops, swaps and refinement of shapes.
+
+Sums of squares are of whitened rows: one unit a row is noise. A candidate's gain is compared with
+PHI chi^2 at a level shared by all looks; a small one must also hold on blocks it was not fitted on,
+or stand out against random signs of whole blocks. Thresholds are relative to what is left to
+explain, so that a small effect beside a large one is not lost, nor the misfit of a large one named.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from scipy.stats import chi2
+
+from torchid.effects.base import Effect, JointEffect
+from torchid.gap.blocks import block_numbers, block_sums, held_out_gain, mean_bound, sign_flip_p
+from torchid.gap.candidates import Bank, Place
+from torchid.gap.projection import Gains, Projector, Scanner
+from torchid.typing import Bool, Float, Int, Tensor
+
+PHI = 1.3
+"""Factor on chi^2: the whitener is estimated, and noise is not exactly Gaussian."""
+
+PENALTY = 4.0
+"""Of each column, in whitened squared units."""
+
+DOMINANT = 0.25
+"""A gain above this share of what is left needs no test on blocks: its energy may sit in few."""
+
+SMALL = 0.02
+"""A gain below this share of what is left is not worth a name."""
+
+BLOCK_SECONDS = 2.0
+FLIP_LEVEL = 0.02
+SIMPLER = 0.01
+"""While misfit remains a simpler law is kept if it loses less than this share of the gain."""
+MISFIT = 1.12
+"""Loss, relative to noise, above which misfit remains."""
+
+BASE = "all_base"
+LINK = "link_inertia"
+FRICTION = "coulomb_friction+viscous_friction"
+
+RANK = {
+    name: k
+    for k, name in enumerate(
+        (
+            "coulomb_friction",
+            "viscous_friction",
+            "torque_offset",
+            "rotor_inertia",
+            "payload",
+            "base_tilt",
+            "torque_gain",
+            "time_delay",
+            "joint_spring",
+            "encoder_offset",
+            "load_dependent_friction",
+            "power_law_friction",
+            "stribeck_friction",
+            "presliding_hysteresis",
+        )
+    )
+}
+"""Simpler before richer, among equal numbers of columns; unlisted ones come last."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """What is in the model: effects that entered together.
+
+    Attributes:
+        name, place, effects, columns, non_negative, extra: as a Bank's, of the member that won.
+    """
+
+    name: str
+    place: Place
+    effects: tuple[Effect, ...]
+    columns: Float[Tensor, "C R"]
+    non_negative: tuple[bool, ...]
+    extra: float = 0.0
+
+    @property
+    def is_inertial(self) -> bool:
+        """Whether it corrects the model's own parameters."""
+        return self.name in (BASE, LINK)
+
+    @property
+    def key(self) -> tuple[str, Place, tuple[str, ...]]:
+        """Same effect at the same place, whatever its shape."""
+        places = tuple(str(e.joints) for e in self.effects)
+        sources = tuple(str(getattr(e, "source_joint", "")) for e in self.effects)
+        return self.name, self.place, places + sources
+
+
+def term_of(bank: Bank, member: int = 0) -> Term:
+    """A bank's member as a term."""
+    return Term(
+        bank.name,
+        bank.place,
+        bank.members[member],
+        bank.columns[member],
+        bank.non_negative,
+        bank.extra,
+    )
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A member of a bank, and its gain on the present residual."""
+
+    term: Term
+    gain: float
+    df: int
+
+    @property
+    def score(self) -> float:
+        """Gain less penalties."""
+        return self.gain - PENALTY * self.df - self.term.extra
+
+    @property
+    def simplicity(self) -> tuple[int, int]:
+        """Simpler ones sort first."""
+        return self.df, RANK.get(self.term.name, len(RANK))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Rows and candidates.
+
+    Attributes:
+        y: (n, N) whitened gap; masked rows are zero.
+        keep: (n, N) rows that count.
+        banks: candidates.
+        fixed: terms that are always in the model (free base parameters, a fitted background).
+        bounds: rows of each trajectory.
+        interval: seconds between rows.
+        refine: from a joint effect to a bank of shapes around it, ever finer with `level`.
+        alpha: family-wise level.
+        seed: of the random signs.
+    """
+
+    y: Float[Tensor, "n N"]
+    keep: Bool[Tensor, "n N"]
+    banks: tuple[Bank, ...]
+    fixed: tuple[Term, ...]
+    bounds: tuple[slice, ...]
+    interval: float
+    refine: Callable[[JointEffect, int], Bank | None]
+    alpha: float = 0.01
+    seed: int = 0
+
+    @property
+    def noise(self) -> float:
+        """Sum of squares that noise has: one a row."""
+        return float(self.keep.sum())
+
+    @cached_property
+    def looks(self) -> float:
+        """Tests in one sweep over the candidates."""
+        return sum(bank.looks for bank in self.banks)
+
+    def threshold(self, df: int) -> float:
+        """Gain that `df` columns must exceed."""
+        return PHI * float(chi2.isf(self.alpha / max(1.0, self.looks), max(1, df)))
+
+    def p_value(self, gain: float, df: int) -> float:
+        """Family-wise p-value of a gain."""
+        return min(1.0, self.looks * float(chi2.sf(gain / PHI, max(1, df))))
+
+    @cached_property
+    def block(self) -> Int[Tensor, " N"]:
+        """Block of each row."""
+        return block_numbers(self.bounds, max(2, round(BLOCK_SECONDS / self.interval)))
+
+    def blocks_of(self, place: Place) -> Int[Tensor, " R"]:
+        """Block of each row of a place."""
+        return self.block if place is not None else self.block.repeat(self.y.shape[0])
+
+
+@dataclass
+class Search:
+    """A model that grows and shrinks over a fixed set of candidates."""
+
+    problem: Problem
+    terms: list[Term] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.scanners = [Scanner(bank) for bank in self.problem.banks]
+
+    def model(self, without: Sequence[Term] = ()) -> Projector:
+        """The residual of the present model, some terms left out."""
+        out = Projector(self.problem.y)
+        left_out = {id(term) for term in without}
+        for term in (*self.problem.fixed, *self.terms):
+            if id(term) not in left_out:
+                out.add(term.columns, term.place)
+        return out
+
+    def candidates(
+        self, model: Projector, scanners: Sequence[Scanner] | None = None
+    ) -> list[Candidate]:
+        """The best member of every bank that is not in the model yet, best score first."""
+        present = {term.key for term in self.terms}
+        out = []
+        for scanner in self.scanners if scanners is None else scanners:
+            found = _best_member(scanner, model)
+            if found is not None and not (found.term.key in present and found.term.effects):
+                out.append(found)
+        return sorted(out, key=lambda c: -c.score)
+
+    def run(self, most: int) -> list[Term]:
+        """Add the best candidate until none is convincing; then look back once more."""
+        model = self.model()
+        while len(self.terms) < most:
+            chosen = self._choose(model)
+            if chosen is None:
+                break
+            for term in self._parts(chosen):
+                self.terms.append(self._refined(term))
+            self._look_back(newest=self.terms[-1])
+            model = self.model()
+        self._look_back(newest=None)
+        return self.terms
+
+    def _parts(self, chosen: Candidate) -> list[Term]:
+        """A composite enters as its parts."""
+        term = chosen.term
+        if len(term.effects) < 2:
+            return [term]
+        parts, first = [], 0
+        for effect in term.effects:
+            own = slice(first, first + len(effect.coefficients))
+            first = own.stop
+            parts.append(
+                Term(
+                    effect.name,
+                    term.place,
+                    (effect,),
+                    term.columns[own],
+                    term.non_negative[own],
+                )
+            )
+        return parts
+
+    def _choose(self, model: Projector) -> Candidate | None:
+        """The candidate to add, or None."""
+        left = max(0.0, model.loss - self.problem.noise)
+        for best in self.candidates(model)[:6]:
+            if best.gain < max(self.problem.threshold(best.df), SMALL * left):
+                continue
+            if best.gain < DOMINANT * left and not self._holds_on_blocks(best.term, model):
+                continue
+            return self._simplest(best, model)
+        return None
+
+    def _simplest(self, best: Candidate, model: Projector) -> Candidate:
+        """The simplest candidate that explains it as well: within 1 % while misfit remains, else
+        not significantly worse."""
+        after = model.loss - best.gain
+        misfit = after > MISFIT * self.problem.noise
+        for other in sorted(self.candidates(model), key=lambda c: c.simplicity):
+            if other.simplicity >= best.simplicity:
+                return best
+            if other.gain < self.problem.threshold(other.df) or other.term.is_inertial:
+                continue
+            if misfit and other.gain > (1 - SIMPLER) * best.gain:
+                return other
+            if not misfit and not self.significantly_better(best.term, other.term, model):
+                return other
+        return best
+
+    def significantly_better(
+        self, one: Term, two: Term, model: Projector, confidence: float = 0.95
+    ) -> bool:
+        """Whether `one` leaves less than `two`, judged by differences of whole blocks."""
+        losses = [self.block_losses(term, model) for term in (one, two)]
+        extra = PENALTY * (len(one.columns) - len(two.columns))
+        return mean_bound(losses[1] - losses[0], confidence) > max(0.0, extra)
+
+    def block_losses(self, term: Term, model: Projector) -> Float[Tensor, " K"]:
+        """Sum of squares of every block when a term joins the model."""
+        after = Projector(self.problem.y)
+        after.q, after.r = model.q, model.r
+        after.add(term.columns, term.place)
+        return block_sums(after.r.square().sum(0), self.problem.block)
+
+    def _holds_on_blocks(self, term: Term, model: Projector) -> bool:
+        """Random signs of blocks, or coefficients from other folds, confirm the gain."""
+        columns = model.full(term.columns, term.place)
+        columns = columns - (columns @ model.q.T) @ model.q
+        rows = model.rows_of(term.place)
+        columns, r = columns[:, rows], model.r.flatten()[rows]
+        block = self.problem.blocks_of(term.place)
+        scores = block_sums(columns * r, block).T
+        if sign_flip_p(scores, self.problem.seed) < FLIP_LEVEL:
+            return True
+        return mean_bound(held_out_gain(columns, r, block), 0.95) > 0
+
+    def _refined(self, term: Term) -> Term:
+        """The same term with its shape searched around the grid's best."""
+        effect = term.effects[0] if len(term.effects) == 1 else None
+        if not isinstance(effect, JointEffect) or not effect.shapes:
+            return term
+        model = self.model(without=[t for t in self.terms if t.key == term.key])
+        for level in range(3):
+            bank = self.problem.refine(effect, level)
+            if bank is None:
+                break
+            found = _best_member(Scanner(bank), model)
+            if found is None:
+                break
+            term = found.term
+            effect = term.effects[0]
+            assert isinstance(effect, JointEffect)
+        return term
+
+    def _look_back(self, newest: Term | None) -> None:
+        """Drop terms that others have made superfluous, swap those that another explains better."""
+        for term in list(self.terms):
+            related = newest is None or newest.place is None or term.place in (None, newest.place)
+            if term is newest or not related or term not in self.terms:
+                continue
+            without = self.model(without=[term])
+            own = _best_member(Scanner(_bank_of(term)), without)
+            if own is None or own.gain < self.problem.threshold(own.df):
+                self.terms = [t for t in self.terms if t is not term]
+                continue
+            self._swap(term, own, without)
+
+    def _swap(self, term: Term, own: Candidate, without: Projector) -> None:
+        near = [s for s in self.scanners if s.bank.place in (term.place, None)]
+        kept = self.terms
+        self.terms = [t for t in kept if t is not term]
+        others = [c for c in self.candidates(without, near) if c.term.key != term.key]
+        better = [c for c in others if c.score > own.score + self.problem.threshold(c.df)]
+        if better and self.significantly_better(better[0].term, term, without):
+            chosen = self._simplest(better[0], without)
+            if chosen.term.key != term.key and len(chosen.term.effects) < 2:
+                self.terms.append(self._refined(chosen.term))
+                return
+        self.terms = kept
+
+
+def _bank_of(term: Term) -> Bank:
+    return Bank(
+        term.name,
+        term.place,
+        (term.effects,),
+        term.columns.unsqueeze(0),
+        term.non_negative,
+        1.0,
+        term.extra,
+    )
+
+
+def _best_member(scanner: Scanner, model: Projector) -> Candidate | None:
+    gains: Gains = scanner.gains(model)
+    score = gains.gain - PENALTY * gains.df
+    k = int(score.argmax())
+    if float(gains.gain[k]) <= 0:
+        return None
+    return Candidate(term_of(scanner.bank, k), float(gains.gain[k]), int(gains.df[k]))
+
+
+def with_term(term: Term, columns: Tensor) -> Term:
+    """The same term, its columns taken at another model."""
+    return replace(term, columns=columns)
