@@ -1,0 +1,139 @@
+"""Held torque: samples that a log repeats because the new one did not arrive.
+
+Equal consecutive values have three causes. A hold ends in a jump, which catches up with what the
+torque did meanwhile. A coarse quantiser repeats values while the torque moves slowly, but then the
+next value is the neighbouring step. A saturated drive repeats its limit, the log's largest or
+smallest value. So a hold is a run of equal values, not at an extreme, while the arm moves, that
+ends in a jump of several quanta and is longer than the share of equal pairs elsewhere explains.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import torch
+
+from torchid.gap.passages import RESTING, Passage
+from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.typing import Bool, Float, Int, Tensor
+
+FEWEST = 3
+"""Equal values in a run; two in a row cannot be told from chance."""
+
+JUMP = 3.0
+"""Quanta by which the value after a hold must differ."""
+
+CHANCE = 1e-3
+"""Expected number of runs as long as this by chance, in a joint's whole trajectory."""
+
+_QUANTUM = 0.01  # quantile of non-zero steps: one quantum, or next to nothing without a quantiser
+_NEIGHBOURS = 100  # pairs on either side in which equal ones are counted
+
+
+def held_ages(log: Log) -> Float[Tensor, "T n"]:
+    """By how much each torque is older than its stamp (T, n) [s]: 0 where it is not held.
+
+    A hold's first value is new, so a run of k equal values has ages 0, 1, ..., k - 1 steps. Values
+    held once only (runs of two), and a logger that holds all values (torque at a lower rate than
+    the log: a constant delay on average), are not reported.
+
+    Args:
+        log: on a uniform grid. Resampling leaves holds as they are but for their ends (less than a
+            step), because torque is interpolated linearly: between equal values it is exact.
+    """
+    assert log.tau is not None
+    ages = torch.zeros_like(log.tau)
+    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+        speed = central_difference(log.q[rows].T, rate).abs().amax(0)
+        for j in range(log.n):
+            ages[rows, j] = _ages(log.tau[rows, j], speed) / rate
+    return ages
+
+
+def passage_ages(log: Log, passages: Sequence[Passage]) -> list[Float[Tensor, "_ n"]]:
+    """Ages (T, n) [s] on the grid of each passage.
+
+    Where a passage is decimated they are low-passed first, as its torque is.
+
+    Args:
+        log: uniform, the one that the passages come from.
+        passages: its trajectories in order; some may have been left out as too short.
+    """
+    ages, rates = held_ages(log), sampling_rate(log)
+    parts = iter(zip(log.names, log.slices(), rates, strict=True))
+    return [_on(passage, ages, parts) for passage in passages]
+
+
+def _on(
+    passage: Passage, ages: Float[Tensor, "_ n"], parts: Iterator[tuple[str, slice, float]]
+) -> Float[Tensor, "_ n"]:
+    """Ages on the grid of one passage, whose trajectory is the next of this name and length."""
+    for name, rows, rate in parts:
+        step = round(rate / passage.rate)
+        if name == passage.name and math.ceil((rows.stop - rows.start) / step) == passage.samples:
+            x = ages[rows]
+            if step > 1:
+                cutoff = min(1.5 * passage.band, 0.4 * rate / step)
+                x = ZeroPhaseFilter(rate, cutoff).apply(x.T).T
+            return x[::step].contiguous()
+    raise ValueError(f"passage '{passage.name}' is not of this log, or out of order.")
+
+
+def _ages(tau: Float[Tensor, " T"], speed: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
+    """Age of each sample of one joint [steps]."""
+    starts, lengths = _runs(tau)
+    held = _held(tau, speed, starts, lengths)
+    run = torch.repeat_interleave(torch.arange(len(starts), device=tau.device), lengths)
+    since = torch.arange(len(tau), device=tau.device) - starts[run]
+    return torch.where(held[run], since, 0).to(tau)
+
+
+def _runs(x: Float[Tensor, " T"]) -> tuple[Int[Tensor, " R"], Int[Tensor, " R"]]:
+    """First index and length of each run of equal values."""
+    new = torch.nn.functional.pad(x.diff() != 0, (1, 0), value=True)
+    starts = torch.nonzero(new).flatten()
+    lengths = torch.cat([starts, starts.new_tensor([len(x)])]).diff()
+    return starts, lengths
+
+
+def _held(
+    tau: Float[Tensor, " T"],
+    speed: Float[Tensor, " T"],
+    starts: Int[Tensor, " R"],
+    lengths: Int[Tensor, " R"],
+) -> Bool[Tensor, " R"]:
+    """Which runs are holds."""
+    if len(starts) < 3:
+        return torch.zeros_like(starts, dtype=torch.bool)
+    values = tau[starts]
+    steps = values.diff().abs()
+    quantum = torch.quantile(steps[:: max(1, len(steps) // 100_000)], _QUANTUM)
+    # The last run has no end.
+    jumps = torch.nn.functional.pad(steps > JUMP * quantum, (0, 1), value=False)
+    extreme = (values == tau.max()) | (values == tau.min())
+    total = torch.nn.functional.pad((speed > RESTING).cumsum(0), (1, 0))
+    moving = 2 * (total[starts + lengths] - total[starts]) > lengths
+    candidate = (lengths >= FEWEST) & jumps & ~extreme & moving
+    probability = _equal_by_chance(tau, starts, lengths, candidate)
+    expected = len(tau) * probability ** (lengths - 1)
+    return candidate & (expected < CHANCE)
+
+
+def _equal_by_chance(
+    tau: Float[Tensor, " T"],
+    starts: Int[Tensor, " R"],
+    lengths: Int[Tensor, " R"],
+    candidate: Bool[Tensor, " R"],
+) -> Float[Tensor, " R"]:
+    """Probability that two neighbours are equal without a hold, at each run: the larger share of
+    the whole trajectory and of the run's neighbourhood, candidates left out."""
+    run = torch.repeat_interleave(torch.arange(len(starts), device=tau.device), lengths)
+    usual = ~candidate[run][1:]
+    equal = (tau.diff() == 0) & usual
+    whole = (equal.sum() + 1) / (usual.sum() + 2)
+    sums = [torch.nn.functional.pad(x.cumsum(0), (1, 0)) for x in (equal, usual)]
+    low = (starts - _NEIGHBOURS).clamp(min=0)
+    high = (starts + lengths + _NEIGHBOURS).clamp(max=len(tau) - 1)
+    near = (sums[0][high] - sums[0][low]) / (sums[1][high] - sums[1][low]).clamp(min=1)
+    return torch.maximum(near.to(tau), whole.to(tau))

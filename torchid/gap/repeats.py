@@ -1,0 +1,312 @@
+"""Repeats of one motion: what differs between them is what the arm does not repeat, its noise.
+
+Two trajectories may have followed one reference, started at other instants and stopped at others;
+or one trajectory may run through several periods. Both are found from positions alone: at every lag
+l the mean of |q_a(t) - q_b(t + l)|^2 over the overlap follows from one correlation by FFT. At the
+best lags the stretches are kept in which q and dq agree. The lag is then refined to a fraction of a
+sample and the second signal is shifted by it in the frequency domain, because an alignment error d
+looks like noise of size d * dtau/dt.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.gap.passages import Passage
+from torchid.typing import Bool, Float, Samples, Signals, Tensor
+
+POSITION_AGREES = 0.01
+"""RMS difference of q over a second, of every joint, relative to the standard deviation of that
+joint's q over the trajectory (a tenth of the liveliest joint's at least). A range is two to four
+standard deviations, so this is about 0.3 % of the range."""
+
+VELOCITY_AGREES = 0.05
+"""The same of dq, relative to its RMS."""
+
+SHORTEST = 2.0
+"""Stretch that is worth comparing [s]."""
+
+MOVES = 0.3
+"""Share of the trajectory's standard deviation that q must have within a stretch: two dwells agree
+at every lag, and say nothing about a moving arm."""
+
+_COARSE = 25.0  # rate at which lags are searched [Hz]; an arm's positions lie below 5 Hz
+_CANDIDATES = 6  # lags to look at, of the deepest minima, and as many of those that overlap longest
+_DEEP = 0.1  # mean squared difference, in variances of q; 2 where there is nothing in common
+_FINE = 50.0  # rate at which agreement is judged [Hz]
+_WINDOW = 1.0  # over which agreement is judged [s]
+_MARGIN = 0.25  # shifted by a fraction of a sample, the ends of a signal are off [s]
+_REFINEMENTS = 3
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two stretches in which the arm moved alike.
+
+    Attributes:
+        a, b: passages, by their number in the list; equal for two periods of one.
+        rows_a, rows_b: samples, equally many.
+        shift: fraction of a sample by which b is to be read later than `rows_b`.
+    """
+
+    a: int
+    rows_a: slice
+    b: int
+    rows_b: slice
+    shift: float
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """All repeats found; each passage is compared with the one before it that it repeats."""
+
+    pairs: tuple[Pair, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def differences(self, signals: Sequence[Float[Tensor, "_ n"]]) -> list[Float[Tensor, "_ n"]]:
+        """(b - a) / sqrt(2) of any signal, a pair: noise of the size that it has in either.
+
+        Args:
+            signals: (T, n) a passage, in the passages' order; e.g. torque, or better torque less
+                the model's, in which what the motions differ by cancels.
+        """
+        out = []
+        for pair in self.pairs:
+            shifted = delayed(signals[pair.b].T, -pair.shift).T[pair.rows_b]
+            out.append((shifted - signals[pair.a][pair.rows_a]) / math.sqrt(2))
+        return out
+
+    def passages(
+        self, passages: Sequence[Passage], signals: Sequence[Float[Tensor, "_ n"]]
+    ) -> list[Passage]:
+        """The differences of signals as the torque of passages, with the motion and time of a, so
+        that they can be taken to rows like any other."""
+        return [
+            Passage(
+                name=passages[p.a].name,
+                trajectory=k,
+                rate=passages[p.a].rate,
+                band=passages[p.a].band,
+                motion=passages[p.a].motion.part(p.rows_a),
+                tau=difference,
+                own_velocity=passages[p.a].own_velocity,
+            )
+            for k, (p, difference) in enumerate(
+                zip(self.pairs, self.differences(signals), strict=True)
+            )
+        ]
+
+
+def find_repeats(passages: Sequence[Passage]) -> Repeats:
+    """Repeats among the passages, and periods within each (see the module).
+
+    The work grows with the log's length and, for the coarse search, with the number of pairs of
+    passages; passages of different rates are not compared.
+    """
+    pairs: list[Pair] = []
+    for b, later in enumerate(passages):
+        for a in reversed(range(b)):
+            if passages[a].rate != later.rate:
+                continue
+            found = _between(a, passages[a], b, later)
+            pairs += found
+            if found:
+                break
+        pairs += _between(b, later, b, later)
+    return Repeats(tuple(pairs))
+
+
+def delayed(x: Signals, samples: float) -> Signals:
+    """Signals (..., T) later by a number of samples, not necessarily whole: x(t - samples), by the
+    phase of their spectra.
+
+    The line through the ends is taken out and the rest continued by odd reflection, which makes it
+    periodic in value and slope: otherwise the step from end to beginning would ring all along.
+    """
+    if samples == 0.0:
+        return x
+    count = x.shape[-1]
+    index = torch.arange(count).to(x)
+    slope = (x[..., -1:] - x[..., :1]) / (count - 1)
+    rest = x - (x[..., :1] + slope * index)
+    rest = torch.cat([rest, -rest[..., 1:-1].flip(-1)], -1)
+    spectrum = torch.fft.rfft(rest)
+    angle = torch.arange(spectrum.shape[-1]).to(x) * (-2 * math.pi * samples / rest.shape[-1])
+    turned = spectrum * torch.polar(torch.ones_like(angle), angle)
+    back = torch.fft.irfft(turned, n=rest.shape[-1])[..., :count]
+    return back + x[..., :1] + slope * (index - samples)
+
+
+def _between(a: int, one: Passage, b: int, two: Passage) -> list[Pair]:
+    """Agreeing stretches of two passages at the one lag where they are longest in all."""
+    best: list[Pair] = []
+    for lag in _lags(one, two, same=a == b):
+        if _overlap(one, two, lag) <= _length(best):
+            break
+        found = _stretches(a, one, b, two, lag)
+        if _length(found) > _length(best):
+            best = found
+    return best
+
+
+def _overlap(one: Passage, two: Passage, lag: int) -> int:
+    return min(one.samples, two.samples - lag) - max(0, -lag)
+
+
+def _length(pairs: Sequence[Pair]) -> int:
+    return sum(p.rows_a.stop - p.rows_a.start for p in pairs)
+
+
+def _lags(one: Passage, two: Passage, *, same: bool) -> list[int]:
+    """Lags [samples] at which q_one(t) and q_two(t + lag) differ least, coarsely."""
+    step = max(1, int(one.rate / _COARSE))
+    x, y = one.motion.q[::step].T, two.motion.q[::step].T
+    spread = _spread(one.motion.q).unsqueeze(-1)
+    x, y = x / spread, y / spread
+    shortest = round(SHORTEST * one.rate / step)
+    if min(x.shape[-1], y.shape[-1]) < shortest:
+        return []
+    lags, difference = _difference(x, y, shortest)
+    if same:
+        lags, difference = lags[lags > 0], difference[lags > 0]
+        # Nearby instants agree in any smooth motion: only what comes back counts.
+        away = torch.nonzero(difference > 0.3 * difference.max()).flatten()
+        first = int(away[0]) if len(away) else len(lags)
+        lags, difference = lags[first:], difference[first:]
+    if len(lags) == 0:
+        return []
+    wall = difference.new_full((1,), torch.inf)
+    around = torch.cat([wall, difference, wall])
+    lowest = torch.nonzero((difference <= around[:-2]) & (difference <= around[2:])).flatten()
+    deepest = lowest[difference[lowest].argsort()][:_CANDIDATES]
+    # All multiples of a period are as deep as the period itself: those that overlap longest too.
+    deep = lowest[difference[lowest] < _DEEP]
+    longest = deep[lags[deep].abs().argsort()][:_CANDIDATES]
+    found = {int(x) * step for x in lags[torch.cat([deepest, longest])]} | (set() if same else {0})
+    return sorted(found, key=lambda lag: -_overlap(one, two, lag))
+
+
+def _difference(
+    x: Float[Tensor, "n T"], y: Float[Tensor, "n U"], shortest: int
+) -> tuple[Tensor, Tensor]:
+    """Lags, and the mean over joints and overlap of (x(t) - y(t + lag))^2, by FFT."""
+    count, other = x.shape[-1], y.shape[-1]
+    middle = x.mean(-1, keepdim=True)
+    x, y = x - middle, y - middle
+    size = 2 ** math.ceil(math.log2(count + other))
+    product = torch.fft.rfft(x, n=size).conj() * torch.fft.rfft(y, n=size)
+    correlation = torch.fft.irfft(product.sum(0), n=size)
+    lags = torch.arange(shortest - count, other - shortest + 1)
+    start, stop = (-lags).clamp(min=0), torch.minimum(torch.tensor(count), other - lags)
+    energies = [torch.nn.functional.pad((z * z).sum(0).cumsum(0), (1, 0)) for z in (x, y)]
+    energy = energies[0][stop] - energies[0][start]
+    energy = energy + energies[1][stop + lags] - energies[1][start + lags]
+    return lags, (energy - 2 * correlation[lags % size]) / ((stop - start) * x.shape[0])
+
+
+def _spread(q: Samples) -> Float[Tensor, " n"]:
+    """Standard deviation of each joint, a tenth of the liveliest joint's at least."""
+    spread = q[:: max(1, len(q) // 20_000)].std(0)
+    return spread.clamp(min=max(1e-12, 0.1 * float(spread.max())))
+
+
+def _stretches(a: int, one: Passage, b: int, two: Passage, lag: int) -> list[Pair]:
+    """Where two passages agree at a lag, which is refined on the way."""
+    total = float(lag)
+    pairs: list[Pair] = []
+    for _ in range(_REFINEMENTS):
+        pairs = _agreeing(a, one, b, two, total)
+        if not pairs:
+            # The coarse lag is off by up to half a coarse step: refine on what moves alike at all.
+            pairs = _agreeing(a, one, b, two, total, looser=10.0)
+        if not pairs:
+            return []
+        total += _correction(one, two, pairs) * one.rate
+    return _agreeing(a, one, b, two, total)
+
+
+def _agreeing(
+    a: int, one: Passage, b: int, two: Passage, lag: float, looser: float = 1.0
+) -> list[Pair]:
+    """Stretches in which q and dq agree at a lag [samples], to `looser` times the tolerances."""
+    whole = round(lag)
+    start = max(0, -whole)
+    stop = start + _overlap(one, two, whole)
+    if stop - start < SHORTEST * one.rate:
+        return []
+    step = max(1, int(one.rate / _FINE))
+    agrees = torch.ones(len(range(start, stop, step)), dtype=torch.bool)
+    for x, y, tolerance in (
+        (one.motion.q, two.motion.q, POSITION_AGREES),
+        (one.motion.dq, two.motion.dq, VELOCITY_AGREES),
+    ):
+        there = _read(y, slice(start + whole, stop + whole, step), lag - whole)
+        gap = (there - x[start:stop:step]) / _spread(x)
+        limit = (looser * tolerance) ** 2
+        agrees &= (_local_mean(gap.square().T, one.rate / step) < limit).all(0)
+    shortest, margin = round(SHORTEST * one.rate), round(_MARGIN * one.rate)
+    out = []
+    for first, last in _runs(agrees):
+        # Next to a trajectory's ends, odd reflection stands in for what a shift would need.
+        low = max(first * step + start, margin, margin - whole)
+        high = min(
+            (last - 1) * step + 1 + start, one.samples - margin, two.samples - margin - whole
+        )
+        rows = slice(low, high)
+        if high - low >= shortest and _moves(one.motion.q, rows):
+            out.append(Pair(a, rows, b, slice(low + whole, high + whole), lag - whole))
+    return out
+
+
+def _read(x: Float[Tensor, "_ n"], rows: slice, shift: float) -> Float[Tensor, "_ n"]:
+    """Rows of a smooth signal, later by a fraction of a sample: cubic (Catmull-Rom) is enough for
+    positions, and touches only what is read."""
+    index = torch.arange(rows.start, rows.stop, rows.step or 1)
+    before, here, after, beyond = (
+        x[(index + k + (0 if shift >= 0 else -1)).clamp(0, x.shape[0] - 1)] for k in range(-1, 3)
+    )
+    u = shift if shift >= 0 else 1 + shift
+    linear = after - before
+    square = 2 * before - 5 * here + 4 * after - beyond
+    cube = 3 * (here - after) + beyond - before
+    return here + 0.5 * u * (linear + u * (square + u * cube))
+
+
+def _correction(one: Passage, two: Passage, pairs: Sequence[Pair]) -> float:
+    """Seconds to add to the lag, by one step of Gauss-Newton on q_a(t) = q_b(t + lag)."""
+    top = bottom = 0.0
+    weight = 1 / _spread(one.motion.q).square()
+    step = max(1, int(one.rate / _FINE))
+    for p in pairs:
+        here, there = (slice(r.start, r.stop, step) for r in (p.rows_a, p.rows_b))
+        gap = one.motion.q[here] - _read(two.motion.q, there, p.shift)
+        slope = _read(two.motion.dq, there, p.shift)
+        top += float((gap * slope * weight).sum())
+        bottom += float((slope.square() * weight).sum())
+    return top / bottom if bottom > 0 else 0.0
+
+
+def _local_mean(x: Signals, rate: float) -> Signals:
+    """Mean over a second around each sample, over what there is of it at the ends."""
+    half = max(1, round(_WINDOW * rate / 2))
+    total = torch.nn.functional.pad(x.cumsum(-1), (1, 0))
+    index = torch.arange(x.shape[-1])
+    low, high = (index - half).clamp(min=0), (index + half + 1).clamp(max=x.shape[-1])
+    return (total[..., high] - total[..., low]) / (high - low)
+
+
+def _runs(mask: Bool[Tensor, " T"]) -> list[tuple[int, int]]:
+    """First and one-past-last index of each run of True."""
+    edges = torch.nn.functional.pad(mask.to(torch.int8), (1, 1)).diff()
+    starts, stops = torch.nonzero(edges == 1).flatten(), torch.nonzero(edges == -1).flatten()
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
+def _moves(q: Samples, rows: slice) -> bool:
+    """Whether some joint moves in these rows as it does in the trajectory."""
+    part = q[rows][:: max(1, (rows.stop - rows.start) // 20_000)]
+    return bool((part.std(0) > MOVES * _spread(q)).any())
