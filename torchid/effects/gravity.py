@@ -1,0 +1,236 @@
+"""Effects shaped like gravity: tilt, torque sensors that scale or mix, angles and geometry that are
+off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.forward import gravity_torque
+from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.variation import (
+    ArmCoefficient,
+    JointPairEffect,
+    OneJointEffect,
+    horizontal_axes,
+    needed,
+    on_joint,
+    rigid_torque,
+    secant_at,
+    with_joint,
+)
+from torchid.robot.model import Robot
+from torchid.robot.placement import pose, rotation_x, rotation_y
+from torchid.typing import Float
+
+
+@dataclass(frozen=True)
+class BaseTilt(ModelEffect):
+    """Gravity has another direction in the base frame than the model's.
+
+    The axes are perpendicular to the model's gravity: x and y of the base for gravity along -z.
+    The columns are exact derivatives, because torque is linear in gravity.
+    """
+
+    name: ClassVar[str] = "base_tilt"
+    family: ClassVar[Family] = "gravity"
+    coefficients: ClassVar = (
+        ArmCoefficient("tilt_x", "rad", False, "gravity turned about the first horizontal axis"),
+        ArmCoefficient("tilt_y", "rad", False, "gravity turned about the second horizontal axis"),
+    )
+    meaning: ClassVar[str] = "The base is not level, so gravity pulls in another direction."
+    remedy: ClassVar[str] = "Turn the simulator's gravity vector by the tilt, or level the base."
+    source: ClassVar[str] = (
+        "eq. 2.11, linear in gravity; Featherstone 2008, Rigid Body Dynamics Algorithms, 5.3"
+    )
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """None: it belongs to the whole arm."""
+        return ()
+
+    @classmethod
+    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+        """One, where there is gravity."""
+        return [cls()] if bool(robot.gravity.norm() > 0) else []
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """Torque against gravity's derivative, axis x gravity, at rest (..., n, 2)."""
+        arm = needed(robot, self.name)
+        if not arm.gravity.norm() > 0:
+            return motion.q.new_zeros(*motion.q.shape, 2)
+        gravity = arm.gravity.double()
+        turned = (torch.linalg.cross(axis, gravity) for axis in horizontal_axes(gravity))
+        return torch.stack([gravity_torque(replace(arm, gravity=g), motion.q) for g in turned], -1)
+
+    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+        """The arm with its gravity turned."""
+        gravity = robot.gravity.double()
+        if not gravity.norm() > 0:
+            return robot
+        first, second = horizontal_axes(gravity)
+        x, y, z = (values[0] * first + values[1] * second).tolist()
+        spin = torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
+        return replace(robot, gravity=(torch.linalg.matrix_exp(spin) @ gravity).to(robot.gravity))
+
+
+@dataclass(frozen=True)
+class TorqueGain(OneJointEffect):
+    """A joint's torque is measured with a wrong scale."""
+
+    name: ClassVar[str] = "torque_gain"
+    family: ClassVar[Family] = "gravity"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
+    coefficients: ClassVar = (
+        Coefficient("gain", "1", False, "relative error of the torque's scale"),
+    )
+    meaning: ClassVar[str] = "The torque sensor's scale, or the drive's torque constant, is off."
+    remedy: ClassVar[str] = (
+        "Divide the measured torque (or the torque constant) by 1 + gain; a known payload tells a "
+        "gain that all joints share."
+    )
+    source: ClassVar[str] = (
+        "Gautier and Briot 2014, Global identification of joint drive gains and dynamic "
+        "parameters of robots, J. Dyn. Sys. Meas. Control 136(5)"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """The joint's own torque (T, n, 1)."""
+        torque = motion.require("torque", self.name)
+        return on_joint(torque[:, self.joint], self.joint, torque.shape[1])
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's torque scaled."""
+        torque = motion.require("torque", self.name)
+        gain = values[0] * torque[:, self.joint]
+        return motion._replace(torque=with_joint(torque, self.joint, gain))
+
+
+@dataclass(frozen=True)
+class TorqueCrosstalk(JointPairEffect):
+    """A joint's torque sensor also reads some of another joint's torque."""
+
+    name: ClassVar[str] = "torque_crosstalk"
+    family: ClassVar[Family] = "gravity"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
+    coefficients: ClassVar = (
+        Coefficient("C", "1", False, "share of the source joint's torque that is read"),
+    )
+    meaning: ClassVar[str] = "Load on one joint deforms the torque sensor of another."
+    remedy: ClassVar[str] = (
+        "Subtract C times the source joint's torque from the measured one, or calibrate the "
+        "sensors together."
+    )
+    source: ClassVar[str] = (
+        "off-diagonal terms of a calibration matrix: Siciliano et al. 2009, Robotics: Modelling, "
+        "Planning and Control, section 5.4.1"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """The source joint's torque, on the joint (T, n, 1)."""
+        torque = motion.require("torque", self.name)
+        return on_joint(torque[:, self.source_joint], self.joint, torque.shape[1])
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The source joint's torque leaks into the joint's."""
+        torque = motion.require("torque", self.name)
+        leak = values[0] * torque[:, self.source_joint]
+        return motion._replace(torque=with_joint(torque, self.joint, leak))
+
+
+@dataclass(frozen=True)
+class EncoderOffset(OneJointEffect):
+    """The true position of a joint is the measured one plus an offset.
+
+    The column is a secant of the model's torque, [tau(q + at) - tau(q)] / at: exact for an offset
+    of `at`, and off by half of d2tau/dq2 (offset - at) for another.
+
+    Attributes:
+        at: offset the secant is taken at [rad or m].
+    """
+
+    at: float = 0.03
+
+    name: ClassVar[str] = "encoder_offset"
+    family: ClassVar[Family] = "gravity"
+    coefficients: ClassVar = (
+        Coefficient("offset", "rad", False, "true position minus the measured one"),
+    )
+    meaning: ClassVar[str] = "The joint's zero is not where the encoder says it is."
+    remedy: ClassVar[str] = "Add the offset to the joint's position, or calibrate its zero."
+    source: ClassVar[str] = (
+        "first variation of eq. 2.15 in q; Mooring, Roth and Driels 1991, Fundamentals of "
+        "Manipulator Calibration, chapter 2"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """Secant of the torque of all joints over the joint's position (T, n, 1)."""
+        arm = needed(robot, self.name)
+        at = secant_at(self.at, 1e-6)
+        q, dq, ddq = motion.state
+        moved = rigid_torque(arm, with_joint(q.double(), self.joint, at), dq, ddq)
+        return ((moved - rigid_torque(arm, q, dq, ddq)) / at).to(q).unsqueeze(-1)
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's position as its encoder says."""
+        return motion._replace(q=with_joint(motion.q, self.joint, -values[0]))
+
+
+@dataclass(frozen=True)
+class KinematicError(OneJointEffect):
+    """The joint's frame is not where the model has it in the link before.
+
+    Translations and rotations are in axes of the joint frame, whose z is the joint's axis. The
+    rotation about z is left out for it is the encoder offset of a revolute joint, as dz is of a
+    prismatic one. Joint 1's translations have no torque; its rotations tilt the base.
+
+    Attributes:
+        step: half the width of the central secants [m; rad].
+    """
+
+    step: float = 1e-4
+
+    name: ClassVar[str] = "kinematic_error"
+    family: ClassVar[Family] = "gravity"
+    coefficients: ClassVar = (
+        ArmCoefficient("dx", "m", False, "joint frame displaced along its x"),
+        ArmCoefficient("dy", "m", False, "joint frame displaced along its y"),
+        ArmCoefficient("dz", "m", False, "joint frame displaced along its z, the joint's axis"),
+        ArmCoefficient("rx", "rad", False, "joint frame turned about its x"),
+        ArmCoefficient("ry", "rad", False, "joint frame turned about its y"),
+    )
+    meaning: ClassVar[str] = "Link lengths or the joint axes' directions differ from the model's."
+    remedy: ClassVar[str] = "Calibrate the kinematics, and move the joint's frame in the model."
+    source: ClassVar[str] = (
+        "first variation of eq. 2.15 in the pose of a joint; Hayati and Mirmirani 1985, Improving "
+        "the absolute positioning accuracy of robot manipulators, J. Robotic Systems 2(4)"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """Central secants of the torque of all joints (T, n, 5)."""
+        arm = needed(robot, self.name)
+        columns = []
+        for unit in torch.eye(5, dtype=torch.float64) * self.step:
+            ahead, behind = (self.plant(arm, (s * unit).tolist()) for s in (1.0, -1.0))
+            change = rigid_torque(ahead, *motion.state) - rigid_torque(behind, *motion.state)
+            columns.append(change / (2 * self.step))
+        return torch.stack(columns, -1).to(motion.q)
+
+    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+        """The arm with the joint's frame displaced, then turned about x, then about its new y."""
+        turn = rotation_x(values[3]) @ rotation_y(values[4])
+        before = robot.before.clone()
+        before[self.joint] = before[self.joint] @ pose(turn, values[:3]).to(before)
+        return replace(robot, before=before)

@@ -1,0 +1,106 @@
+"""Effects of bodies: a payload, and links whose inertial parameters are off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.regressor import regressor_chunks
+from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+def _body(what: str, positive_mass: bool) -> tuple[Coefficient, ...]:
+    """The ten parameters of a body in torchid's order, about the link frame's origin."""
+    mass = ArmCoefficient("m", "kg", positive_mass, f"mass {what}")
+    moments = (ArmCoefficient(f"m{a}", "kg m", False, f"first moment {what}, {a}") for a in "xyz")
+    inertia = (
+        ArmCoefficient(f"J{e}", "kg m^2", False, f"inertia {what} about the link frame, {e}")
+        for e in _ENTRIES
+    )
+    return (mass, *moments, *inertia)
+
+
+def link_columns(motion: Motion, robot: Robot, link: int) -> Float[Tensor, "T n 10"]:
+    """Torque of all joints per unit of a link's ten parameters: its columns of the regressor."""
+    q = motion.q
+    out = q.new_zeros(*q.shape, PARAMETERS_PER_LINK)
+    start = 0
+    for chunk in regressor_chunks(robot, *motion.state):
+        stop = start + chunk.like.shape[0]
+        for i in range(link + 1):
+            row = chunk.row(i, [(link, k) for k in range(PARAMETERS_PER_LINK)])
+            out[start:stop, i] = row.T
+        start = stop
+    return out
+
+
+def with_body(robot: Robot, link: int, values: Sequence[float], purpose: str) -> Robot:
+    """The arm with ten parameters added to a link's."""
+    pi = robot.require_parameters(purpose).pi.clone()
+    pi[link] += torch.tensor(values, dtype=pi.dtype, device=pi.device)
+    return robot.with_parameters(InertialParameters(pi))
+
+
+@dataclass(frozen=True)
+class Payload(ModelEffect):
+    """A body fixed to the last link: ten parameters in that link's frame, about its origin."""
+
+    name: ClassVar[str] = "payload"
+    family: ClassVar[Family] = "inertia"
+    coefficients: ClassVar = _body("of the payload", positive_mass=True)
+    meaning: ClassVar[str] = "The arm carries a tool or load that the model does not know."
+    remedy: ClassVar[str] = "Add the body to the last link, or `torchid payload` on logs with it."
+    source: ClassVar[str] = (
+        "eq. 2.18; Khalil, Gautier and Lemoine 2007, Identification of the payload inertial "
+        "parameters of industrial manipulators, ICRA"
+    )
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """None: it belongs to the whole arm."""
+        return ()
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """The last link's columns of the regressor (T, n, 10)."""
+        arm = needed(robot, self.name)
+        return link_columns(motion, arm, arm.n - 1)
+
+    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+        """The arm with the payload on its last link."""
+        return with_body(robot, robot.n - 1, values, "a payload")
+
+
+@dataclass(frozen=True)
+class LinkInertia(OneJointEffect):
+    """The inertial parameters of one link differ from the model's.
+
+    Attributes:
+        joint: the joint that moves the link, from 0.
+    """
+
+    name: ClassVar[str] = "link_inertia"
+    family: ClassVar[Family] = "inertia"
+    coefficients: ClassVar = _body("missing in the link", positive_mass=False)
+    meaning: ClassVar[str] = "The link's mass, centre of mass or inertia is not the model's."
+    remedy: ClassVar[str] = "Correct the link's inertial parameters: `torchid identify`, `extract`."
+    source: ClassVar[str] = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """The link's columns of the regressor (T, n, 10)."""
+        return link_columns(motion, needed(robot, self.name), self.joint)
+
+    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+        """The arm with the link's parameters changed."""
+        return with_body(robot, self.joint, values, "a change of a link")

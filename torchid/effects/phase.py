@@ -1,0 +1,177 @@
+"""Effects seen as phase: torque or motion that is measured late, and joints that give way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.instants import derivative, shifted
+from torchid.effects.variation import (
+    OneJointEffect,
+    link_lag_torque,
+    needed,
+    on_joint,
+    rigid_torque,
+    secant_at,
+    with_joint,
+)
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+
+@dataclass(frozen=True)
+class TimeDelay(OneJointEffect):
+    """A joint's torque is measured late: at t it reads what it was at t - d.
+
+    The column is -d tau/dt, the first term in d; or the secant [tau(t - at) - tau(t)] / at, exact
+    for a delay of `at`.
+
+    Attributes:
+        at: delay the secant is taken at [s]; 0 for the derivative.
+    """
+
+    at: float = 0.0
+
+    name: ClassVar[str] = "time_delay"
+    family: ClassVar[Family] = "phase"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque", "t"})
+    coefficients: ClassVar = (Coefficient("delay", "s", True, "by which the torque is late"),)
+    meaning: ClassVar[str] = "The torque is filtered or stamped later than the position."
+    remedy: ClassVar[str] = "Shift the torque's stamps back by the delay, or filter both alike."
+    source: ClassVar[str] = (
+        "Taylor series of tau(t - d); Swevers, Verdonck and De Schutter 2007, Dynamic model "
+        "identification for industrial robots, IEEE Control Systems Magazine 27(5)"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """-d tau/dt of the joint's own torque (T, n, 1), or its secant."""
+        torque, t = motion.require("torque", self.name), motion.require("t", self.name)
+        own = torque[:, self.joint, None]
+        late = (shifted(own, t, -self.at) - own) / self.at if self.at > 0 else -derivative(own, t)
+        return on_joint(late[:, 0], self.joint, torque.shape[1])
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's torque, late."""
+        torque, t = motion.require("torque", self.name), motion.require("t", self.name)
+        late = torque.clone()
+        late[:, self.joint] = shifted(torque[:, self.joint, None], t, -values[0])[:, 0]
+        return motion._replace(torque=late)
+
+
+@dataclass(frozen=True)
+class FilterLag(ModelEffect):
+    """Velocity is measured late on all joints, and acceleration is differentiated from it.
+
+    At t the log has dq(t - d) and ddq(t - d) with q(t). The column is the secant of the model's
+    torque over the advance: [tau(q, dq(t + at), ddq(t + at)) - tau(q, dq, ddq)] / at.
+
+    Attributes:
+        at: lag the secant is taken at [s].
+    """
+
+    at: float = 1e-3
+
+    name: ClassVar[str] = "filter_lag"
+    family: ClassVar[Family] = "phase"
+    needs: ClassVar[frozenset[str]] = frozenset({"robot", "t", "velocity"})
+    coefficients: ClassVar = (
+        Coefficient("lag", "s", True, "by which velocity and acceleration are late"),
+    )
+    meaning: ClassVar[str] = "The controller's velocity filter delays dq and what follows from it."
+    remedy: ClassVar[str] = "Differentiate q with a zero-phase filter, or advance dq by the lag."
+    source: ClassVar[str] = (
+        "group delay of a causal low-pass; Gautier 1997, Dynamic identification of robots with "
+        "power model, ICRA, on zero-phase filtering of dq and ddq"
+    )
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """None: it belongs to the whole arm."""
+        return ()
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """Secant of the torque over the advance of velocity and acceleration (T, n, 1)."""
+        arm, t = needed(robot, self.name), motion.require("t", self.name)
+        at = secant_at(self.at, 1e-6)
+        q, dq, ddq = motion.state
+        early = rigid_torque(arm, q, shifted(dq.double(), t, at), shifted(ddq.double(), t, at))
+        return ((early - rigid_torque(arm, q, dq, ddq)) / at).to(q).unsqueeze(-1)
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """Velocity and acceleration, late."""
+        t = motion.require("t", self.name)
+        late = (shifted(x, t, -values[0]) for x in (motion.dq, motion.ddq))
+        return motion._replace(**dict(zip(("dq", "ddq"), late, strict=True)))
+
+
+@dataclass(frozen=True)
+class JointElasticity(OneJointEffect):
+    """The joint's transmission is a spring: the link lags the motor, whose encoder is logged, by
+    the torque times the compliance. Quasi-static: the motor's own motion is as measured, and the
+    link follows without ringing.
+
+        q_link = q_motor - c tau,    likewise for velocity and acceleration
+
+    The column is the secant [tau(q - at tau_j e_j, ...) - tau(q, ...)] / at. The torque in it is
+    the model's, corrected once for the deflection it causes, so that with `at` at the true
+    compliance what is left is of third order in it.
+
+    Attributes:
+        at: compliance the secant is taken at [rad/(N m) or m/N].
+    """
+
+    at: float = 1e-5
+
+    name: ClassVar[str] = "joint_elasticity"
+    family: ClassVar[Family] = "phase"
+    needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
+    coefficients: ClassVar = (
+        Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K"),
+    )
+    meaning: ClassVar[str] = (
+        "Gears and torque sensors twist under load, so the link lags the motor."
+    )
+    remedy: ClassVar[str] = (
+        "Give the joint a spring of stiffness 1/compliance between motor and link in the "
+        "simulator, or measure the link's position."
+    )
+    source: ClassVar[str] = (
+        "Spong 1987, Modeling and control of elastic joint robots, J. Dyn. Sys. Meas. Control "
+        "109(4)"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """Secant of the torque of all joints over the joint's compliance (T, n, 1)."""
+        arm, t = needed(robot, self.name), motion.require("t", self.name)
+        at = secant_at(self.at, 1e-10)
+        load = motion.require("torque", self.name)[:, self.joint].double()
+        # Twice: the deflection changes the torque that causes it.
+        load = load + self._change(arm, motion, t, at * load)[:, self.joint]
+        return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
+
+    def _change(
+        self, robot: Robot, motion: Motion, t: Float[Tensor, " T"], lag: Float[Tensor, " T"]
+    ) -> Float[Tensor, "T n"]:
+        """Change of the torque by a deflection."""
+        rate = derivative(lag, t)
+        return link_lag_torque(robot, motion, self.joint, lag, rate, derivative(rate, t))
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The motor's motion in place of the link's."""
+        load = motion.require("torque", self.name)[:, self.joint]
+        t = motion.require("t", self.name)
+        ahead = values[0] * load
+        rate = derivative(ahead, t)
+        return motion._replace(
+            q=with_joint(motion.q, self.joint, ahead),
+            dq=with_joint(motion.dq, self.joint, rate),
+            ddq=with_joint(motion.ddq, self.joint, derivative(rate, t)),
+        )

@@ -1,0 +1,190 @@
+"""Effects of some instants only: torque that clips, contact, and samples that were held."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.forward import gravity_torque
+from torchid.effects.base import Coefficient, Family, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.instants import interval, shifted
+from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed, on_joint, with_joint
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+RAMP = 0.05
+"""Seconds in which a contact force comes and goes."""
+
+
+@dataclass(frozen=True)
+class Saturation(JointEffect):
+    """The measured torque clips at a limit; 1 for a hard clip, less where only some is lost.
+
+    Attributes:
+        limit: where it clips [N m or N].
+    """
+
+    limit: float
+
+    name: ClassVar[str] = "saturation"
+    family: ClassVar[Family] = "transient"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
+    coefficients: ClassVar = (
+        Coefficient("clip", "1", True, "share of the torque beyond the limit that is lost, 0 to 1"),
+    )
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape(
+            "limit",
+            "N m",
+            0.1,
+            1.2,
+            (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98),
+            "torque beyond which the reading clips",
+            scale="torque",
+        ),
+    )
+    meaning: ClassVar[str] = "The torque sensor, or the drive's current reading, ends at a limit."
+    remedy: ClassVar[str] = "Leave out samples at the limit, or keep the torque below it."
+    source: ClassVar[str] = "Khalil 2002, Nonlinear Systems, section 1.2.7 (saturation)"
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """Minus the excess over the limit, -(|tau| - limit)+ sign(tau)."""
+        (limit,) = shapes
+        torque = motion.require("torque", cls.name)
+        excess = (torque.abs() - limit).clamp(min=0)
+        return -(excess * torch.sign(torque)).unsqueeze(-1)
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's torque, clipped."""
+        torque = motion.require("torque", self.name)
+        return motion._replace(torque=torque + self.torque_columns(motion)[..., 0] * values[0])
+
+
+@dataclass(frozen=True)
+class Contact(ModelEffect):
+    """The tool pushes on something with a constant force, all the time or in a window.
+
+    Torque J' F, which comes and goes within 0.05 s at the ends of the window. The force is the one
+    that the tool exerts; the surroundings push back with its opposite.
+
+    Attributes:
+        start, stop: window [s] on the motion's clock; None where it has no such end.
+    """
+
+    start: float | None = None
+    stop: float | None = None
+
+    name: ClassVar[str] = "contact"
+    family: ClassVar[Family] = "transient"
+    needs: ClassVar[frozenset[str]] = frozenset({"robot", "t"})
+    coefficients: ClassVar = tuple(
+        ArmCoefficient(f"f{a}", "N", False, f"force of the tool on its surroundings, base {a}")
+        for a in "xyz"
+    )
+    meaning: ClassVar[str] = "The tool touches or drags something, or a cable pulls at it."
+    remedy: ClassVar[str] = "Leave the window out of the identification, and clear the path."
+    source: ClassVar[str] = (
+        "Haddadin, De Luca and Albu-Schaeffer 2017, Robot collisions: a survey on detection, "
+        "isolation, and identification, IEEE Trans. Robotics 33(6), eq. 5"
+    )
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """None: it belongs to the whole arm."""
+        return ()
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """J' of the tool's position, in the window (T, n, 3)."""
+        columns = tool_jacobian_transposed(needed(robot, self.name), motion.q)
+        if self.start is None and self.stop is None:
+            return columns
+        return columns * self._window(motion.require("t", self.name))[:, None, None].to(columns)
+
+    def _window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
+        """1 inside, 0 outside, smooth (3 u^2 - 2 u^3) within."""
+        inside = torch.ones_like(t)
+        if self.start is not None:
+            inside = inside * ((t - self.start) / RAMP).clamp(0, 1)
+        if self.stop is not None:
+            inside = torch.minimum(inside, ((self.stop - t) / RAMP).clamp(0, 1))
+        return inside**2 * (3 - 2 * inside)
+
+
+def tool_jacobian_transposed(
+    robot: Robot, q: Float[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch n 3"]:
+    """J' (..., n, 3): torque of all joints per unit force that the tool exerts, base axes.
+
+    A weightless arm that holds a unit point mass at the tool against a unit gravity exerts just
+    that; so the one recursion serves, and no Jacobian is written a second time.
+    """
+    body = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    x, y, z = robot.tool[:3, 3].tolist()
+    body[-1] = torch.tensor(
+        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+    )
+    mass = InertialParameters(body)
+    pulls = -torch.eye(3, dtype=torch.float64)
+    return torch.stack([gravity_torque(replace(robot, gravity=g), q, mass) for g in pulls], -1)
+
+
+@dataclass(frozen=True)
+class DroppedSamples(OneJointEffect):
+    """Samples of a joint's torque were lost, and the last one was held in their place.
+
+    Attributes:
+        rate: windows in which the torque is held, a second; for simulation.
+        length: of such a window [s]; for simulation.
+        seed: of the windows; for simulation.
+    """
+
+    rate: float = 1.0
+    length: float = 0.05
+    seed: int = 0
+
+    name: ClassVar[str] = "dropped_samples"
+    family: ClassVar[Family] = "transient"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque", "t", "age"})
+    jumps: ClassVar[bool] = True
+    coefficients: ClassVar = (
+        Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1"),
+    )
+    meaning: ClassVar[str] = "The logger repeats old torques while new ones are lost."
+    remedy: ClassVar[str] = "Leave the repeated samples out, and repair the logger's link."
+    source: ClassVar[str] = (
+        "Schenato 2009, To zero or to hold control inputs with lossy links?, IEEE Trans. Automatic "
+        "Control 54(5)"
+    )
+
+    def torque_columns(
+        self, motion: Motion, robot: Robot | None = None
+    ) -> Float[Tensor, "*batch n C"]:
+        """tau(t - age) - tau(t) of the joint's own torque (T, n, 1)."""
+        torque, t = motion.require("torque", self.name), motion.require("t", self.name)
+        age = motion.require("age", self.name)[:, self.joint, None]
+        own = torque[:, self.joint, None]
+        return on_joint((shifted(own, t, -age) - own)[:, 0], self.joint, torque.shape[1])
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's torque held in windows at random, and its age."""
+        torque, t = motion.require("torque", self.name), motion.require("t", self.name)
+        age = torch.zeros_like(torque) if motion.age is None else motion.age
+        held = motion._replace(age=with_joint(age, self.joint, self._age(t).to(age)))
+        lost = self.torque_columns(held)[..., 0] * values[0]
+        return held._replace(torque=torque + lost)
+
+    def _age(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
+        """Seconds since the window began, 0 outside of one."""
+        step, total = interval(t), t.shape[0]
+        g = torch.Generator().manual_seed(self.seed)
+        chance = torch.rand(total, generator=g, dtype=torch.float64)
+        index = torch.arange(total)
+        starts = torch.where(chance < self.rate * step, index, torch.full_like(index, -total))
+        since = index - starts.cummax(0).values if total else index
+        return torch.where(since <= round(self.length / step), since, 0).to(torch.float64) * step
