@@ -1,31 +1,63 @@
 """One battery for every effect in the registry: a new one is covered by its registry line."""
 
-from dataclasses import replace
-from types import MappingProxyType
+from dataclasses import fields
 
 import pytest
 import torch
-from torch import Tensor
 
 from tests.arms import arm, states
-from torchid.effects.base import Effect, Motion
+from tests.effects.cases import (
+    JOINT,
+    instances,
+    instants,
+    on_joint,
+    planted,
+    robot,
+    shape_grid,
+    trajectory,
+)
+from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.registry import (
+    COLUMN_KINDS,
+    FAMILIES,
     KINDS,
+    effect_from_record,
     effect_kind,
-    nominal_effect_torque,
-    nominal_effects,
     on_every_joint,
 )
-from torchid.errors import RobotError, TorchidError
 
-JOINT = 1
-UNITS = {"N m", "N m s/rad", "kg m^2"}
+JOINT_KINDS = {name: kind for name, kind in KINDS.items() if issubclass(kind, JointEffect)}
+ON_A_SLIDER = {
+    "1": "1",
+    "s": "s",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+    "1/rad^2": "1/m^2",
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m (s/rad)^a": "N (s/m)^a",
+    "kg m^2": "kg",
+    "rad/(N m)": "m/(N)",
+}
 """Units in use, so that a new one gets a line in Coefficient.unit_for and here."""
-ON_A_SLIDER = {"N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
+OF_THE_ARM = {"kg", "kg m", "kg m^2", "m", "rad", "m/s^2", "N", "N m"}
+"""Units of coefficients that are the same on any joint."""
+DISSIPATIVE = (
+    "viscous_friction",
+    "power_law_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "load_dependent_friction",
+)
 
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-dissipative = pytest.mark.parametrize("kind", [ViscousFriction, CoulombFriction])
+joint_kind = pytest.mark.parametrize("kind", JOINT_KINDS.values(), ids=JOINT_KINDS)
+shaped_kind = pytest.mark.parametrize(
+    "kind", [pytest.param(k, id=name) for name, k in JOINT_KINDS.items() if k.shapes]
+)
 
 
 def motion(*batch: int) -> Motion:
@@ -35,80 +67,212 @@ def motion(*batch: int) -> Motion:
 @every_kind
 def test_registered_under_its_name(kind: type[Effect]) -> None:
     assert effect_kind(kind.name) is kind
-    assert kind.family
+    assert FAMILIES[kind.name] == kind.family
     assert kind.coefficients
     assert all(c.name and c.meaning for c in kind.coefficients)
     assert kind.__doc__
-
-
-@every_kind
-@pytest.mark.parametrize("batch", [(), (1,), (5, 3), (0,)])
-def test_columns_times_coefficients_is_the_torque(kind: type[Effect], batch: tuple) -> None:
-    effect, state = kind(JOINT), motion(*batch)
-    columns = effect.columns(state)
-    assert columns.shape == (*batch, len(effect.coefficients))
-    values = [0.7 - 0.3 * k for k in range(len(effect.coefficients))]
-    torch.testing.assert_close(effect.torque(state, values), columns @ torch.tensor(values))
+    assert all(len(x) > 10 for x in (kind.meaning, kind.remedy, kind.source))
+    assert kind.needs <= {"t", "torque", "age", "robot", "velocity"}
 
 
 @every_kind
 def test_units_of_both_joint_types(kind: type[Effect]) -> None:
-    for coefficient in kind.coefficients:
-        assert coefficient.unit_for(prismatic=False) in UNITS
-        assert coefficient.unit_for(prismatic=True) == ON_A_SLIDER[coefficient.unit]
+    for c in kind.coefficients:
+        slider = c.unit_for(prismatic=True)
+        assert c.unit_for(prismatic=False) == c.unit
+        assert ON_A_SLIDER.get(c.unit) == slider or (c.unit == slider and slider in OF_THE_ARM)
+    assert {s.unit for s in kind.shapes} <= set(ON_A_SLIDER)
 
 
 @every_kind
-def test_coefficients_carry_the_joint_number_from_one(kind: type[Effect]) -> None:
-    names = kind(JOINT).coefficient_names()
-    assert names == [f"{c.name}2" for c in kind.coefficients]
+def test_grids_of_shapes_are_in_order_and_in_bounds(kind: type[Effect]) -> None:
+    for shape in kind.shapes:
+        assert shape.name in {f.name for f in fields(kind)}
+        assert shape.meaning
+        assert list(shape.grid) in (sorted(set(shape.grid)), sorted(set(shape.grid))[::-1])
+        assert shape.low <= min(shape.grid)
+        assert max(shape.grid) <= shape.high
+        assert shape.low > 0 or not shape.logarithmic
 
 
 @every_kind
-def test_acts_on_its_own_joint_only(kind: type[Effect]) -> None:
-    """Motion of the other joints does not enter these effects."""
-    state = motion(20)
-    others = [x.clone() for x in state[:3]]
-    for x in others:
-        x[..., [0, 2]] += 1.0
-    assert torch.equal(kind(JOINT).columns(state), kind(JOINT).columns(Motion(*others)))
-
-
-@every_kind
-def test_dtype_and_device_follow_the_motion(kind: type[Effect], device: torch.device) -> None:
-    state = Motion(*(x.to(device, torch.float32) for x in motion(4)[:3]))
-    torque = kind(JOINT).torque(state, [1.0] * len(kind.coefficients))
-    assert torque.dtype is torch.float32
-    assert torque.device.type == device.type
+def test_columns_times_coefficients_is_the_torque(kind: type[Effect]) -> None:
+    """On an arm with prismatic joints and oblique axes; all columns are finite, some not zero."""
+    seen = False
+    for effect in instances(kind):
+        values = planted(effect)
+        columns = effect.torque_columns(trajectory(), robot())
+        assert columns.shape == (*trajectory().q.shape, len(values))
+        assert bool(columns.isfinite().all())
+        seen |= bool(columns.any())
+        torque = effect.all_torques(trajectory(), values, robot())
+        expected = sum(v * columns[..., k] for k, v in enumerate(values))
+        torch.testing.assert_close(torque, expected, rtol=1e-12, atol=1e-12)
+    assert seen
 
 
 @every_kind
 def test_planted_value_is_recovered(kind: type[Effect]) -> None:
-    effect, state = kind(JOINT), motion(100)
-    planted = torch.tensor([0.37 + 0.2 * k for k in range(len(effect.coefficients))])
-    tau = effect.torque(state, planted.tolist())
-    found = torch.linalg.lstsq(effect.columns(state), tau.unsqueeze(-1)).solution.squeeze(-1)
-    torch.testing.assert_close(found, planted, rtol=1e-12, atol=1e-12)
+    """Where the trajectory shows all coefficients of an instance, least squares finds them."""
+    found_one = False
+    for effect in instances(kind):
+        columns = effect.torque_columns(trajectory(), robot()).flatten(0, 1)
+        size = columns.norm(dim=0)
+        if not bool((size > 0).all()) or float(torch.linalg.cond(columns / size)) > 1e6:
+            continue
+        found_one = True
+        values = planted(effect)
+        tau = effect.all_torques(trajectory(), values, robot()).reshape(-1, 1)
+        found = torch.linalg.lstsq(columns / size, tau).solution.squeeze(-1) / size
+        torch.testing.assert_close(found, torch.tensor(values), rtol=1e-8, atol=1e-8)
+    assert found_one
 
 
-def test_planted_values_of_all_effects_together() -> None:
-    effects = on_every_joint(KINDS, 3)
-    assert [e.joint for e in effects] == [0, 1, 2] * len(KINDS)
-    state = motion(200)
+@every_kind
+def test_a_record_gives_the_effect_back(kind: type[Effect]) -> None:
+    for effect in instances(kind):
+        values = planted(effect)
+        record = effect.record(values)
+        assert record["effect"] == kind.name
+        again, read = effect_from_record(record, robot())
+        assert (again, read) == (effect, values)
+
+
+@joint_kind
+@pytest.mark.parametrize("batch", [(), (1,), (5, 3), (0,)])
+def test_any_batch_of_instants(kind: type[JointEffect], batch: tuple) -> None:
+    if kind.memory:
+        pytest.skip("needs time")
+    effect, state = on_joint(kind), instants(trajectory(), *batch)
+    columns = effect.columns(state)
+    values = planted(effect)
+    assert columns.shape == (*batch, len(values))
+    torch.testing.assert_close(effect.torque(state, values), columns @ torch.tensor(values))
+
+
+@joint_kind
+def test_coefficients_carry_the_joint_number_from_one(kind: type[JointEffect]) -> None:
+    names = on_joint(kind).coefficient_names()
+    assert names == [f"{c.name}{JOINT + 1}" for c in kind.coefficients]
+
+
+@joint_kind
+def test_acts_on_its_own_joint_only(kind: type[JointEffect]) -> None:
+    """Motion of the other joints does not enter these effects, nor do they feel them."""
+    state, effect = trajectory(), on_joint(kind)
+    other = torch.arange(state.q.shape[1]) != JOINT
+    q, dq, ddq = (x + other for x in state.state)
+    assert torch.equal(effect.columns(state), effect.columns(state._replace(q=q, dq=dq, ddq=ddq)))
+    assert not effect.torque_columns(state)[:, other].any()
+
+
+@joint_kind
+def test_dtype_and_device_follow_the_motion(kind: type[JointEffect], device: torch.device) -> None:
+    state = Motion(*(None if x is None else x.to(device, torch.float32) for x in trajectory()))
+    torque = on_joint(kind).torque(state, [1.0] * len(kind.coefficients))
+    assert torque.dtype is torch.float32
+    assert torque.device.type == device.type
+
+
+@shaped_kind
+def test_a_grid_of_shapes_in_one_batch_is_one_by_one(kind: type[JointEffect]) -> None:
+    full = shape_grid(kind, trajectory())
+    grids = [g[: min(len(x) for x in full)] for g in full]
+    batch = kind.formula(trajectory(), *(g.reshape(-1, 1, 1) for g in grids))
+    assert batch.shape == (len(grids[0]), *trajectory().q.shape, len(kind.coefficients))
+    for k, values in enumerate(zip(*grids, strict=True)):
+        one = kind(JOINT, **{s.name: float(v) for s, v in zip(kind.shapes, values, strict=True)})
+        torch.testing.assert_close(batch[k, :, JOINT], one.columns(trajectory()))
+        assert float((batch[k] - batch[k - 1]).abs().max()) > 0
+
+
+def semi_implicit(state: Motion, dt: float) -> Motion:
+    """The motion with positions an integrator makes of its speeds: q[k] = q[k-1] + dq[k] dt."""
+    steps = state.dq * dt
+    steps[..., 0, :] = 0
+    return state._replace(q=state.q[..., :1, :] + steps.cumsum(-2))
+
+
+@joint_kind
+def test_formula_is_stepping_through_the_trajectory(kind: type[JointEffect]) -> None:
+    """For a batch of arms (B, n), each with its own shapes, from the first instant on."""
+    dt = 0.01
+    state = semi_implicit(trajectory(), dt)
+    shapes = [g[-2:] for g in shape_grid(kind, trajectory())]
+    whole = kind.formula(state, *(s.reshape(-1, 1, 1) for s in shapes))
+    whole = whole.expand(2, *whole.shape[-3:])
+
+    def instant(k: int) -> Motion:
+        return Motion(*(None if x is None else x[k].expand(2, *x.shape[1:]) for x in state))
+
+    rows = [s.unsqueeze(-1).expand(2, state.q.shape[1]) for s in shapes]
+    memory = kind.initial(instant(0), *rows)
+    for k in range(300):
+        columns, memory = kind.advance(instant(k), dt if k else 0.0, memory, *rows)
+        torch.testing.assert_close(columns, whole[:, k], rtol=1e-10, atol=1e-12)
+    assert (memory is not None) == kind.memory
+
+
+@joint_kind
+def test_one_arm_at_one_instant(kind: type[JointEffect]) -> None:
+    """Simulation of a single arm: signals (n,), t ()."""
+    state = instants(trajectory())
+    shapes = [g[0] for g in shape_grid(kind, trajectory())]
+    columns, _ = kind.advance(state, 0.001, kind.initial(state, *shapes), *shapes)
+    assert columns.shape == (state.q.shape[-1], len(kind.coefficients))
+    assert bool(columns.isfinite().all())
+
+
+def test_planted_values_of_all_plain_columns_together() -> None:
+    """The joint dwells, so that an asymmetry is no offset."""
+    effects = on_every_joint(COLUMN_KINDS, 6)
+    assert [e.joint for e in effects] == list(range(6)) * len(COLUMN_KINDS)
     own = [e for e in effects if e.joint == JOINT]
-    a = torch.cat([e.columns(state) for e in own], -1)
-    planted = torch.rand(a.shape[1])
-    found = torch.linalg.lstsq(a, (a @ planted).unsqueeze(-1)).solution.squeeze(-1)
-    torch.testing.assert_close(found, planted, rtol=1e-11, atol=1e-11)
+    a = torch.cat([e.columns(trajectory()) for e in own], -1)
+    values = torch.rand(a.shape[1])
+    found = torch.linalg.lstsq(a, (a @ values).unsqueeze(-1)).solution.squeeze(-1)
+    torch.testing.assert_close(found, values, rtol=1e-11, atol=1e-11)
 
 
-@dissipative
-def test_friction_takes_energy(kind: type[Effect]) -> None:
-    """The drive's torque against friction has the sign of the speed: dq tau >= 0."""
-    state = motion(500)
-    power = state.dq[:, JOINT] * kind(JOINT).torque(state, [0.5])
-    assert float(power.min()) > 0
-    assert all(c.non_negative for c in kind.coefficients)
+@pytest.mark.parametrize("name", DISSIPATIVE)
+def test_friction_takes_energy(name: str) -> None:
+    """The drive's torque against friction has the sign of the speed: dq tau >= 0, both ways."""
+    effect = on_joint(JOINT_KINDS[name])
+    speed = trajectory().dq[:, JOINT]
+    power = speed * effect.torque(trajectory(), [0.5])
+    assert float(power.min()) >= 0
+    assert float(power[speed > 0].max()) > 0
+    assert float(power[speed < 0].max()) > 0
+
+
+def test_physics_forbids_negative_friction() -> None:
+    """All but the power law, which corrects the viscous friction either way."""
+    for name in set(DISSIPATIVE) - {"power_law_friction"}:
+        assert all(c.non_negative for c in KINDS[name].coefficients)
+
+
+@joint_kind
+def test_what_is_needed_is_asked_for(kind: type[JointEffect]) -> None:
+    bare = Motion(*trajectory().state)
+    missing = "|".join(kind.needs & {"t", "torque", "age"})
+    if not missing:
+        assert torch.equal(on_joint(kind).columns(bare), on_joint(kind).columns(trajectory()))
+        return
+    with pytest.raises(ValueError, match=f"{kind.name} needs the motion's ({missing})"):
+        on_joint(kind).columns(bare)
+
+
+@joint_kind
+def test_columns_jump_at_reversals_only_where_they_say_so(kind: type[JointEffect]) -> None:
+    """Two instants alike but for the sign of a speed of next to nothing."""
+    if kind.memory:
+        pytest.skip("the torque of a path")
+    at = instants(trajectory())
+    dq = torch.tensor([[-1e-9], [1e-9]]).expand(2, len(at.q))
+    both = Motion(*(None if x is None else x.expand(2, *x.shape) for x in at))._replace(dq=dq)
+    jump = float(on_joint(kind).columns(both).diff(dim=0).abs().max())
+    # The asymmetry jumps at the ends of its dead band instead.
+    assert (jump > 1e-6) == (kind.jumps and kind.name != "asymmetric_friction")
 
 
 def test_signs_by_hand() -> None:
@@ -116,7 +280,7 @@ def test_signs_by_hand() -> None:
     state = Motion(torch.zeros(3, 3), dq, 3 * dq)
 
     def torque(kind: type[Effect]) -> list[float]:
-        return kind(JOINT).torque(state, [0.5]).tolist()
+        return kind(1).torque(state, [0.5]).tolist()
 
     assert torque(ViscousFriction) == [1.0, -1.0, 0.0]
     assert torque(CoulombFriction) == [0.5, -0.5, 0.0]
@@ -126,10 +290,10 @@ def test_signs_by_hand() -> None:
 
 def test_smooth_sign_tends_to_the_sharp_one() -> None:
     state = motion(200)
-    sharp = CoulombFriction(JOINT).columns(state)
-    slow = float(state.dq[:, JOINT].abs().min())
+    sharp = CoulombFriction(1).columns(state)
+    slow = float(state.dq[:, 1].abs().min())
     gaps = [
-        float((CoulombFriction(JOINT, smoothing=s * slow).columns(state) - sharp).abs().max())
+        float((CoulombFriction(1, smoothing=s * slow).columns(state) - sharp).abs().max())
         for s in (1.0, 0.3, 0.1, 0.03)
     ]
     assert gaps == sorted(gaps, reverse=True)
@@ -139,76 +303,6 @@ def test_smooth_sign_tends_to_the_sharp_one() -> None:
 
 def test_smooth_sign_has_a_gradient_at_rest() -> None:
     dq = torch.zeros(3, requires_grad=True)
-    column = CoulombFriction(JOINT, smoothing=0.1).columns(Motion(dq, dq, dq))
+    column = CoulombFriction(1, smoothing=0.1).columns(Motion(dq, dq, dq))
     (slope,) = torch.autograd.grad(column.sum(), dq)
     assert slope.tolist() == [0.0, 10.0, 0.0]
-
-
-def test_unknown_effect_lists_the_available_ones() -> None:
-    with pytest.raises(TorchidError, match="unknown effect 'stiction'") as error:
-        on_every_joint(["viscous_friction", "stiction"], 3)
-    assert error.value.available == list(KINDS)
-    assert all(name in str(error.value) for name in KINDS)
-
-
-@pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4_friction"])
-def test_nominal_effects_of_built_in_robots(name: str) -> None:
-    robot = arm(name)
-    found = nominal_effects(robot)
-    assert len(found) == len(robot.effects) == 3 * robot.n
-    assert {e.name for e, _ in found} == {"viscous_friction", "coulomb_friction", "torque_offset"}
-    state = Motion(*states(robot, 6))
-    expected = torch.zeros(6, robot.n)
-    for record in robot.effects:
-        expected[:, record["joint"] - 1] += by_hand(record, state.dq[:, record["joint"] - 1])
-    torch.testing.assert_close(nominal_effect_torque(robot, state), expected)
-
-
-def by_hand(record: MappingProxyType, dq: Tensor) -> Tensor:
-    """Equation (2.16), term by term."""
-    return (
-        record.get("Fv", 0.0) * dq
-        + record.get("Fc", 0.0) * torch.sign(dq)
-        + record.get("F0", 0.0) * torch.ones_like(dq)
-    )
-
-
-def test_a_robot_without_effects_has_no_effect_torque() -> None:
-    robot = arm("3r")
-    state = motion(4)
-    assert nominal_effects(robot) == []
-    assert torch.equal(nominal_effect_torque(robot, state), torch.zeros(4, 3))
-
-
-@pytest.mark.parametrize(
-    ("record", "error", "text"),
-    [
-        ({"effect": "stiction", "joint": 1}, TorchidError, "unknown effect"),
-        ({"effect": "viscous_friction", "joint": 1}, RobotError, "wrong entries"),
-        ({"effect": "viscous_friction", "Fv": 1.0}, RobotError, "wrong entries"),
-        ({"effect": "viscous_friction", "joint": 1, "Fc": 1.0}, RobotError, "wrong entries"),
-        ({"effect": "torque_offset", "joint": 1, "F0": 1, "x": 2}, RobotError, "wrong entries"),
-    ],
-)
-def test_bad_records_raise(record: dict, error: type[TorchidError], text: str) -> None:
-    robot = replace(arm("3r"), effects=(record,))
-    with pytest.raises(error, match=text):
-        nominal_effects(robot)
-
-
-@pytest.mark.parametrize(
-    ("record", "text"),
-    [
-        ({"effect": "torque_offset", "joint": 1, "F0": "much"}, "number"),
-        ({"effect": "torque_offset", "joint": 1, "F0": float("nan")}, "number"),
-        ({"effect": "torque_offset", "joint": 1, "F0": None}, "number"),
-        ({"effect": "torque_offset", "joint": 9, "F0": 1.0}, "joint"),
-        ({"effect": "torque_offset", "joint": 0, "F0": 1.0}, "joint"),
-        ({"effect": "torque_offset", "joint": "two", "F0": 1.0}, "joint"),
-        ({"joint": 1, "F0": 1.0}, "'effect'"),
-    ],
-)
-def test_bad_values_raise(record: dict, text: str) -> None:
-    robot = replace(arm("3r"), effects=(record,))
-    with pytest.raises(RobotError, match=text):
-        nominal_effects(robot)
