@@ -19,6 +19,11 @@ from torchid.effects.variation import (
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
+CALM = 4
+"""Crossings over which the torque that drives the play is averaged. The model's torque along the
+motor's motion has a pulse of either sign at a crossing, which must not drive it back: without this
+the columns close 60 % of what plays of 1 mrad do to torques below 8 Hz, with it about 90 %."""
+
 
 @dataclass(frozen=True)
 class Backlash(OneJointEffect):
@@ -59,8 +64,8 @@ class Backlash(OneJointEffect):
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
         arm = needed(robot, self.name)
         at = secant_at(self.at, 1e-7)
-        half = (at / 2 * s for s in self.flank(motion))
-        change = link_lag_torque(arm, motion, self.joint, *half)
+        lag = (at / 2 * s for s in self.flank(motion, CALM))
+        change = link_lag_torque(arm, motion, self.joint, *lag)
         return (change / at).to(motion.q).unsqueeze(-1)
 
     def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
@@ -72,15 +77,23 @@ class Backlash(OneJointEffect):
         return motion._replace(**dict(zip(("q", "dq", "ddq"), state, strict=True)))
 
     def flank(
-        self, motion: Motion
+        self, motion: Motion, calm: float = 0.0
     ) -> tuple[Float[Tensor, " T"], Float[Tensor, " T"], Float[Tensor, " T"]]:
-        """The flank in contact, smoothed over the crossing, and its first two derivatives."""
+        """The flank in contact, smoothed over the crossing, and its first two derivatives.
+
+        Args:
+            motion: with t and torque.
+            calm: crossings over which the torque is averaged first.
+        """
         torque = motion.require("torque", self.name)[:, self.joint].double()
         t = motion.require("t", self.name)
         if torque.shape[0] == 0:
             return torque, torque, torque
+        samples = self.crossing / interval(t)
+        if calm:
+            torque = _smooth(torque, calm * samples)
         band = self.band * float(torch.quantile(torque[:: 1 + len(torque) // 100_000].abs(), 0.99))
-        s = _smooth(_relay(torque, band), self.crossing / interval(t))
+        s = _smooth(_relay(torque, band), samples)
         rate = derivative(s, t)
         return s, rate, derivative(rate, t)
 
@@ -97,7 +110,7 @@ def _relay(x: Float[Tensor, " T"], band: float) -> Float[Tensor, " T"]:
 
 
 def _smooth(s: Float[Tensor, " T"], samples: float) -> Float[Tensor, " T"]:
-    """Steps turned into raised cosines of that many samples, centred on the step."""
+    """Average over a raised cosine of that many samples: its shape is the speed of a step."""
     half = max(1, round(samples / 2))
     angle = torch.linspace(-torch.pi, torch.pi, 2 * half + 3, dtype=s.dtype, device=s.device)
     window = (1 + torch.cos(angle))[1:-1]

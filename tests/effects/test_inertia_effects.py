@@ -1,0 +1,68 @@
+"""Bodies added to links, against Pinocchio's torque of the arm that carries them."""
+
+import pytest
+import torch
+
+from tests.arms import ARMS, arm, consistent_parameters
+from tests.effects.exact_logs import closed, smooth_motion
+from tests.oracles import PinocchioOracle
+from torchid.effects.base import ModelEffect
+from torchid.effects.inertia import LinkInertia, Payload
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+
+BODY = consistent_parameters(1, seed=11).pi[0].tolist()
+
+
+def carrying(robot: Robot, link: int) -> Robot:
+    assert robot.parameters is not None
+    pi = robot.parameters.pi.clone()
+    pi[link] += torch.tensor(BODY, dtype=torch.float64)
+    return robot.with_parameters(InertialParameters(pi))
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("link", [0, 1, -1])
+def test_torque_of_a_body_on_a_link(name: str, link: int) -> None:
+    robot = arm(name)
+    motion = smooth_motion(robot, 20)
+    effect: ModelEffect = Payload() if link == -1 else LinkInertia(link)
+    change = PinocchioOracle(carrying(robot, link)).inverse_dynamics(*motion.state)
+    change = change - PinocchioOracle(robot).inverse_dynamics(*motion.state)
+    torch.testing.assert_close(effect.all_torques(motion, BODY, robot), change)
+
+
+@pytest.mark.parametrize("effect", [Payload(), LinkInertia(2)])
+def test_plant_and_columns_agree_exactly(effect: ModelEffect) -> None:
+    assert closed(effect, arm("panda"), BODY) < 1e-10
+
+
+def test_links_after_the_body_feel_nothing() -> None:
+    robot = arm("panda")
+    columns = LinkInertia(2).torque_columns(smooth_motion(robot, 20), robot)
+    assert columns.shape == (20, 7, 10)
+    assert not columns[:, 3:].any()
+
+
+def test_payload_is_the_last_link() -> None:
+    robot = arm("ur10e")
+    motion = smooth_motion(robot, 20)
+    last = LinkInertia(robot.n - 1).torque_columns(motion, robot)
+    assert torch.equal(Payload().torque_columns(motion, robot), last)
+
+
+def test_only_a_payloads_mass_has_a_sign() -> None:
+    assert [c.name for c in Payload.coefficients if c.non_negative] == ["m"]
+    assert not any(c.non_negative for c in LinkInertia.coefficients)
+    units = [c.unit_for(prismatic=True) for c in Payload.coefficients]
+    assert units == ["kg"] + ["kg m"] * 3 + ["kg m^2"] * 6
+    assert len(LinkInertia.candidates(arm("panda"))) == 7
+    assert Payload().joints == ()
+
+
+def test_long_motions_are_handled_in_pieces() -> None:
+    robot = arm("3r")
+    motion = smooth_motion(robot, 40_000)
+    some = motion.part(slice(39_990, None))
+    whole = LinkInertia(1).torque_columns(motion, robot)
+    torch.testing.assert_close(whole[39_990:], LinkInertia(1).torque_columns(some, robot))

@@ -1,0 +1,118 @@
+"""Clipped torque, contact forces and held samples."""
+
+import pytest
+import torch
+
+from tests.arms import ARMS, arm
+from tests.effects.exact_logs import smooth_motion
+from torchid.effects.inertia import Payload
+from torchid.effects.transient import RAMP, Contact, DroppedSamples, Saturation
+from torchid.robot.model import tool_pose
+
+
+def test_hard_clip_is_a_clamp() -> None:
+    motion = smooth_motion(arm("panda"), 300)
+    assert motion.torque is not None
+    limit = float(motion.torque[:, 1].abs().quantile(0.7))
+    clipped = Saturation(1, limit).measured(motion, [1.0]).torque
+    expected = motion.torque.clone()
+    expected[:, 1].clamp_(-limit, limit)
+    assert clipped is not None
+    torch.testing.assert_close(clipped, expected)
+    column = Saturation(1, limit).torque_columns(motion)[..., 0]
+    torch.testing.assert_close(motion.torque + column, expected)
+
+
+def test_clips_both_signs_and_many_limits_at_once() -> None:
+    motion = smooth_motion(arm("panda"), 300)
+    limits = torch.tensor([0.5, 2.0, 1e9], dtype=torch.float64).reshape(3, 1, 1)
+    columns = Saturation.formula(motion, limits)
+    assert columns.shape == (3, 300, 7, 1)
+    assert motion.torque is not None
+    for limit, column in zip((0.5, 2.0, 1e9), columns[..., 0], strict=True):
+        torch.testing.assert_close(motion.torque + column, motion.torque.clamp(-limit, limit))
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_contact_is_the_work_of_the_force(name: str) -> None:
+    """J' from central differences of the tool's position."""
+    robot = arm(name)
+    motion = smooth_motion(robot, 20)
+    columns = Contact().torque_columns(motion, robot)
+    h = 1e-6
+    for j in range(robot.n):
+        step = torch.zeros(robot.n, dtype=torch.float64)
+        step[j] = h
+        moved = tool_pose(robot, motion.q + step) - tool_pose(robot, motion.q - step)
+        torch.testing.assert_close(columns[:, j], moved[:, :3, 3] / (2 * h), rtol=1e-7, atol=1e-8)
+
+
+def test_contact_holds_a_weight() -> None:
+    """A tool that pushes up with m g carries what a payload of mass m at the tool weighs."""
+    robot = arm("panda")
+    motion = smooth_motion(robot, 20)
+    still = motion._replace(dq=0 * motion.dq, ddq=0 * motion.ddq)
+    m, (x, y, z) = 2.0, robot.tool[:3, 3].tolist()
+    payload = Payload().all_torques(still, [m, m * x, m * y, m * z, *[0.0] * 6], robot)
+    force = (-m * robot.gravity).tolist()
+    torch.testing.assert_close(Contact().all_torques(motion, force, robot), payload)
+
+
+def test_contact_in_a_window_comes_and_goes_smoothly() -> None:
+    robot = arm("3r")
+    motion = smooth_motion(robot, 1000)
+    assert motion.t is not None
+    always = Contact().torque_columns(motion, robot)
+    window = Contact(0.3, 0.6).torque_columns(motion, robot)
+    outside = (motion.t < 0.3) | (motion.t > 0.6)
+    inside = (motion.t > 0.3 + RAMP) & (motion.t < 0.6 - RAMP)
+    assert not window[outside].any()
+    assert torch.equal(window[inside], always[inside])
+    # The steepest of 3 u^2 - 2 u^3 is 1.5 a ramp.
+    share = window.norm(dim=(1, 2)) / always.norm(dim=(1, 2))
+    assert share.diff().abs().max() < 1.6 / (RAMP * 1000)
+    half_open = Contact(stop=0.6).torque_columns(motion, robot)
+    assert torch.equal(half_open[:500], always[:500])
+
+
+def test_held_samples_repeat_the_last_good_one() -> None:
+    motion = smooth_motion(arm("3r"), 1500, rate=500.0)
+    effect = DroppedSamples(1, rate=4.0, length=0.03, seed=3)
+    log = effect.measured(motion, [1.0])
+    assert log.torque is not None
+    assert log.age is not None
+    assert motion.torque is not None
+    held = log.age[:, 1] > 0
+    assert 0.05 < held.double().mean() < 0.4
+    assert not log.age[:, [0, 2]].any()
+    torch.testing.assert_close(log.torque[:, [0, 2]], motion.torque[:, [0, 2]])
+    torch.testing.assert_close(log.torque[~held, 1], motion.torque[~held, 1])
+    # A held sample equals the one before it, to rounding.
+    repeated = log.torque[1:, 1] - log.torque[:-1, 1]
+    assert repeated[held[1:]].abs().max() < 1e-9
+    assert float(log.age.max()) <= 0.03 + 1e-9
+
+
+def test_held_samples_follow_from_their_age() -> None:
+    motion = smooth_motion(arm("3r"), 1500, rate=500.0)
+    log = DroppedSamples(1).measured(motion, [0.6])
+    columns = DroppedSamples(1).torque_columns(log._replace(torque=motion.torque))
+    assert motion.torque is not None
+    assert log.torque is not None
+    assert columns.abs().max() > 0
+    torch.testing.assert_close(motion.torque + 0.6 * columns[..., 0], log.torque)
+
+
+def test_windows_come_from_the_seed() -> None:
+    motion = smooth_motion(arm("3r"), 1500, rate=500.0)
+    ages = [DroppedSamples(1, seed=s).measured(motion, [1.0]).age for s in (0, 0, 1)]
+    assert ages[0] is not None
+    assert torch.equal(ages[0], ages[1])
+    assert not torch.equal(ages[0], ages[2])
+
+
+def test_places() -> None:
+    robot = arm("panda")
+    assert [e.joints for e in DroppedSamples.candidates(robot)] == [(j,) for j in range(7)]
+    assert Contact.candidates(robot) == [Contact()]
+    assert Contact().joints == ()
