@@ -1,0 +1,81 @@
+"""How to diagnose a gap."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from torchid.effects.registry import column_kind, effect_kind
+from torchid.errors import TorchidError
+
+Parameters = Literal["auto", "trusted", "free"]
+
+
+@dataclass(frozen=True)
+class GapSettings:
+    """How to diagnose a gap.
+
+    Attributes:
+        effects: names of the effects that are searched over; None for the whole library.
+        background: names of effects that are part of the model already, on every joint; fitted
+            with the base parameters where the robot has no parameters.
+        parameters: whether the robot's inertial parameters are `trusted`, `free` (refitted before
+            effects are sought), or compete with the effects (`auto`).
+        cutoff: of the fit [Hz], or "auto".
+        report_band: of the report [Hz]: the gap before and after is given below this frequency.
+        alpha: family-wise level at which an effect is accepted.
+        folds: parts of the data, each left out in turn while effects are selected.
+        max_effects: number of effects accepted at most.
+        held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
+        rollout: whether to simulate forwards before and after.
+        seed: of everything random.
+    """
+
+    effects: tuple[str, ...] | None = None
+    background: tuple[str, ...] = ()
+    parameters: Parameters = "auto"
+    cutoff: float | Literal["auto"] = "auto"
+    report_band: float = 20.0
+    alpha: float = 0.01
+    folds: int = 5
+    max_effects: int = 40
+    held_out_fraction: float = 0.0
+    rollout: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.parameters not in get_args(Parameters):
+            raise TorchidError(
+                "unknown choice for parameters.",
+                got=self.parameters,
+                available=get_args(Parameters),
+            )
+        if self.effects is not None and not self.effects:
+            raise TorchidError("there is no effect to search over.", hint="None: the whole library")
+        for names, known in ((self.effects or (), effect_kind), (self.background, column_kind)):
+            for name in names:
+                known(name)
+            if len(set(names)) < len(names):
+                raise TorchidError("an effect is named twice.", got=", ".join(names))
+        if self.cutoff != "auto":
+            _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
+        _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
+        _between("alpha", self.alpha, 0.0, 1.0, "0..1")
+        if self.held_out_fraction != 0:
+            _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
+        _whole("the number of folds", self.folds, 2)
+        _whole("the greatest number of effects", self.max_effects, 1)
+        _whole("the seed", self.seed, 0)
+
+
+def _between(name: str, value: object, low: float, high: float, expected: str) -> None:
+    """Raise unless `value` is a number strictly between two bounds."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < high:
+        raise TorchidError(f"{name} is out of range.", got=value, expected=expected)
+
+
+def _whole(name: str, value: object, least: int) -> None:
+    """Raise unless `value` is a whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise TorchidError(
+            f"{name} is out of range.", got=value, expected=f"a whole number of at least {least}"
+        )

@@ -1,0 +1,121 @@
+"""Where the gap lies: joints, and regimes of each joint's motion."""
+
+from collections.abc import Sequence
+from typing import get_args
+
+import torch
+
+from torchid.gap.diagnosis import JointGap, NoiseFloor, Regime, RegimeGap, Trace
+from torchid.gap.regimes import Pool, masked_look, masks, pooled, reversal_look
+from torchid.gap.resampling import Draws, Look, bootstrap, corrected
+from torchid.gap.signatures import (
+    drift_look,
+    high_frequency_look,
+    periodic_look,
+    remainder,
+    transient_look,
+)
+from torchid.typing import Float, Tensor
+
+BAND = 20.0
+LEAST_ABOVE = 0.1
+"""Share of a joint's squared gap that counts as above the floor at least, so that a joint at its
+floor does not show arbitrarily large excesses."""
+
+FEWEST_INSTANTS = 200
+SHOWN = 0.05
+"""p below which the windows of transients are named."""
+
+
+def where(
+    traces: Sequence[Trace], floor: NoiseFloor, seed: int = 0, *, band: float = BAND
+) -> tuple[tuple[JointGap, ...], tuple[RegimeGap, ...]]:
+    """The map of the gap of the model as given (`before`), from valid instants.
+
+    Args:
+        traces: torque in the band of the report, on trajectories or blocks used for no fit.
+        floor: of the noise in that band.
+        seed: of the resamplings.
+        band: of the report [Hz].
+    """
+    joints = joint_gaps(traces, floor)
+    pool = pooled(traces, band)
+    if pool.t.numel() < FEWEST_INSTANTS:
+        return joints, tuple(
+            RegimeGap(j, regime, 0.0, (0.0, 0.0), 1.0)
+            for j in range(len(joints))
+            for regime in get_args(Regime)
+        )
+    return joints, regime_gaps(pool, floor, seed, band)
+
+
+def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ...]:
+    """RMS of the gap on each joint, and its share of the squared excess over the noise floor, each
+    joint's in units of its own squared noise (mean square of the bracket's ends)."""
+    squared = [(t.measured - t.before)[t.valid].square().cpu() for t in traces]
+    gap = torch.cat(squared).mean(0)
+    measured = torch.cat([t.measured[t.valid].square().cpu() for t in traces]).mean(0)
+    noise = 0.5 * (floor.low.square() + floor.high.square()).to(gap)
+    unit = noise.maximum(1e-8 * measured).clamp(min=1e-300)
+    above = ((gap - noise) / unit).clamp(min=0)
+    share = above / above.sum() if float(above.sum()) > 0 else above
+    return tuple(
+        JointGap(
+            joint=j,
+            gap_rms=float(gap[j].sqrt()),
+            noise_floor_rms=(float(floor.low[j]), float(floor.high[j])),
+            share=float(share[j]),
+        )
+        for j in range(len(gap))
+    )
+
+
+def regime_gaps(pool: Pool, floor: NoiseFloor, seed: int, band: float) -> tuple[RegimeGap, ...]:
+    """All regimes of all joints, p corrected for the maximum over them."""
+    draws = Draws.of(pool.blocks, seed)
+    rest = remainder(pool)
+    parts = masks(pool)
+    transients = transient_look(pool, rest, draws)
+    looks: dict[Regime, Look] = {
+        "velocity_reversal": reversal_look(pool, draws),
+        "low_speed": masked_look(pool, parts["low_speed"], draws),
+        "high_speed": masked_look(pool, parts["high_speed"], draws),
+        "high_acceleration": masked_look(pool, parts["high_acceleration"], draws),
+        "gravity_load": masked_look(pool, parts["gravity_load"], draws),
+        "position_periodic": periodic_look(pool, rest, draws, band),
+        "high_frequency": high_frequency_look(pool, draws, band),
+        "slow_drift": drift_look(pool, rest, draws),
+        "transient": transients.look,
+    }
+    p = corrected(list(looks.values()))
+    shares = [_excess(pool, floor, look, seed) for look in looks.values()]
+    return tuple(
+        RegimeGap(
+            joint=j,
+            regime=regime,
+            excess=float(shares[k][0][j]),
+            ci95=(float(shares[k][1][j]), float(shares[k][2][j])),
+            p=float(p[k, j]),
+            times=transients.times[j] if regime == "transient" and p[k, j] < SHOWN else (),
+        )
+        for j in range(pool.error.shape[-1])
+        for k, regime in enumerate(looks)
+    )
+
+
+def _excess(
+    pool: Pool, floor: NoiseFloor, look: Look, seed: int
+) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"], Float[Tensor, " n"]]:
+    """Excess of a regime on each joint, and its interval by resampling blocks; 0 where the data
+    do not allow the look."""
+    whole = pool.error.square().sum(1)
+    noise = pool.error.shape[1] * floor.low.square().to(whole)
+
+    def share(weights: Float[Tensor, "R K"]) -> Float[Tensor, "R n"]:
+        total = weights @ whole
+        above = (weights @ (whole - noise)).maximum(LEAST_ABOVE * total).clamp(min=1e-300)
+        return torch.where(look.possible, look.energy(weights) / above, 0.0).clamp(-1.0, 1.0)
+
+    spread = share(bootstrap(pool.blocks, seed))
+    low, high = spread.quantile(0.025, 0), spread.quantile(0.975, 0)
+    return share(torch.ones(1, pool.blocks, dtype=torch.float64))[0], low, high
