@@ -10,10 +10,12 @@ import torch
 from tests.arms import arm
 from tests.effects.exact_logs import EDGE, closed, gap, order, smooth_motion
 from tests.oracles import PinocchioOracle
+from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.instants import derivative, shifted
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.registry import effect_torque
+from torchid.log.filtering import ZeroPhaseFilter
 
 RATE = 500.0
 T = torch.arange(1000, dtype=torch.float64) / RATE
@@ -110,6 +112,29 @@ def test_elasticity_against_pinocchio() -> None:
     inner = slice(EDGE, -EDGE)
     difference = (column - slope)[inner].abs().max()
     assert difference < 2e-4 * slope[inner].abs().max()
+
+
+@pytest.mark.parametrize("at", [1e-5, 3e-4])
+def test_encoder_noise_does_not_grow_in_the_secant(at: float) -> None:
+    """White noise of 0.02 mrad in the wide band, seen in the band of a fit."""
+    robot, rate = arm("panda"), 240.0
+    clean = smooth_motion(robot, 3000, rate)
+    assert clean.t is not None
+    g = torch.Generator().manual_seed(0)
+    noise = 2e-5 * torch.randn(clean.q.shape, generator=g, dtype=torch.float64)
+    q = clean.q + ZeroPhaseFilter(rate, 40.0).apply(noise.T.contiguous()).T
+    dq = derivative(q, clean.t)
+    ddq = derivative(dq, clean.t)
+    torque = inverse_dynamics(robot, q, dq, ddq)
+    noisy = clean._replace(q=q, dq=dq, ddq=ddq, torque=torque)
+    low = ZeroPhaseFilter(rate, 8.0)
+    columns = [
+        low.apply(JointElasticity(1, at=at).torque_columns(m, robot)[..., 0].T.contiguous())
+        for m in (clean, noisy)
+    ]
+    inner = slice(100, -100)
+    difference = (columns[1] - columns[0])[:, inner].norm() / columns[0][:, inner].norm()
+    assert float(difference) < 0.05
 
 
 def test_stiff_joint_needs_no_care() -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
-from torchid.effects.instants import derivative, shifted
+from torchid.effects.instants import derivative, interval, shifted
 from torchid.effects.variation import (
     OneJointEffect,
     link_lag_torque,
@@ -17,6 +17,7 @@ from torchid.effects.variation import (
     secant_at,
     with_joint,
 )
+from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
@@ -120,13 +121,16 @@ class JointElasticity(OneJointEffect):
 
     The column is the secant [tau(q - at tau_j e_j, ...) - tau(q, ...)] / at. The torque in it is
     the model's, corrected once for the deflection it causes, so that with `at` at the true
-    compliance what is left is of third order in it.
+    compliance what is left is of third order in it. The correction differentiates twice more than
+    the column, so beyond the joint's resonance it would be noise: it is low-passed.
 
     Attributes:
         at: compliance the secant is taken at [rad/(N m) or m/N].
+        band: cut-off of the correction [Hz]; well above that of the rows.
     """
 
     at: float = 1e-5
+    band: float = 20.0
 
     name: ClassVar[str] = "joint_elasticity"
     family: ClassVar[Family] = "phase"
@@ -154,7 +158,8 @@ class JointElasticity(OneJointEffect):
         at = secant_at(self.at, 1e-10)
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
-        load = load + self._change(arm, motion, t, at * load)[:, self.joint]
+        change = self._change(arm, motion, t, at * load)[:, self.joint]
+        load = load + _low_passed(change, t, self.band)
         return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
 
     def _change(
@@ -175,3 +180,11 @@ class JointElasticity(OneJointEffect):
             dq=with_joint(motion.dq, self.joint, rate),
             ddq=with_joint(motion.ddq, self.joint, derivative(rate, t)),
         )
+
+
+def _low_passed(x: Float[Tensor, " T"], t: Float[Tensor, " T"], cutoff: float) -> Tensor:
+    """The signal below a cut-off, without a phase; all of it where the grid is coarser."""
+    rate = 1 / interval(t)
+    if x.shape[0] < 2 or not cutoff < 0.45 * rate:
+        return x
+    return ZeroPhaseFilter(rate, cutoff).apply(x)
