@@ -1,0 +1,239 @@
+"""Is the corrected model a better simulator? Short simulations from many instants of the log.
+
+Both models start from measured positions and velocities, are driven by the measured torque, and are
+compared with the measured positions a while later (multiple shooting; Bock and Plitt 1984). Replay
+of torque in open loop drifts whatever the model, since nothing corrects an error once made; so
+horizons are short, errors saturate, and what counts is the ratio of two models from the same
+starts. Neighbouring rollouts share data: intervals come from whole blocks of them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from torchid.effects.registry import model_torque, nominal_effects
+from torchid.gap.passages import Passage
+from torchid.gap.resampling import bootstrap
+from torchid.gap.shooting import Windows, edge_of, starts_of, windows_of
+from torchid.robot.model import Robot
+from torchid.simulation.open_loop import rollout
+from torchid.typing import Float, Int, Tensor
+
+HORIZONS = (0.1, 0.5, 2.0)
+
+DIVERGED = 1.0
+"""Position error of a joint at which a rollout has lost the arm [rad or m]. Larger ones count as
+this, so that one runaway does not decide a mean."""
+
+SHRANK = 0.9
+"""Ratio of torque RMS below which the torque gap is said to have shrunk."""
+
+_FIGURES = (
+    "rms_before",
+    "rms_after",
+    "joint_ratio",
+    "joint_ratio_ci95",
+    "ratio",
+    "ratio_ci95",
+    "diverged_before",
+    "diverged_after",
+)
+_LONGEST_STEP = 4e-3  # of the simulation [s]
+_FEWEST_BLOCKS = 5  # for an interval
+_LOST = 0.5  # share of rollouts that diverge above which a horizon says little
+
+
+def rollouts(
+    before: Robot,
+    after: Robot,
+    passages: Sequence[Passage],
+    horizons: Sequence[float] = HORIZONS,
+    seed: int = 0,
+    max_starts: int = 128,
+) -> dict[str, Any]:
+    """Position errors of two models, simulated from measured states with the measured torque.
+
+    Args:
+        before, after: models with parameters; their nominal effects count.
+        passages: all on the same rate.
+        horizons: how long to simulate [s], ascending.
+        seed: of the starts and of the bootstrap.
+        max_starts: how many rollouts; they run as one batch.
+
+    Returns:
+        JSON-ready:
+        starts, step_s, diverged_beyond: number of rollouts, their step [s], and the error at
+            which one counts as diverged [rad or m];
+        torque: {rms_before, rms_after (n), ratio} of the torque gap in the passages' band;
+        horizons: a list of {horizon_s, starts, rms_before, rms_after (n) [rad or m],
+            joint_ratio (n), joint_ratio_ci95 (n, 2), ratio, ratio_ci95, diverged_before,
+            diverged_after: shares}. A ratio is after to before; None where both are not positive
+            or there are too few starts;
+        ignored_effects: names of effects that the simulation cannot have;
+        sentences: what to know about it.
+
+    Raises:
+        RobotError: a model has no parameters, or an effect that does not exist.
+    """
+    starts = starts_of(passages, min(horizons), max_starts, seed)
+    out: dict[str, Any] = {
+        "starts": len(starts.first),
+        "step_s": None,
+        "diverged_beyond": DIVERGED,
+        "torque": _torque_gap(before, after, passages),
+        "horizons": [],
+        "ignored_effects": [],
+        "sentences": ["No trajectory is long enough for a rollout."],
+    }
+    if not out["starts"]:
+        return out
+    windows = windows_of(passages, starts, max(horizons))
+    runs = [_errors(robot, windows) for robot in (before, after)]
+    rows = [_at(h, windows, [error for error, _ in runs], before, seed) for h in horizons]
+    ignored = sorted({name for _, names in runs for name in names})
+    return out | {
+        "step_s": windows.dt,
+        "horizons": rows,
+        "ignored_effects": ignored,
+        "sentences": _sentences(out["torque"], rows, ignored),
+    }
+
+
+def _errors(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
+    """Saturated position errors at the samples, and names of effects left out."""
+    # As effects beyond a bare robot, those in the sensors are undone.
+    bare, effects = replace(robot, effects=()), nominal_effects(robot)
+    q0, dt = windows.q[:, 0], windows.dt
+    run = rollout(
+        bare, effects, q0, windows.dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP
+    )
+    error = (run.q - windows.q).abs()
+    return torch.where(error < DIVERGED, error, DIVERGED), run.ignored  # not a number: diverged
+
+
+def _at(
+    horizon: float,
+    windows: Windows,
+    errors: Sequence[Float[Tensor, "B T n"]],
+    robot: Robot,
+    seed: int,
+) -> dict[str, Any]:
+    """Errors of both models at one horizon."""
+    step = max(1, round(horizon / windows.dt))
+    use = windows.steps >= step
+    out: dict[str, Any] = {"horizon_s": horizon, "starts": int(use.sum())}
+    if not use.any():
+        return out | dict.fromkeys(_FIGURES)
+    final = [e[use, step] for e in errors]
+    lost = [(e[use, : step + 1] >= DIVERGED).any(-1).any(-1) for e in errors]
+    moved = windows.q[use, step] - windows.q[use, 0]
+    rms = [e.square().mean(0).sqrt() for e in final]
+    block = windows.blocks(horizon, use)
+    alone = _ratio([e.square() for e in final], block, seed)
+    scaled = [(e / _scale(robot, moved)).square().sum(-1, keepdim=True) for e in final]
+    whole = _ratio(scaled, block, seed)
+    return out | {
+        "rms_before": rms[0].tolist(),
+        "rms_after": rms[1].tolist(),
+        "joint_ratio": [ratio for ratio, _ in alone],
+        "joint_ratio_ci95": [interval for _, interval in alone],
+        "ratio": whole[0][0],
+        "ratio_ci95": whole[0][1],
+        "diverged_before": float(lost[0].double().mean()),
+        "diverged_after": float(lost[1].double().mean()),
+    }
+
+
+def _scale(robot: Robot, moved: Float[Tensor, "b n"]) -> Float[Tensor, " n"]:
+    """What makes radians and metres comparable: how far joints of each kind move in this time."""
+    if len(set(robot.joint_types)) == 1:
+        return torch.ones(robot.n, dtype=moved.dtype)
+    kinds = list(robot.joint_types)
+    size = {
+        kind: moved[:, [k is kind for k in kinds]].square().mean().sqrt().clamp(min=1e-12)
+        for kind in set(kinds)
+    }
+    return torch.stack([size[kind] for kind in kinds])
+
+
+def _ratio(
+    squares: Sequence[Float[Tensor, "b c"]], block: Int[Tensor, " b"], seed: int
+) -> list[tuple[float | None, list[float] | None]]:
+    """Root of the ratio of sums of squares, second to first, a column, with the 2.5 % and 97.5 %
+    quantiles over resampled blocks."""
+    blocks = int(block.max()) + 1
+    sums = [x.new_zeros(blocks, x.shape[1]).index_add_(0, block, x) for x in squares]
+    many = bootstrap(blocks, seed)
+    first, second = (torch.cat([x.sum(0, keepdim=True), many @ x]) for x in sums)
+    ratios = (second / first).sqrt()
+    same = (first == 0) & (second == 0)
+    ratios[same] = 1.0
+    out: list[tuple[float | None, list[float] | None]] = []
+    for column in ratios.T:
+        value = _finite(float(column[0]))
+        known = blocks >= _FEWEST_BLOCKS and bool(column.isfinite().all())
+        ends = column[1:].quantile(column.new_tensor([0.025, 0.975])).tolist() if known else None
+        out.append((value, ends))
+    return out
+
+
+def _torque_gap(before: Robot, after: Robot, passages: Sequence[Passage]) -> dict[str, Any]:
+    """RMS of measured minus modelled torque (n) of both models, edges left out."""
+    rms = []
+    for robot in (before, after):
+        effects, squares, count = nominal_effects(robot), torch.zeros(robot.n).double(), 0
+        for p in passages:
+            edge = edge_of(p)
+            gap = (p.tau - model_torque(robot, effects, p.motion))[edge : p.samples - edge]
+            squares = squares + gap.square().sum(0)
+            count += len(gap)
+        rms.append((squares / max(1, count)).sqrt())
+    total = [float(x.norm()) for x in rms]
+    ratio = total[1] / total[0] if total[0] else 1.0 if not total[1] else math.inf
+    each = [[_finite(v) for v in x.tolist()] for x in rms]
+    return {"rms_before": each[0], "rms_after": each[1], "ratio": _finite(ratio)}
+
+
+def _finite(value: float) -> float | None:
+    """For JSON, which knows no infinity."""
+    return value if math.isfinite(value) else None
+
+
+def _sentences(
+    torque: dict[str, Any], rows: Sequence[dict[str, Any]], ignored: Sequence[str]
+) -> list[str]:
+    out = []
+    for row in rows:
+        horizon = f"{row['horizon_s']:g} s"
+        if not row["starts"]:
+            out.append(f"No trajectory is long enough for a rollout of {horizon}.")
+            continue
+        if _disagrees(torque["ratio"], row):
+            low_high = row["ratio_ci95"]
+            within = f" ({low_high[0]:.2f} to {low_high[1]:.2f})" if low_high else ""
+            out.append(
+                f"Torque and rollouts disagree: the torque gap shrank to {torque['ratio']:.2f} of "
+                f"what it was, the position error after {horizon} did not: {row['ratio']:.2f}"
+                f"{within}."
+            )
+        if row["diverged_after"] > _LOST:
+            out.append(
+                f"{row['diverged_after']:.0%} of the rollouts of {horizon} lose the arm even with "
+                "the corrected model: replay of torque in open loop says little at that horizon."
+            )
+    if ignored:
+        out.append(f"Rollouts are without {', '.join(ignored)}: a simulation cannot have them.")
+    return out
+
+
+def _disagrees(torque_ratio: float | None, row: dict[str, Any]) -> bool:
+    """Not where both models lose the arm mostly: then their errors are those of a replay."""
+    if torque_ratio is None or torque_ratio >= SHRANK or row["ratio"] is None:
+        return False
+    if min(row["diverged_before"], row["diverged_after"]) > _LOST:
+        return False
+    highest = row["ratio_ci95"][1] if row["ratio_ci95"] else row["ratio"]
+    return bool(highest >= 1)

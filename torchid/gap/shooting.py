@@ -1,0 +1,110 @@
+"""Starts of short simulations along a log, and the measured signals from each of them on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.gap.passages import Passage
+from torchid.typing import Bool, Float, Int, Tensor
+
+_STEP = 4e-3  # between samples, at most, where the passage has as many [s]
+_EDGE = 4.0  # periods of the wide band left out at the ends of a passage
+_BLOCK = 2.0  # length of a block of starts in horizons, and at least in seconds
+
+
+@dataclass(frozen=True)
+class Starts:
+    """B starts.
+
+    Attributes:
+        passage: (B,) number of the passage.
+        first: (B,) sample of it.
+        length: (B,) samples from there to the passage's end, its edge left out.
+    """
+
+    passage: Int[Tensor, " B"]
+    first: Int[Tensor, " B"]
+    length: Int[Tensor, " B"]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Measured signals from each start on; the passage's last sample stands for later ones.
+
+    Attributes:
+        dt: between samples [s].
+        q, tau: (B, T, n) measured positions and torques, the first at the start.
+        dq0: (B, n) at the start.
+        t0: (B,) [s].
+        steps: (B,) number of the last sample that the passage has.
+        place: (B,) of the start in the log [s], passages without the time between them.
+        passage: (B,) its number.
+    """
+
+    dt: float
+    q: Float[Tensor, "B T n"]
+    tau: Float[Tensor, "B T n"]
+    dq0: Float[Tensor, "B n"]
+    t0: Float[Tensor, " B"]
+    steps: Int[Tensor, " B"]
+    place: Float[Tensor, " B"]
+    passage: Int[Tensor, " B"]
+
+    def blocks(self, horizon: float, use: Bool[Tensor, " B"]) -> Int[Tensor, " b"]:
+        """Block of each start in use: stretches of a passage, several horizons long."""
+        stretch = (self.place[use] / (_BLOCK * max(1.0, horizon))).long()
+        pairs = torch.stack([self.passage[use], stretch])
+        return torch.unique(pairs, dim=1, return_inverse=True)[1]
+
+
+def edge_of(passage: Passage) -> int:
+    """Samples at the ends of a passage that its filter has spoilt."""
+    return math.ceil(_EDGE * passage.rate / passage.band)
+
+
+def starts_of(passages: Sequence[Passage], shortest: float, most: int, seed: int) -> Starts:
+    """One start at random in each of equal shares of the time where the shortest horizon fits."""
+    edges = [edge_of(p) for p in passages]
+    room = torch.tensor(
+        [
+            max(0, p.samples - 2 * edge - math.ceil(shortest * p.rate))
+            for p, edge in zip(passages, edges, strict=True)
+        ]
+    )
+    total = int(room.sum())
+    count = min(most, total)
+    generator = torch.Generator().manual_seed(seed)
+    jitter = torch.rand(count, generator=generator, dtype=torch.float64)
+    place = ((torch.arange(count) + jitter) * (total / max(1, count))).long().clamp(max=total - 1)
+    ends = room.cumsum(0)
+    passage = torch.searchsorted(ends, place, right=True)
+    edge, samples = torch.tensor(edges), torch.tensor([p.samples for p in passages])
+    first = place - (ends - room)[passage] + edge[passage]
+    return Starts(passage, first, samples[passage] - edge[passage] - 1 - first)
+
+
+def windows_of(passages: Sequence[Passage], starts: Starts, longest: float) -> Windows:
+    """Signals from all starts on, for the longest horizon [s]."""
+    rates = {p.rate for p in passages}
+    assert len(rates) == 1, "passages are resampled to one rate"
+    rate = rates.pop()
+    step = max(1, int(_STEP * rate * (1 + 1e-9)))
+    steps = starts.length // step
+    count = min(round(longest * rate / step), int(steps.max()))
+    # All passages one after the other.
+    offset = torch.tensor([0, *(p.samples for p in passages)]).cumsum(0)[starts.passage]
+    begin = offset + starts.first
+    index = begin[:, None] + step * torch.minimum(torch.arange(count + 1), steps[:, None])
+    times = [p.motion.require("t", "a rollout") for p in passages]
+    return Windows(
+        dt=step / rate,
+        q=torch.cat([p.motion.q for p in passages])[index],
+        tau=torch.cat([p.tau for p in passages])[index],
+        dq0=torch.cat([p.motion.dq for p in passages])[begin],
+        t0=torch.cat(times)[begin],
+        steps=steps,
+        place=begin / rate,
+        passage=starts.passage,
+    )
