@@ -21,7 +21,10 @@ from torchid.app.options import (
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
+    from torchid.effects.registry import Valued
     from torchid.excitation.synthetic import NoiseModel
+    from torchid.log.model import Log
+    from torchid.robot.model import Robot
 
 
 def simulate_command(
@@ -54,6 +57,26 @@ def simulate_command(
         float | None,
         typer.Option(help="honest: measured velocities, with this noise as a share of their RMS."),
     ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:KEY=VALUE,..",
+            help="An effect the model lacks, e.g. coulomb_friction:joint=2,Fc=0.6; once for each. "
+            "The arm then moves under control, and effects change its motion.",
+        ),
+    ] = None,
+    closed_loop: Annotated[
+        bool, typer.Option("--closed-loop", help="Move under control, without effects too.")
+    ] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="under control: samples per second; the trajectory's if absent."
+        ),
+    ] = None,
+    control_frequency: Annotated[
+        float, typer.Option(metavar="HZ", help="under control: natural frequency of the PD.")
+    ] = 5.0,
     tip: Tip = None,
     json_file: Json = None,
     out: Out = None,
@@ -62,11 +85,19 @@ def simulate_command(
     threads: Threads = None,
     device_name: Device = "cpu",
 ) -> None:
-    """Write the log that the nominal robot would give along a trajectory.
+    """Write the log that the robot would give along a trajectory.
+
+    Without effects the nominal robot moves exactly along it. With `--effect` or `--closed-loop` a
+    controller that knows the nominal robot follows it, and forward simulation tells how far the
+    arm gets: effects change the motion, as they do on a real arm.
 
     Example: `torchid simulate kuka_lwr4_friction motion/trajectory.csv --to log.parquet`
+
+    Example: `torchid simulate 3r motion/trajectory.csv --effect coulomb_friction:joint=2,Fc=0.6
+    --effect torque_gain:joint=1,gain=0.05 --to log.parquet`
     """
     output = open_output(json_file, out, quiet, threads)
+    from torchid.app.effect_option import effect_from_text
     from torchid.excitation.synthetic import synthetic_log
     from torchid.log.readers import read_log, write_log
     from torchid.robot.library import load_robot
@@ -76,7 +107,16 @@ def simulate_command(
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model = _noise(noise, snr, torque_noise, encoder_bits, colour, velocity_noise)
     found = load_robot(robot, tip=tip)
-    log = synthetic_log(found, read_log(trajectory), model, seed, device=device(device_name))
+    effects = [effect_from_text(text, found) for text in effect or []]
+    moves = closed_loop or bool(effects)
+    if moves:
+        log = _under_control(
+            found, read_log(trajectory), effects, model, seed, rate, control_frequency
+        )
+    elif rate is not None:
+        raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
+    else:
+        log = synthetic_log(found, read_log(trajectory), model, seed, device=device(device_name))
     write_log(log, target)
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")
@@ -87,6 +127,8 @@ def simulate_command(
             "robot": found.name,
             "file": target.name,
             "noise": noise,
+            "closed_loop": moves,
+            "effects": [one.record(values) for one, values in effects],
             "seed": seed,
             "samples": log.samples,
             "trajectories": list(log.names),
@@ -94,6 +136,38 @@ def simulate_command(
         },
         "simulation.json",
     )
+
+
+def _under_control(
+    robot: "Robot",
+    references: "Log",
+    effects: "list[Valued]",
+    noise: "NoiseModel",
+    seed: int,
+    rate: float | None,
+    frequency: float,
+) -> "Log":
+    """The log of the arm with effects, each trajectory from its own beginning."""
+    from torchid.excitation.synthetic import PaperNoise
+    from torchid.log.model import Log
+    from torchid.simulation.closed_loop import closed_loop
+    from torchid.simulation.controller import Controller
+    from torchid.simulation.sensors import Sensors, measured_log, sensed_log
+
+    if isinstance(noise, PaperNoise):
+        raise TorchidError(
+            "paper noise is for a torque that is computed from the trajectory.",
+            got="--noise paper with --effect or --closed-loop",
+            available=["--noise none", "--noise honest"],
+        )
+    parts = references.trajectories()
+    logs = closed_loop(
+        robot, parts, [effects] * len(parts), rate=rate, controller=Controller(frequency)
+    )
+    true = Log.concatenate(logs).replace(source=logs[0].source)
+    if noise is None:
+        return sensed_log(true, effects)
+    return measured_log(robot, true, effects, Sensors(noise), seed)
 
 
 def _noise(

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -20,10 +19,8 @@ from torchid.errors import LogError, TorchidError
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
+from torchid.simulation.sensors import ENCODER_STEP, HonestNoise, counted, rms, standard
 from torchid.typing import Float
-
-ENCODER_STEP = 2 * math.pi / 2**18
-"""An 18-bit encoder on the link side [rad]."""
 
 
 @dataclass(frozen=True)
@@ -42,37 +39,14 @@ class PaperNoise:
             raise TorchidError("the signal-to-noise ratio is not a number.", got=self.snr_db)
 
 
-@dataclass(frozen=True)
-class HonestNoise:
-    """What sensors make of a motion and its torque. The log has no accelerations.
-
-    Attributes:
-        encoder_step: positions are rounded to multiples of it [rad or m]; one for all joints, or
-            one a joint; 0 for exact positions.
-        torque_relative: standard deviation of the torque noise, as a share of the RMS torque of
-            each joint and trajectory.
-        colour_hz: None for white torque noise; otherwise it is first-order low-pass noise (AR(1))
-            of the same standard deviation, with this cut-off [Hz].
-        include_velocity: whether velocities are measured.
-        velocity_relative: standard deviation of their white noise, as a share of the RMS velocity.
-    """
-
-    encoder_step: float | tuple[float, ...] = ENCODER_STEP
-    torque_relative: float = 0.01
-    colour_hz: float | None = None
-    include_velocity: bool = False
-    velocity_relative: float = 0.0
-
-    def __post_init__(self) -> None:
-        steps = self.encoder_step if isinstance(self.encoder_step, tuple) else (self.encoder_step,)
-        sizes = (*steps, self.torque_relative, self.velocity_relative)
-        if not all(math.isfinite(x) and x >= 0 for x in sizes):
-            raise TorchidError("sizes of noise must not be negative.", got=self)
-        if self.colour_hz is not None and not 0 < self.colour_hz < math.inf:
-            raise TorchidError(
-                "the cut-off of coloured noise is a frequency.", got=self.colour_hz, expected="> 0"
-            )
-
+__all__ = [
+    "ENCODER_STEP",
+    "HonestNoise",
+    "NoiseModel",
+    "PaperNoise",
+    "nominal_torque",
+    "synthetic_log",
+]
 
 NoiseModel = PaperNoise | HonestNoise | None
 
@@ -163,51 +137,14 @@ def _one(
             "tau": nominal_torque(robot, moved.to(device)).cpu(),
         }
     tau = nominal_torque(robot, true.to(device)).cpu()
-    tau = tau + noise.torque_relative * _rms(tau) * _standard(tau, noise.colour_hz, rate, generator)
-    measured = {"q": _counted(true.q, noise, robot), "tau": tau}
+    tau = tau + noise.torque_relative * rms(tau) * standard(tau, noise.colour_hz, rate, generator)
+    measured = {"q": counted(true.q, noise, robot), "tau": tau}
     if noise.include_velocity:
-        white = _standard(tau, None, rate, generator)
-        measured["dq"] = true.dq + noise.velocity_relative * _rms(true.dq) * white
+        white = standard(tau, None, rate, generator)
+        measured["dq"] = true.dq + noise.velocity_relative * rms(true.dq) * white
     return measured
 
 
 def _noisy_motion(true: Motion, noise: PaperNoise, generator: torch.Generator) -> Motion:
     size = 10 ** (-noise.snr_db / 20)
-    return Motion(*(x + size * _rms(x) * _standard(x, None, 0.0, generator) for x in true.state))
-
-
-def _counted(q: Tensor, noise: HonestNoise, robot: Robot) -> Tensor:
-    """Positions rounded to the encoder's steps."""
-    given = noise.encoder_step
-    steps = given if isinstance(given, tuple) else (given,) * robot.n
-    if len(steps) != robot.n:
-        raise TorchidError(
-            "one encoder step, or one a joint, is needed.", got=len(steps), expected=robot.n
-        )
-    step = q.new_tensor(steps)
-    safe = torch.where(step > 0, step, torch.ones_like(step))
-    return torch.where(step > 0, torch.round(q / safe) * safe, q)
-
-
-def _rms(x: Tensor) -> Tensor:
-    """Root mean square of each joint's signal (n,)."""
-    return x.square().mean(0).sqrt()
-
-
-def _standard(
-    like: Tensor, colour_hz: float | None, rate: float, generator: torch.Generator
-) -> Tensor:
-    """Noise (T, n) of standard deviation 1: white, or AR(1), stationary from the first sample."""
-    white = torch.randn(like.shape, generator=generator, dtype=torch.float64)
-    if colour_hz is None:
-        return white.to(like)
-    if not colour_hz < rate / 2:
-        raise TorchidError(
-            "the cut-off of coloured noise is above half the sampling rate.",
-            got=f"{colour_hz:g} Hz",
-            expected=f"below {rate / 2:g} Hz",
-        )
-    keep = math.exp(-2 * math.pi * colour_hz / rate)
-    driven = white * math.sqrt(1 - keep**2)
-    driven[0] = white[0]
-    return torch.from_numpy(lfilter([1.0], [1.0, -keep], driven.numpy(), axis=0)).to(like)
+    return Motion(*(x + size * rms(x) * standard(x, None, 0.0, generator) for x in true.state))

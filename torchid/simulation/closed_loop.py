@@ -1,0 +1,193 @@
+"""Arms under control, with effects that change how they move."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from scipy.interpolate import CubicHermiteSpline
+from torch import Tensor
+
+from torchid.dynamics.world_frame import arms_of
+from torchid.effects.base import ModelEffect, Motion
+from torchid.effects.registry import Valued, nominal_effects
+from torchid.errors import LogError, TorchidError
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.robot.model import Robot
+from torchid.simulation.controller import Controller
+from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant, State
+from torchid.simulation.loads import BatchEffects
+from torchid.typing import Float
+
+
+def closed_loop(
+    robot: Robot,
+    references: Sequence[Log],
+    effects: Sequence[Sequence[Valued]],
+    *,
+    rate: float | None = None,
+    controller: Controller | None = None,
+    longest_step: float = LONGEST_STEP,
+) -> list[Log]:
+    """True motion and true torque of arms that follow references as well as they can.
+
+    The controller knows the robot as it is described, with its nominal effects. The arms have
+    those and their own: effects change how they move. All arms are stepped together.
+
+    At every sample of the result the equations of motion hold to integration accuracy: the torque
+    is that of the rigid body along (q, dq, ddq) and of the effects, but where joints stick, which
+    friction holds with anything up to its dry part.
+
+    Args:
+        robot: kinematics, nominal parameters and nominal effects.
+        references: one an arm; t, q, dq, ddq of one trajectory.
+        effects: one list an arm, beyond the nominal ones; those that only change what is measured
+            have no influence here, see `sensors.measured_log`.
+        rate: samples per second of the results [Hz]; that of the first reference if None.
+        controller: the default one if None.
+        longest_step: of the integration [s]; sampling intervals are divided into steps.
+
+    Returns:
+        One log an arm, on a uniform grid from its reference's first instant: q, dq, ddq, tau.
+
+    Raises:
+        RobotError: the robot has no nominal parameters.
+        LogError: a reference has several trajectories, no dq or ddq, or other joints.
+        TorchidError: another number of lists than references, or an arm diverges.
+    """
+    controller = controller or Controller()
+    _check(robot, references, effects)
+    rate = sampling_rate(references[0])[0] if rate is None else rate
+    if not 0 < rate < math.inf:
+        raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
+    steps = max(1, math.ceil(1 / rate / longest_step - 1e-9))
+    targets = [_on_grid(log, steps * rate) for log in references]
+    gains = controller.gains(robot, torch.cat([m.q for m in targets]))
+    feed = _padded(controller.feed(robot, targets, gains))
+    firsts = zip(*([x[0] for x in m.state] for m in targets), strict=True)
+    begin = Motion(*(torch.stack(first) for first in firsts))
+    plant = plant_of(robot, effects, begin.q)
+    h = 1 / (steps * rate)
+    lengths = [-(-len(m.q) // steps) for m in targets]
+    signals, state = _run(plant, begin, feed, gains, controller.limit(robot.n), h, steps)
+    _check_alive(state, references)
+    return [
+        _log(robot, log, signals[:, :length, k], rate)
+        for k, (log, length) in enumerate(zip(references, lengths, strict=True))
+    ]
+
+
+def plant_of(robot: Robot, effects: Sequence[Sequence[Valued]], like: Tensor) -> Plant:
+    """Arms as they are: the robot with its nominal effects and with those of each arm.
+
+    Args:
+        robot: the nominal one.
+        effects: one list an arm.
+        like: dtype and device.
+    """
+    nominal = nominal_effects(robot)
+    every = [[*nominal, *own] for own in effects]
+    bodies = [_body(robot, own) for own in every]
+    same = all(body is robot for body in bodies)
+    arms = arms_of([robot] if same else bodies, like)
+    return Plant(arms, BatchEffects(every, robot, like))
+
+
+def _body(robot: Robot, effects: Sequence[Valued]) -> Robot:
+    for effect, values in effects:
+        if isinstance(effect, ModelEffect):
+            robot = effect.plant(robot, values)
+    return robot
+
+
+@torch.inference_mode()
+def _run(
+    plant: Plant,
+    begin: Motion,
+    feed: Tensor,
+    gains: tuple[Tensor, Tensor],
+    limit: Tensor | None,
+    h: float,
+    every: int,
+) -> tuple[Float[Tensor, "4 T B n"], State]:
+    """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
+    stiffness, damping = gains
+    arms, total, n = feed.shape
+    out = feed.new_empty(4, -(-total // every), arms, n)
+    # Half a step back, so that the middle of the first step is the first sample.
+    dq = begin.dq - h / 2 * begin.ddq
+    q = begin.q - h / 2 * dq
+    start = feed.new_full((arms,), -h / 2)
+    state = plant.start(q, dq, begin.ddq, start)
+    for k in range(total):
+        middle = state.q + h / 2 * state.dq
+        drive = Drive(feed[:, k] - stiffness * middle, damping, limit)
+        state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
+        if k % every == 0:
+            torch.stack(list(instant), out=out[:, k // every])
+    return out, state
+
+
+def _on_grid(log: Log, rate: float) -> Motion:
+    """The reference at multiples of 1/rate after its first instant, with t from 0."""
+    assert log.dq is not None
+    assert log.ddq is not None
+    t = log.t - log.t[0]
+    count = int(float(t[-1]) * rate + 1e-6) + 1
+    grid = torch.arange(count, dtype=torch.float64) / rate
+    if count == len(t) and bool(((t - grid).abs() < 1e-9).all()):
+        return Motion(log.q, log.dq, log.ddq, t=grid)
+    at = grid.clamp(max=float(t[-1])).numpy()
+    q, dq = (
+        torch.from_numpy(CubicHermiteSpline(t.numpy(), x.numpy(), rate_of.numpy())(at))
+        for x, rate_of in ((log.q, log.dq), (log.dq, log.ddq))
+    )
+    slope = CubicHermiteSpline(t.numpy(), log.dq.numpy(), log.ddq.numpy()).derivative()
+    return Motion(q, dq, torch.from_numpy(slope(at)), t=grid)
+
+
+def _padded(feeds: Sequence[Tensor]) -> Float[Tensor, "B T n"]:
+    """All as long as the longest: an arm that is done holds its last command."""
+    longest = max(len(x) for x in feeds)
+    return torch.stack([torch.cat([x, x[-1:].expand(longest - len(x), -1)]) for x in feeds])
+
+
+def _log(robot: Robot, reference: Log, signals: Float[Tensor, "4 T n"], rate: float) -> Log:
+    q, dq, ddq, tau = (x.clone() for x in signals)
+    t = reference.t[0] + torch.arange(len(q), dtype=torch.float64) / rate
+    source = f"simulated {robot.name}"
+    return Log(t, q, dq, ddq, tau, names=reference.names, source=source)
+
+
+def _check(robot: Robot, references: Sequence[Log], effects: Sequence[Sequence[Valued]]) -> None:
+    robot.require_parameters("simulation")
+    if len(references) != len(effects) or not references:
+        raise TorchidError(
+            "every arm needs one reference and one list of effects.",
+            got=f"{len(references)} references, {len(effects)} lists of effects",
+        )
+    for log in references:
+        if log.trajectory_count != 1:
+            raise LogError(
+                "a reference is one trajectory.", got=log.trajectory_count, hint="Log.trajectories"
+            )
+        missing = [name for name in ("dq", "ddq") if getattr(log, name) is None]
+        if missing or log.n != robot.n:
+            raise LogError(
+                f"a reference for robot '{robot.name}' needs q, dq and ddq of its joints.",
+                got=f"{log.n} joints, signals {', '.join(log.signals)}",
+                expected=f"{robot.n} joints, signals q, dq, ddq",
+                hint="`torchid excite` writes all three",
+            )
+
+
+def _check_alive(state: State, references: Sequence[Log]) -> None:
+    lost = [
+        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
+    ]
+    if lost:
+        raise TorchidError(
+            "the arm runs away: no controller holds these effects, or the step is too long.",
+            got=", ".join(lost),
+            hint="smaller effects, another controller, or a shorter `longest_step`",
+        )

@@ -1,0 +1,108 @@
+"""Joint control as arms have it: feed-forward of a nominal model, and PD."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchid.dynamics.forward import mass_matrix
+from torchid.effects.base import Motion
+from torchid.effects.registry import model_torque, nominal_effects
+from torchid.effects.rotor_inertia import RotorInertia
+from torchid.errors import TorchidError
+from torchid.robot.model import Robot
+from torchid.typing import Float
+
+_SMALLEST_SHARE = 0.02
+"""Of the largest joint inertia: gains of light joints are not smaller than for this much, as
+friction would hold them."""
+
+_SAMPLES = 200  # of the reference, for the mean inertia
+
+
+@dataclass(frozen=True)
+class Controller:
+    """tau = tau_nominal(reference) + Kp (q_ref - q) + Kd (dq_ref - dq), joint by joint.
+
+    Kp = w^2 I and Kd = 2 z w I with the joint's mean inertia I along the references: the diagonal
+    of the nominal mass matrix with the nominal rotor inertias. It acts on the true motion without
+    delay, between sampling instants too.
+
+    Attributes:
+        natural_frequency: w / 2 pi [Hz].
+        damping: z [1].
+        torque_limit: largest absolute torque [N m; N], one for all joints or one a joint; None for
+            no limit.
+        feed_forward: whether the nominal model is used.
+    """
+
+    natural_frequency: float = 5.0
+    damping: float = 1.0
+    torque_limit: float | tuple[float, ...] | None = None
+    feed_forward: bool = True
+
+    def __post_init__(self) -> None:
+        if not (0 < self.natural_frequency < math.inf and 0 <= self.damping < math.inf):
+            raise TorchidError(
+                "a controller needs a natural frequency and a damping.",
+                got=f"{self.natural_frequency} Hz, damping {self.damping}",
+                expected="a frequency > 0 Hz and a damping >= 0",
+            )
+
+    def gains(
+        self, robot: Robot, q: Float[Tensor, "*batch n"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+        """Kp [N m/rad; N/m] and Kd [N m s/rad; N s/m] for references through positions q.
+
+        Raises:
+            RobotError: the robot has no nominal parameters.
+        """
+        places = q.reshape(-1, robot.n)
+        places = places[:: max(1, len(places) // _SAMPLES)]
+        inertia = mass_matrix(robot, places).diagonal(dim1=-2, dim2=-1).mean(0).abs()
+        for effect, values in nominal_effects(robot):
+            if isinstance(effect, RotorInertia):
+                inertia[effect.joint] += values[0]
+        inertia = inertia.clamp(min=_SMALLEST_SHARE * float(inertia.max()))
+        w = 2 * math.pi * self.natural_frequency
+        return w * w * inertia, 2 * self.damping * w * inertia
+
+    def limit(self, n: int) -> Float[Tensor, " n"] | None:
+        """Largest absolute torques (n,), or None.
+
+        Raises:
+            TorchidError: another number of limits than joints, or one that is not positive.
+        """
+        if self.torque_limit is None:
+            return None
+        given = self.torque_limit
+        limits = given if isinstance(given, tuple) else (given,) * n
+        if len(limits) != n or not all(x > 0 for x in limits):
+            raise TorchidError(
+                "a torque limit is positive, one for all joints or one a joint.",
+                got=given,
+                expected=f"{n} numbers > 0",
+            )
+        return torch.tensor(limits, dtype=torch.float64)
+
+    def feed(
+        self, robot: Robot, references: Sequence[Motion], gains: tuple[Tensor, Tensor]
+    ) -> list[Float[Tensor, "T n"]]:
+        """The part of each torque that the references determine: all but -Kp q - Kd dq.
+
+        Args:
+            robot: the nominal one.
+            references: of each arm, (T, n) with t.
+            gains: Kp and Kd.
+        """
+        stiffness, damping = gains
+        nominal = nominal_effects(robot)
+        feeds = []
+        for reference in references:
+            feed = stiffness * reference.q + damping * reference.dq
+            if self.feed_forward:
+                feed = feed + model_torque(robot, nominal, reference)
+            feeds.append(feed)
+        return feeds

@@ -1,0 +1,145 @@
+"""Arms that replay torques: how far a model's motion stays with the measured one."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchid.effects.base import Effect, ModelEffect, Motion
+from torchid.effects.registry import Valued
+from torchid.errors import TorchidError
+from torchid.robot.model import Robot
+from torchid.simulation.closed_loop import plant_of
+from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant
+from torchid.simulation.loads import changes_measurement
+from torchid.typing import Bool, Float
+
+Hold = Literal["linear", "zero_order"]
+"""Torque between samples: a straight line, or the last sample's."""
+
+
+class Rollout(NamedTuple):
+    """A batch of forward simulations.
+
+    Attributes:
+        q, dq: (B, T, n); NaN from where an arm diverges.
+        diverged: (B,) whether it does.
+        ignored: names of the effects in the sensors that could not be undone.
+    """
+
+    q: Float[Tensor, "B T n"]
+    dq: Float[Tensor, "B T n"]
+    diverged: Bool[Tensor, " B"]
+    ignored: tuple[str, ...]
+
+
+@torch.no_grad()
+def rollout(
+    robot: Robot,
+    effects: Sequence[Valued],
+    q0: Float[Tensor, "B n"],
+    dq0: Float[Tensor, "B n"],
+    tau: Float[Tensor, "B T n"],
+    dt: float,
+    t0: float | Float[Tensor, " B"] = 0.0,
+    *,
+    hold: Hold = "linear",
+    longest_step: float = LONGEST_STEP,
+) -> Rollout:
+    """Motions that measured torques give.
+
+    Effects in the sensors are undone on the torque where they are an affine map of it at each
+    instant (gains, crosstalk), and on the initial position where they only add a constant to it;
+    others (a delay, a compliance) are ignored and named. An open loop drifts even with a good
+    model, so windows should be short.
+
+    Args:
+        robot: with parameters; its own nominal effects count too.
+        effects: beyond the nominal ones.
+        q0, dq0: state at the first sample [rad, rad/s; m, m/s].
+        tau: measured torque at the samples [N m; N].
+        dt: seconds between samples.
+        t0: time of the first sample, on the clock of the effects [s].
+        hold: torque between samples.
+        longest_step: of the integration [s].
+
+    Returns:
+        Positions and velocities at the samples.
+
+    Raises:
+        RobotError: the robot has no parameters.
+        TorchidError: dt is not positive.
+    """
+    if not 0 < dt < math.inf:
+        raise TorchidError("the time between samples is positive.", got=dt, expected="> 0 s")
+    plant = plant_of(robot, [list(effects)], q0)
+    true, shift, ignored = _undone(effects, tau)
+    begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
+    q, dq, alive = _run(plant, begin, true, dt, torch.as_tensor(t0).to(q0), hold, longest_step)
+    return Rollout(q + shift, dq, ~alive, ignored)
+
+
+def _run(
+    plant: Plant, begin: Motion, tau: Tensor, dt: float, t0: Tensor, hold: Hold, longest: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    arms, total, _ = tau.shape
+    steps = max(1, math.ceil(dt / longest - 1e-9))
+    h = dt / steps
+    t = t0.expand(arms)
+    state = plant.start(begin.q, begin.dq, begin.ddq, t)
+    q, dq = torch.full_like(tau, math.nan), torch.full_like(tau, math.nan)
+    for k in range(total):
+        q[state.alive, k], dq[state.alive, k] = state.q[state.alive], state.dq[state.alive]
+        if k + 1 == total:
+            break
+        for j in range(steps):
+            share = (j + 0.5) / steps if hold == "linear" else 0.0
+            torque = torch.lerp(tau[:, k], tau[:, k + 1], share)
+            state, _ = plant.step(state, h, t + k * dt + (j + 0.5) * h, Drive(torque))
+    return q, dq, state.alive
+
+
+def _undone(
+    effects: Sequence[Valued], tau: Float[Tensor, "B T n"]
+) -> tuple[Float[Tensor, "B T n"], Float[Tensor, " n"], tuple[str, ...]]:
+    """True torques; how much more the encoders read than the true position; who is ignored."""
+    n = tau.shape[-1]
+    shift, ignored = tau.new_zeros(n), []
+    for effect, values in reversed(effects):
+        if not changes_measurement(effect):
+            continue
+        found = _affine(effect, values, n)
+        if found is None:
+            ignored.append(effect.name)
+            continue
+        gain, offset, moved = (x.to(tau) for x in found)
+        tau = torch.linalg.solve_ex(gain, (tau - offset).unsqueeze(-1))[0].squeeze(-1)
+        shift = shift + moved
+    return tau, shift, tuple(dict.fromkeys(reversed(ignored)))
+
+
+def _affine(
+    effect: Effect, values: Sequence[float], n: int
+) -> tuple[Tensor, Tensor, Tensor] | None:
+    """G, o and d where the effect measures G torque + o and q + d at every instant; else None.
+
+    Found by probing it with random motions, which it must map so, too.
+    """
+    g = torch.Generator().manual_seed(0)
+    samples = 4 * n + 16
+    q, dq, ddq, torque = torch.randn(4, samples, n, generator=g, dtype=torch.float64)
+    t = torch.arange(samples, dtype=torch.float64) * 1e-3
+    motion = Motion(q, dq, ddq, t=t, torque=10 * torque)
+    assert isinstance(effect, ModelEffect) or hasattr(effect, "measured")
+    seen = effect.measured(motion, values)
+    ones = torch.cat([10 * torque, torch.ones(samples, 1, dtype=torch.float64)], -1)
+    fit = torch.linalg.lstsq(ones, seen.torque).solution
+    moved = (seen.q - q)[0]
+    same = (
+        torch.allclose(ones @ fit, seen.torque, atol=1e-8)
+        and torch.allclose(seen.q, q + moved, atol=1e-10)
+        and torch.allclose(seen.dq, dq, atol=1e-10)
+    )
+    return (fit[:n].T, fit[n], moved) if same else None
