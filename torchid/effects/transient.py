@@ -104,9 +104,9 @@ class Contact(ModelEffect):
         columns = tool_jacobian_transposed(needed(robot, self.name), motion.q)
         if self.start is None and self.stop is None:
             return columns
-        return columns * self._window(motion.require("t", self.name))[:, None, None].to(columns)
+        return columns * self.window(motion.require("t", self.name))[:, None, None].to(columns)
 
-    def _window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
+    def window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
         """1 inside, 0 outside, smooth (3 u^2 - 2 u^3) within."""
         inside = torch.ones_like(t)
         if self.start is not None:

@@ -12,9 +12,11 @@ from itertools import product
 
 import torch
 
+from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
 from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
+from torchid.effects.transient import Contact
 from torchid.gap.passages import Rows
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -120,11 +122,44 @@ class Evaluator:
         if isinstance(effect, JointEffect):
             shapes = torch.tensor([effect.shape_values], dtype=torch.float64)
             return effect.joint, self._joint_columns(type(effect), effect.joint, shapes)[0]
-        signals = [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in self.motions]
+        signals = self._signals(effect)
         place = _place(effect, signals)
         if place is not None:
             return place, self.on_joint([x[:, place] for x in signals], place)
         return None, self.on_all(signals).flatten(1)
+
+    def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
+        """Columns of a model effect along every passage; in one call where time plays no part."""
+        if effect.needs & {"t", "age"}:
+            return [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in self.motions]
+        together = effect.torque_columns(self._together, self.robot).permute(2, 1, 0)
+        return list(together.split([len(m.q) for m in self.motions], -1))
+
+    @cached_property
+    def _together(self) -> Motion:
+        """The motion of all passages in one piece."""
+        parts = zip(*self.motions, strict=True)
+        return Motion(*(None if x[0] is None else torch.cat(x) for x in parts))  # type: ignore[arg-type]
+
+    @cached_property
+    def rigid(self) -> Float[Tensor, "M n"]:
+        """Torque of the rigid body along all passages."""
+        return inverse_dynamics(self.robot, *self._together.state)
+
+    @property
+    def load(self) -> Float[Tensor, "M n"]:
+        """Torque that effects see, along all passages."""
+        return self._together.require("torque", "a comparison")
+
+    def renewed(self, bank: Bank) -> Bank:
+        """A bank's columns at this model."""
+        effect = bank.members[0][0]
+        if bank.name in SHARED and bank.place is None:
+            return self.shared_bank(type(effect))  # type: ignore[arg-type]
+        if isinstance(effect, JointEffect):
+            return self.joint_bank(type(effect), effect.joint)
+        columns = [self.columns(member[0])[1] for member in bank.members]
+        return replace(bank, columns=torch.stack(columns))
 
     def _joint_columns(
         self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"]
@@ -150,7 +185,7 @@ class Evaluator:
         members = tuple(
             (kind(joint, **dict(zip(names, row, strict=True))),) for row in shapes.tolist()
         )
-        looks = float(max(1, len(members)))
+        looks = RIPPLE_LOOKS if kind.name == "cogging" else float(max(1, len(members)))
         return Bank(
             kind.name,
             joint,
@@ -170,6 +205,58 @@ class Evaluator:
             bank = Bank(kind.name, place, ((effect,),), columns.unsqueeze(0), signs, 1.0)
             banks.append(replace(bank, extra=EXTRA.get(kind.name, 0.0)))
         return banks
+
+    def contact_bank(self, r: Float[Tensor, "n N"]) -> Bank:
+        """Contacts in the windows in which a force at the tool explains most of a residual."""
+        signals = self._signals(Contact())
+        columns = self.on_all(signals).reshape(3, self.n, -1)
+        t = self.rows.pick([m.require("t", "contact") for m in self.motions])
+        windows = best_windows(columns, r, self.rows.bounds)
+        half = 0.5 * self.rows.interval
+        members = [Contact(float(t[a]) - half, float(t[b - 1]) + half) for a, b in windows]
+        return self._contacts(members, signals)
+
+    def _contacts(
+        self, members: Sequence[Contact], signals: Sequence[Tensor] | None = None
+    ) -> Bank:
+        """Bank of given contacts; `signals`: columns of one that lasts all the time."""
+        whole = self._signals(Contact()) if signals is None else signals
+        columns = []
+        for contact in members:
+            gates = [contact.window(m.require("t", "contact")) for m in self.motions]
+            pairs = zip(whole, gates, strict=True)
+            columns.append(self.on_all([x * gate for x, gate in pairs]).flatten(1))
+        return Bank(
+            Contact.name,
+            None,
+            tuple((contact,) for contact in members),
+            torch.stack(columns),
+            (False,) * 3,
+            WINDOW_LOOKS,
+            EXTRA[Contact.name],
+        )
+
+    def around(self, contact: Contact, level: int) -> Bank:
+        """Contacts whose window begins and ends a little earlier or later, ever less so."""
+        assert contact.start is not None
+        assert contact.stop is not None
+        step = max(self.rows.interval, 0.2 * (contact.stop - contact.start)) / 2**level
+        members = [
+            Contact(contact.start + a * step, contact.stop + b * step)
+            for a, b in product((-1, 0, 1), repeat=2)
+        ]
+        return self._contacts([c for c in members if c.stop > c.start])  # type: ignore[operator]
+
+    def shared_bank(
+        self, kind: type[ModelEffect], members: Sequence[ModelEffect] | None = None
+    ) -> Bank:
+        """One coefficient for all joints of an effect that acts on one joint at a time."""
+        effects = tuple(kind.candidates(self.robot) if members is None else members)
+        signals = [self._signals(e) for e in effects]
+        together = [torch.stack(parts).sum(0) for parts in zip(*signals, strict=True)]
+        columns = self.on_all(together).flatten(1)
+        signs = tuple(c.non_negative for c in kind.coefficients)
+        return Bank(kind.name, None, (effects,), columns.unsqueeze(0), signs, 1.0)
 
     @cached_property
     def regressor(self) -> Float[Tensor, "n 10 n N"]:
@@ -246,6 +333,41 @@ EXTRA = {
 """Penalties beyond those of the columns, in whitened squared units."""
 
 RIPPLE_LOOKS = 60.0
+WINDOW_LOOKS = 300.0
+"""Tests that a search over wave numbers, or over windows, counts for: neighbours are related."""
+
+SHARED = ("time_delay", "torque_gain")
+"""Effects of one joint that may be common to all: one cause explains them better than many."""
+
+MOST_WINDOWS = 8
+
+
+def best_windows(
+    columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"], bounds: Sequence[slice]
+) -> list[tuple[int, int]]:
+    """Rows (first, last + 1) of the windows in which the columns explain most, one a length and
+    overlap. Sums over windows are differences of running sums."""
+    found: list[tuple[float, int, int]] = []
+    products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
+    pulls = (columns * r).sum(1)
+    running = [torch.nn.functional.pad(x.cumsum(-1), (1, 0)) for x in (products, pulls)]
+    for rows in bounds:
+        for length in _lengths(rows):
+            starts = torch.arange(rows.start, rows.stop - length + 1, max(1, length // 2))
+            gram = (running[0][..., starts + length] - running[0][..., starts]).permute(2, 0, 1)
+            pull = (running[1][:, starts + length] - running[1][:, starts]).T.unsqueeze(-1)
+            inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
+            gain = (pull.transpose(1, 2) @ inner @ pull).flatten() - 4.0 * columns.shape[0]
+            top = gain.argsort(descending=True)[:MOST_WINDOWS].tolist()
+            found += [(float(gain[k]), int(starts[k]), int(starts[k]) + length) for k in top]
+    found.sort(reverse=True)
+    return [(a, b) for _, a, b in found[:MOST_WINDOWS]]
+
+
+def _lengths(rows: slice) -> list[int]:
+    """Lengths of windows [rows]: from three rows up to a quarter of the trajectory."""
+    most = max(3, (rows.stop - rows.start) // 4)
+    return [k for k in (3, 6, 12, 24, 48, 96, 192) if k <= most]
 
 
 def _only(motion: Motion, own: slice) -> Motion:
@@ -295,6 +417,8 @@ def all_banks(
                 bank = evaluator.joint_bank(kind, joint)
                 if bank.members:
                     yield bank
-        else:
+        elif kind is not Contact:
             assert issubclass(kind, ModelEffect)
             yield from evaluator.model_bank(kind)
+            if name in SHARED:
+                yield evaluator.shared_bank(kind)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.errors import LogError
+from torchid.gap.held import passage_ages
 from torchid.gap.passages import RESTING, Passage, Rows, passages_of
 from torchid.identification.identify import prepared
-from torchid.identification.motion import direction, fast_speed, measurements
+from torchid.identification.motion import Measurement, direction, fast_speed, measurements
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
@@ -91,10 +92,10 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
     measured = measurements(even, wide)
     threshold = reversal_speed(measured)
     measured = [
-        replace(m, motion=m.motion._replace(direction=direction(m.motion.dq, threshold)))
+        replace(m, motion=m.motion._replace(direction=direction(m.motion.dq, threshold).double()))
         for m in measured
     ]
-    passages = passages_of(measured, wide)
+    passages = _with_ages(passages_of(measured, wide), even)
     long = [p for p in passages if p.samples > 4 * p.rate / narrow + 20]
     if not long:
         raise LogError(
@@ -114,7 +115,16 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
     )
 
 
-def reversal_speed(measured: list) -> Float[Tensor, " n"]:  # type: ignore[type-arg]
+def _with_ages(passages: list[Passage], even: Log) -> list[Passage]:
+    """Passages that know the age of held torques, where any are held."""
+    ages = passage_ages(even, passages)
+    if not any(bool(age.any()) for age in ages):
+        return passages
+    pairs = zip(passages, ages, strict=True)
+    return [replace(p, motion=p.motion._replace(age=age)) for p, age in pairs]
+
+
+def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     """Speed (n,) that is neither noise nor much of the joint's own: four standard deviations of
     the velocity's noise, taken from its fastest changes, or 0.4 % of its 99 % speed."""
     speed = fast_speed(measured)

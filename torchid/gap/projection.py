@@ -18,6 +18,10 @@ VISIBLE = 2e-4
 left of less is rounding of the filters and of the geometry, and noise of the regressors."""
 
 
+DETERMINED = 0.99
+"""Share of a coefficient's direction that must be visible for its sign to be judged."""
+
+
 @dataclass(frozen=True)
 class Gains:
     """Of a bank's members.
@@ -125,5 +129,7 @@ def _solve(gram: Tensor, left: Tensor, b: Tensor, non_negative: tuple[bool, ...]
     along = torch.where(seen, along, torch.zeros_like(along))
     gain = (along.square() / safe).sum(-1)
     x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
-    wrong = ((x < 0) & torch.tensor(non_negative)).any(-1)
+    # A sign counts only where the coefficient is determined: not along invisible directions.
+    known = (vectors.square() * seen.unsqueeze(-2)).sum(-1) > DETERMINED
+    wrong = ((x < 0) & known & torch.tensor(non_negative)).any(-1)
     return Gains(torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x)

@@ -12,7 +12,7 @@ from functools import cached_property
 
 from scipy.stats import chi2
 
-from torchid.effects.base import Effect, JointEffect
+from torchid.effects.base import Effect
 from torchid.gap.blocks import block_numbers, block_sums, held_out_gain, mean_bound, sign_flip_p
 from torchid.gap.candidates import Bank, Place
 from torchid.gap.projection import Gains, Projector, Scanner
@@ -20,6 +20,9 @@ from torchid.typing import Bool, Float, Int, Tensor
 
 PHI = 1.3
 """Factor on chi^2: the whitener is estimated, and noise is not exactly Gaussian."""
+
+FINEST = 7
+"""Times a shape is searched around the best one, each time more closely."""
 
 PENALTY = 4.0
 """Of each column, in whitened squared units."""
@@ -88,9 +91,19 @@ class Term:
     @property
     def key(self) -> tuple[str, Place, tuple[str, ...]]:
         """Same effect at the same place, whatever its shape."""
-        places = tuple(str(e.joints) for e in self.effects)
+        places = tuple(_window_of(e) or str(e.joints) for e in self.effects)
         sources = tuple(str(getattr(e, "source_joint", "")) for e in self.effects)
         return self.name, self.place, places + sources
+
+
+def _is_secant(term: Term) -> bool:
+    return any(hasattr(effect, "at") for effect in term.effects)
+
+
+def _window_of(effect: Effect) -> str:
+    """Contacts at different times are different."""
+    start = getattr(effect, "start", None)
+    return "" if start is None else f"{start:.0f} s"
 
 
 def term_of(bank: Bank, member: int = 0) -> Term:
@@ -135,7 +148,8 @@ class Problem:
         fixed: terms that are always in the model (free base parameters, a fitted background).
         bounds: rows of each trajectory.
         interval: seconds between rows.
-        refine: from a joint effect to a bank of shapes around it, ever finer with `level`.
+        refine: from an effect to a bank of shapes around its own, ever finer with `level`; None
+            where there is nothing to refine.
         alpha: family-wise level.
         seed: of the random signs.
     """
@@ -146,7 +160,7 @@ class Problem:
     fixed: tuple[Term, ...]
     bounds: tuple[slice, ...]
     interval: float
-    refine: Callable[[JointEffect, int], Bank | None]
+    refine: Callable[[Effect, int], Bank | None]
     alpha: float = 0.01
     seed: int = 0
 
@@ -226,7 +240,7 @@ class Search:
     def _parts(self, chosen: Candidate) -> list[Term]:
         """A composite enters as its parts."""
         term = chosen.term
-        if len(term.effects) < 2:
+        if term.name != FRICTION:
             return [term]
         parts, first = [], 0
         for effect in term.effects:
@@ -264,7 +278,9 @@ class Search:
                 return best
             if other.gain < self.problem.threshold(other.df) or other.term.is_inertial:
                 continue
-            if misfit and other.gain > (1 - SIMPLER) * best.gain:
+            loses_little = other.gain > (1 - SIMPLER) * best.gain
+            # A secant is not taken at the estimate yet: it may lose that much.
+            if loses_little and (misfit or _is_secant(other.term)):
                 return other
             if not misfit and not self.significantly_better(best.term, other.term, model):
                 return other
@@ -298,21 +314,19 @@ class Search:
         return mean_bound(held_out_gain(columns, r, block), 0.95) > 0
 
     def _refined(self, term: Term) -> Term:
-        """The same term with its shape searched around the grid's best."""
-        effect = term.effects[0] if len(term.effects) == 1 else None
-        if not isinstance(effect, JointEffect) or not effect.shapes:
+        """The same term with its shape searched around the grid's best, until it gains no more."""
+        if len(term.effects) != 1:
             return term
         model = self.model(without=[t for t in self.terms if t.key == term.key])
-        for level in range(3):
-            bank = self.problem.refine(effect, level)
-            if bank is None:
-                break
-            found = _best_member(Scanner(bank), model)
+        gain = 0.0
+        for level in range(FINEST):
+            bank = self.problem.refine(term.effects[0], level)
+            found = None if bank is None else _best_member(Scanner(bank), model)
             if found is None:
                 break
-            term = found.term
-            effect = term.effects[0]
-            assert isinstance(effect, JointEffect)
+            term, last, gain = found.term, gain, found.gain
+            if level > 1 and gain - last < 1.0:
+                break
         return term
 
     def _look_back(self, newest: Term | None) -> None:
@@ -336,7 +350,7 @@ class Search:
         better = [c for c in others if c.score > own.score + self.problem.threshold(c.df)]
         if better and self.significantly_better(better[0].term, term, without):
             chosen = self._simplest(better[0], without)
-            if chosen.term.key != term.key and len(chosen.term.effects) < 2:
+            if chosen.term.key != term.key and chosen.term.name != FRICTION:
                 self.terms.append(self._refined(chosen.term))
                 return
         self.terms = kept

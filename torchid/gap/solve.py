@@ -13,6 +13,7 @@ import torch
 
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS, Valued
+from torchid.effects.transient import Contact
 from torchid.gap.candidates import Bank, Evaluator, all_banks, composite
 from torchid.gap.select import BASE, FRICTION, LINK, Problem, Search, Term, term_of
 from torchid.identification.base_parameters import BaseParameters
@@ -113,6 +114,8 @@ def banks_of(evaluator: Evaluator, task: Task) -> list[Bank]:
         pair = [plain.get((name, j)) for name in FRICTION.split("+")]
         if all(pair):
             banks.append(composite(FRICTION, pair))  # type: ignore[arg-type]
+    if Contact.name in task.names:
+        banks.append(evaluator.contact_bank(evaluator.residual()))
     return banks + rigid_banks(evaluator, task)
 
 
@@ -190,12 +193,16 @@ def solve(
         robot, effects = corrected(start, problem.fixed, terms, fit, task)
         if progress is not None:
             progress(len(terms))
-        if attempt == PASSES or not _model_dependent(start, evaluator, robot, effects):
+        if attempt == PASSES or not terms:
             break
-        evaluator = start.with_model(robot, effects)
+        latest = start.with_model(robot, effects)
+        change = _change(evaluator, latest, len(start.effects))
+        if not change and attempt > 0:
+            break
+        evaluator = latest
         terms = [_mask(_retaken(t, evaluator, fit.values[len(fixed) + k]), keep)
                  for k, t in enumerate(terms)]  # fmt: skip
-        banks = _renewed(banks, evaluator, task)
+        banks = _renewed(banks, evaluator, change)
     return Solution(problem, tuple(terms), fit, robot, effects)
 
 
@@ -204,21 +211,35 @@ def _mask(term: Term, keep: Tensor) -> Term:
     return replace(term, columns=term.columns * rows)
 
 
-def _model_dependent(
-    start: Evaluator, last: Evaluator, robot: Robot, effects: Sequence[Valued]
-) -> bool:
-    """Whether the corrected model's torque differs from that of the last columns enough to matter,
-    or an effect is nonlinear in its coefficient."""
-    if any(f.name == "at" for e, _ in effects[len(start.effects) :] for f in fields(e)):
-        return True
-    after = start.with_model(robot, effects)
-    for a, b in zip(after.motions, last.motions, strict=True):
-        assert a.torque is not None
-        assert b.torque is not None
-        difference = (a.torque - b.torque).square().mean(0)
-        if bool((difference > CHANGED**2 * b.torque.square().mean(0) + 1e-300).any()):
-            return True
-    return False
+@dataclass(frozen=True)
+class _Change:
+    """What differs between two models' columns.
+
+    Attributes:
+        rigid: whether the rigid body's torque does.
+        loads: joints whose torque does.
+        secants: whether an effect of the new model is nonlinear in its coefficient.
+    """
+
+    rigid: bool
+    loads: frozenset[int]
+    secants: bool
+
+    def __bool__(self) -> bool:
+        return self.rigid or bool(self.loads) or self.secants
+
+
+def _change(last: Evaluator, new: Evaluator, count: int) -> _Change:
+    """Compare the evaluator of the present columns with the one of the corrected model, whose
+    first `count` effects are not of the search."""
+    pairs = ((last.rigid, new.rigid), (last.load, new.load))
+    moved = []
+    for a, b in pairs:
+        size = b.square().mean(0)
+        moved.append((a - b).square().mean(0) > CHANGED**2 * size + 1e-300)
+    found = new.effects[count:]
+    secants = any(f.name == "at" for e, _ in found for f in fields(e))
+    return _Change(bool(moved[0].any()), frozenset(moved[1].nonzero().flatten().tolist()), secants)
 
 
 def _retaken(term: Term, evaluator: Evaluator, values: Tensor) -> Term:
@@ -226,8 +247,12 @@ def _retaken(term: Term, evaluator: Evaluator, values: Tensor) -> Term:
     if not term.effects or term.is_inertial:
         return term
     effect = term.effects[0]
-    if not effect.needs:
+    if not effect.needs or isinstance(effect, Contact):
         return term
+    if len(term.effects) > 1:
+        shared = [at_estimate(e, values) for e in term.effects]
+        bank = evaluator.shared_bank(type(effect), shared)  # type: ignore[arg-type]
+        return replace(term, effects=bank.members[0], columns=bank.columns[0])
     effect = at_estimate(effect, values)
     place, columns = evaluator.columns(effect)
     if place != term.place and term.place is None:
@@ -243,23 +268,32 @@ def at_estimate(effect: Effect, values: Tensor) -> Effect:
     return replace(effect, at=float(values[0]))  # type: ignore[call-arg]
 
 
-def _renewed(banks: Sequence[Bank], evaluator: Evaluator, task: Task) -> list[Bank]:
-    """Candidates, those that depend on the model taken anew."""
-    stale = {name for name in task.names if KINDS[name].needs & {"torque", "robot"}}
-    stale -= {LINK, "payload"}
-    fresh = all_banks(
-        evaluator,
-        [name for name in task.names if name in stale],
-        own_velocity=task.own_velocity,
-        age=task.age,
-    )
-    return [bank for bank in banks if bank.name not in stale] + list(fresh)
+def _renewed(banks: Sequence[Bank], evaluator: Evaluator, change: _Change) -> list[Bank]:
+    """Candidates, those that depend on what changed taken anew."""
+    out = []
+    for bank in banks:
+        effect = bank.members[0][0] if bank.members[0] else None
+        if effect is None or bank.name in (LINK, FRICTION, "payload"):
+            out.append(bank)
+            continue
+        if isinstance(effect, Contact):
+            out.append(evaluator.contact_bank(evaluator.residual()))
+            continue
+        involved = {*effect.joints, getattr(effect, "source_joint", -1)}
+        stale = change.rigid and "robot" in effect.needs
+        stale |= "torque" in effect.needs and bool(involved & change.loads)
+        out.append(evaluator.renewed(bank) if stale else bank)
+    return out
 
 
-def _refiner(evaluator: Evaluator, keep: Tensor) -> Callable[[JointEffect, int], Bank | None]:
-    """Shapes around an effect's own: a third of the grid's step either side, then a tenth, ..."""
+def _refiner(evaluator: Evaluator, keep: Tensor) -> Callable[[Effect, int], Bank | None]:
+    """Shapes around an effect's own: within the grid's step, then a third of it, a ninth, ..."""
 
-    def refine(effect: JointEffect, level: int) -> Bank | None:
+    def refine(effect: Effect, level: int) -> Bank | None:
+        if isinstance(effect, Contact) and effect.start is not None:
+            return masked(evaluator.around(effect, level), keep)
+        if not isinstance(effect, JointEffect):
+            return None
         kind = type(effect)
         offsets = torch.linspace(-1, 1, 7, dtype=torch.float64)
         axes = []
@@ -345,8 +379,8 @@ def corrected(
             flat[task.independent] += values
         elif term.name == LINK:
             pi[term.effects[0].joints[0]] += values
-        else:
-            effects = _with_effect(effects, term.effects[0], values.tolist())
+        for effect in () if term.is_inertial else term.effects:
+            effects = _with_effect(effects, effect, values.tolist())
     return robot.with_parameters(InertialParameters(pi)), tuple(effects)
 
 

@@ -1,0 +1,104 @@
+"""How far: what the accepted effects close on data used for no choice, and what is left.
+
+Losses are sums over joints of squared gaps in units of the joint's own squared noise, so that a
+wrist counts as much as a shoulder. L0 is the model as given, L1 the one with refitted base
+parameters, L* the one with the accepted effects, Ln the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
+from torchid.typing import Float, Tensor
+
+BLOCK_SECONDS = 2.0
+DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Closing:
+    """Closed share of the closable gap.
+
+    Attributes:
+        rms_before, rms_after: (n,) [N m; N].
+        gap_ci95: of (L0 - Ln) / Ln.
+        closed, closed_ci95: (L0 - L*) / (L0 - Ln); None where the gap's interval holds zero.
+    """
+
+    rms_before: Float[Tensor, " n"]
+    rms_after: Float[Tensor, " n"]
+    gap_ci95: Interval
+    closed: float | None
+    closed_ci95: Interval | None
+
+
+def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
+    """Squared noise of each joint in the band of the report: the middle of its bracket."""
+    return (0.5 * (floor.low.square() + floor.high.square())).clamp(min=1e-24)
+
+
+def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
+    """Compare before and after block by block, blocks resampled together."""
+    blocks = [_blocks(t) for t in traces]
+    before, after = (torch.cat([b[k] for b in blocks]) for k in (0, 1))
+    counts = torch.cat([b[2] for b in blocks])
+    unit = noise_variance(floor)
+    l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
+    ln = counts * len(unit)
+    draws = _draws(len(counts), seed)
+    gap = (l0 - ln)[draws].sum(1) / ln[draws].sum(1)
+    gap_ci = _interval(gap)
+    total = counts.sum()
+    rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
+    if not gap_ci[0] > 0:
+        return Closing(rms[0], rms[1], gap_ci, None, None)
+    closed = (l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1)
+    value = float((l0 - l1).sum() / (l0 - ln).sum())
+    return Closing(rms[0], rms[1], gap_ci, value, _interval(closed))
+
+
+def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:
+    """Shares of the gap closed by refitted base parameters, by effects beyond them, and left.
+
+    Where refitting alone makes held-out data worse it closes nothing. Shares of a gap that is not
+    there are zero.
+    """
+    unit = noise_variance(floor)
+
+    def loss(parts: Sequence[Trace], which: str) -> float:
+        sums = [(t.measured - getattr(t, which))[t.valid].square().mean(0) / unit for t in parts]
+        return float(torch.stack(sums).mean(0).sum())
+
+    noise = float(len(unit))
+    l0, l1, last = loss(traces, "before"), loss(refitted, "after"), loss(traces, "after")
+    gap = l0 - noise
+    if gap <= 0:
+        return Budget(0.0, 0.0, 0.0)
+    l1 = max(min(l0, l1), last) if last < l0 else l0
+    return Budget((l0 - l1) / gap, (l1 - last) / gap, (last - noise) / gap)
+
+
+def _blocks(trace: Trace) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums of squares (K, n) before and after, and counts (K,), of blocks of valid instants."""
+    length = max(1, round(BLOCK_SECONDS * trace.rate))
+    count = max(1, round(len(trace.valid) / length))
+    block = torch.arange(len(trace.valid)) * count // len(trace.valid)
+    out = []
+    for predicted in (trace.before, trace.after):
+        squared = (trace.measured - predicted).square() * trace.valid.unsqueeze(1)
+        sums = squared.new_zeros(count, squared.shape[1]).index_add_(0, block, squared)
+        out.append(sums)
+    counts = torch.zeros(count, dtype=torch.float64).index_add_(0, block, trace.valid.double())
+    return out[0], out[1], counts
+
+
+def _draws(count: int, seed: int) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, count, (DRAWS, count), generator=generator)
+
+
+def _interval(x: Float[Tensor, " D"]) -> Interval:
+    low, high = torch.quantile(x, torch.tensor([0.025, 0.975], dtype=x.dtype)).tolist()
+    return low, high

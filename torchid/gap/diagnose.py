@@ -1,0 +1,357 @@
+"""From a simulator and logs of the real arm to a diagnosis: the whole procedure as one call.
+
+The model as given is the simulator. The gap is the measured torque minus the model's. Effects are
+sought on all rows; what they close is judged on trajectories (or stretches) left out of the search,
+which is run again for every one of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import torch
+
+from torchid.effects.registry import KINDS, nominal_effects
+from torchid.errors import LogError
+from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.closing import Closing, budget, closing
+from torchid.gap.detectable import not_testable
+from torchid.gap.diagnosis import Diagnosis, HowFar, Status
+from torchid.gap.findings import Findings, findings, next_experiment
+from torchid.gap.folds import Folds, Model, make_folds, traces
+from torchid.gap.noise import STRUCTURE, Noise, noise_of
+from torchid.gap.passages import Rows
+from torchid.gap.prepare import Prepared, prepare, report_band
+from torchid.gap.select import Search
+from torchid.gap.settings import GapSettings
+from torchid.gap.solve import Solution, Task, banks_of, solve
+from torchid.gap.where import where
+from torchid.identification.base_parameters import base_parameters
+from torchid.log.model import Log
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Tensor
+
+EXCESS = 1.35
+"""Held-out variance of a joint, relative to its noise, above which something is unexplained."""
+
+SAME_RATE = 0.02
+"""Relative difference of two sampling rates that count as one."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One diagnosis in the making.
+
+    Attributes:
+        start: the model as given, or fitted.
+        fitted: whether it had to be fitted, because the robot has no parameters.
+        given, checked: the log searched, and the one held out.
+        task: what is looked for.
+        noise: floor and whitener.
+        evaluator: of the model as given on the log searched.
+        banks: its candidates.
+    """
+
+    start: Model
+    fitted: bool
+    given: Prepared
+    checked: Prepared | None
+    task: Task
+    noise: Noise
+    evaluator: Evaluator
+    banks: tuple[Bank, ...]
+
+
+def diagnose(
+    robot: Robot,
+    log: Log,
+    *,
+    held_out: Log | None = None,
+    settings: GapSettings | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
+
+    Args:
+        robot: the simulator: nominal parameters and effects. Without parameters they are fitted
+            first, together with `settings.background`.
+        log: trajectories of the real arm.
+        held_out: trajectories that take part in no choice. If None, every trajectory (or stretch)
+            is left out in turn.
+        settings: how; defaults if None.
+        device: where the dynamics is evaluated.
+        progress: called with (stage, done, total).
+
+    Raises:
+        LogError: logs that do not fit the robot or cannot be used.
+    """
+    settings = settings or GapSettings()
+    if held_out is None and settings.held_out_fraction > 0:
+        log, held_out = log.split(1 - settings.held_out_fraction)
+    elif held_out is not None and settings.held_out_fraction > 0:
+        raise LogError(
+            "both a held-out log and a held-out fraction are given.", expected="one of them"
+        )
+    say = progress or (lambda stage, done, total: None)
+    case = _case(robot, log, held_out, settings, say)
+    keep = case.given.keep
+    say("searching for effects", 0, 1)
+    whole = solve(case.evaluator, keep, case.task, case.banks)
+    if not case.noise.repeated and whole.terms:
+        # Without repeats the noise is what a predictor leaves of the gap; of a smaller one, less.
+        case = _with_noise(case, whole, settings, say)
+        whole = solve(case.evaluator, keep, case.task, case.banks)
+    folds, models = _held_out_models(case, whole, settings, say)
+    say("judging", 0, 1)
+    found = _answer(case, whole, folds, models, settings)
+    if settings.rollout and case.start.robot is not None:
+        say("simulating forwards", 0, 1)
+        found = _with_rollout(found, case, settings)
+    say("done", 1, 1)
+    return found
+
+
+def _case(
+    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings, say: Progress
+) -> _Case:
+    say("reading", 0, 1)
+    cutoff = None if settings.cutoff == "auto" else settings.cutoff
+    given = prepare(robot, log, cutoff)
+    checked = None if held_out is None else prepare(robot, held_out, given.rows.cutoff)
+    if checked is not None and abs(checked.rows.rate / given.rows.rate - 1) > SAME_RATE:
+        raise LogError(
+            "the held-out logs have another sampling rate.",
+            got=f"{checked.rows.rate:.5g} Hz",
+            expected=f"{given.rows.rate:.5g} Hz",
+            hint="resample one of them",
+        )
+    task = _task(robot, given, settings)
+    start = _start(robot, given, task)
+    say("measuring the noise", 0, 1)
+    noise = _noise(start, given, settings, check=False)
+    evaluator, banks = _candidates(start, given, task, noise, say)
+    return _Case(start, robot.parameters is None, given, checked, task, noise, evaluator, banks)
+
+
+def _noise(model: Model, given: Prepared, settings: GapSettings, *, check: bool) -> Noise:
+    band = report_band(given.rows, settings.report_band)
+    shown = Rows(given.rows.passages, band)
+    return noise_of(model.robot, model.effects, given.rows, shown, check=check, seed=settings.seed)
+
+
+def _candidates(
+    start: Model, given: Prepared, task: Task, noise: Noise, say: Progress
+) -> tuple[Evaluator, tuple[Bank, ...]]:
+    say("computing candidates", 0, 1)
+    evaluator = Evaluator(start.robot, start.effects, given.rows, noise.whiten)
+    return evaluator, tuple(banks_of(evaluator, task))
+
+
+def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progress) -> _Case:
+    """The same case, its noise measured on what a first search has left."""
+    say("measuring the noise", 0, 1)
+    noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
+    evaluator, banks = _candidates(case.start, case.given, case.task, noise, say)
+    return replace(case, noise=noise, evaluator=evaluator, banks=banks)
+
+
+def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
+    free = settings.parameters == "free" or robot.parameters is None
+    return Task(
+        base=base_parameters(robot),
+        names=tuple(KINDS) if settings.effects is None else settings.effects,
+        background=settings.background if robot.parameters is None else (),
+        free=free,
+        inertial=settings.parameters != "trusted",
+        own_velocity=given.own_velocity,
+        age=given.age,
+        most=settings.max_effects,
+        alpha=settings.alpha,
+        seed=settings.seed,
+    )
+
+
+def _start(robot: Robot, given: Prepared, task: Task) -> Model:
+    """The model as given; where it has no parameters, base parameters and background fitted with
+    rows weighted by each joint's torque."""
+    if robot.parameters is not None:
+        return Model(robot, tuple(nominal_effects(robot)))
+    zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    empty = Model(robot.with_parameters(InertialParameters(zero)), tuple(nominal_effects(robot)))
+    size = torch.cat([p.tau for p in given.rows.passages]).std(0).clamp(min=1e-12)
+    evaluator = Evaluator(empty.robot, empty.effects, given.rows, lambda x, j: x / size[j])
+    return _refitted(evaluator, given.keep, task)
+
+
+def _refitted(evaluator: Evaluator, keep: Bool[Tensor, "n N"], task: Task) -> Model:
+    """The model with base parameters, and the background, refitted on the rows that count."""
+    free = replace(task, free=True)
+    bare = solve(evaluator, keep, replace(free, most=0), ())
+    return Model(bare.robot, bare.effects)
+
+
+def _held_out_models(
+    case: _Case, whole: Solution, settings: GapSettings, say: Progress
+) -> tuple[Folds | None, "_Models"]:
+    """Models before, with refitted parameters and after, for data they were not fitted on."""
+    keep = case.given.keep
+    if case.checked is not None:
+        refitted = _refitted(case.evaluator, keep, case.task)
+        before = refitted if case.fitted else case.start
+        return None, _Models([before], [refitted], [Model(whole.robot, whole.effects)])
+    folds = make_folds(case.given.rows, settings.folds, case.noise.groups)
+    out = _Models([], [], [])
+    for k in range(folds.count):
+        say("leaving data out", k, folds.count)
+        rows = keep & folds.fitted(k)
+        refitted = _refitted(case.evaluator, rows, case.task)
+        found = solve(case.evaluator, rows, case.task, case.banks)
+        out.before.append(refitted if case.fitted else case.start)
+        out.refitted.append(refitted)
+        out.after.append(Model(found.robot, found.effects))
+    say("leaving data out", folds.count, folds.count)
+    return folds, out
+
+
+@dataclass(frozen=True)
+class _Models:
+    """One model a fold."""
+
+    before: list[Model]
+    refitted: list[Model]
+    after: list[Model]
+
+
+def _answer(
+    case: _Case, whole: Solution, folds: Folds | None, models: _Models, settings: GapSettings
+) -> Diagnosis:
+    judged = case.given if case.checked is None else case.checked
+    rows = judged.rows
+    band = report_band(rows, settings.report_band)
+    left = _noise(Model(whole.robot, whole.effects), case.given, settings, check=True)
+    floor = left.report
+    shown = traces(rows, folds, models.before, models.after, band)
+    refitted = traces(rows, folds, models.before, models.refitted, band)
+    joints, regimes = where(shown, floor, settings.seed, band=band)
+    found = findings(whole)
+    far = closing(shown, floor, settings.seed)
+    excess = _excess(case, folds, models)
+    search = Search(whole.problem, list(whole.terms))
+    torque = _torque_rows(case)
+    hidden = not_testable(whole.problem, search.model(), case.start.robot, torque)
+    robot = _as_robot(whole, case)
+    return Diagnosis(
+        robot=case.start.robot,
+        corrected=robot,
+        status=_status(found, far, excess, left, _poor(case, hidden)),
+        joints=joints,
+        regimes=regimes,
+        findings=found.effects,
+        parametric=found.parametric,
+        how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
+        budget=budget(refitted, shown, floor),
+        floor=floor,
+        not_testable=tuple(hidden),
+        next_experiment=next_experiment(whole, found, case.given.rows),
+        traces=tuple(shown),
+        band=band,
+        cutoff=rows.cutoff,
+        settings=asdict(settings),
+        warnings=tuple(dict.fromkeys(_warnings(case, folds, found, whole, settings))),
+    )
+
+
+def _excess(case: _Case, folds: Folds | None, models: _Models) -> Tensor:
+    """(n,) held-out variance of the corrected model's gap in the fit's rows, relative to noise."""
+    judged = case.given if case.checked is None else case.checked
+    whiten = case.noise.floor.whitener.on(judged.rows.bounds).apply
+    total = torch.zeros(judged.keep.shape[0], dtype=torch.float64)
+    count = torch.zeros_like(total)
+    for k, model in enumerate(models.after):
+        rows = judged.keep if folds is None else judged.keep & (folds.fold == k)
+        r = Evaluator(model.robot, model.effects, judged.rows, whiten).residual() * rows
+        total += r.square().sum(1)
+        count += rows.sum(1)
+    return total / count.clamp(min=1)
+
+
+def _torque_rows(case: _Case) -> Tensor:
+    """(n,) RMS of each joint's whitened torque."""
+    y = case.evaluator.on_all([p.tau.T for p in case.given.rows.passages])
+    return y.square().mean(1).sqrt()
+
+
+def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bool) -> Status:
+    """The verdict: what is left is unexplained where it exceeds the noise on data
+    used for no choice, or where a flexible predictor still finds structure in it."""
+    unexplained = bool((excess > EXCESS).any()) or bool((left.structure > STRUCTURE).any())
+    if not (found.effects or found.parametric):
+        if unexplained and far.closed is not None:
+            return "detected_unexplained"
+        return "not_testable" if poor else "no_gap"
+    if unexplained:
+        return "detected_unexplained"
+    return "explained" if found.effects else "parametric_only"
+
+
+def _poor(case: _Case, hidden: Sequence[object]) -> bool:
+    """Whether the log could show less than half of all effects and places."""
+    places = len({(b.name, b.place, b.members[0][0].joints if b.members[0] else ())
+                  for b in case.banks})  # fmt: skip
+    return len(hidden) > 0.5 * places
+
+
+def _as_robot(whole: Solution, case: _Case) -> Robot:
+    """The corrected model as a robot description."""
+    records = tuple(effect.record(values) for effect, values in whole.effects)
+    name = case.start.robot.name
+    return replace(whole.robot, effects=records, name=name)
+
+
+def _with_rollout(found: Diagnosis, case: _Case, settings: GapSettings) -> Diagnosis:
+    from torchid.gap.rollout import rollouts
+
+    before = replace(case.start.robot, effects=tuple(e.record(v) for e, v in case.start.effects))
+    judged = case.given if case.checked is None else case.checked
+    result = rollouts(before, found.corrected, judged.rows.passages, seed=settings.seed)
+    return replace(found, how_far=replace(found.how_far, rollout=result))
+
+
+def _warnings(
+    case: _Case, folds: Folds | None, found: Findings, whole: Solution, settings: GapSettings
+) -> list[str]:
+    out = [*case.given.warnings, *case.noise.notes]
+    if case.fitted:
+        out.append(
+            "the robot has no inertial parameters: base parameters were fitted first, so the gap "
+            "is what even the best rigid body leaves"
+        )
+    if folds is not None and not folds.whole:
+        out.append(
+            "fewer than three different trajectories: held-out data are stretches of the same "
+            "trajectories, and intervals are wider than they look"
+        )
+    if settings.parameters == "auto" and not case.task.free:
+        out += _modes(case, whole)
+    return out
+
+
+def _modes(case: _Case, whole: Solution) -> list[str]:
+    """Whether the diagnosis with base parameters always refitted names other effects."""
+    if not whole.terms:
+        return []
+    free = solve(case.evaluator, case.given.keep, replace(case.task, free=True), case.banks)
+    names = [
+        {(t.name, t.effects[0].joints) for t in s.terms if t.effects and not t.is_inertial}
+        for s in (whole, free)
+    ]
+    lost = sorted(f"{n} of joint {j[0] + 1}" if j else n for n, j in names[0] - names[1])
+    if not lost:
+        return []
+    return [
+        "with base parameters refitted these effects are not needed, so they hold only if the "
+        f"robot's parameters are right: {', '.join(lost)}"
+    ]

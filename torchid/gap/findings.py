@@ -1,0 +1,131 @@
+"""Accepted terms as a person and a file can use them: effects, joints, alternatives, shares."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from torchid.effects.base import Effect
+from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
+from torchid.gap.diagnosis import Finding, Parametric
+from torchid.gap.experiments import experiment
+from torchid.gap.passages import Rows
+from torchid.gap.select import BASE, LINK, Search, Term
+from torchid.gap.solve import Solution
+from torchid.typing import Tensor
+
+FELT = 25.0
+"""Whitened sum of squares above which a joint feels a global effect."""
+
+FELT_SHARE = 0.01
+"""And the share of the effect's whole that it must be."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was accepted.
+
+    Attributes:
+        effects: findings, the largest share first.
+        parametric: corrections of inertial parameters.
+        unresolved: (finding's term, best alternative) of those with a runner-up that is not an
+            exact alias.
+    """
+
+    effects: tuple[Finding, ...]
+    parametric: tuple[Parametric, ...]
+    unresolved: tuple[tuple[Term, Alternative], ...]
+
+
+def findings(solution: Solution) -> Findings:
+    """Findings of a solution, each with what it cannot be told from."""
+    problem = solution.problem
+    search = Search(problem, list(solution.terms))
+    n = problem.y.shape[0]
+    start = Search(problem, []).model().loss
+    last = search.model().loss
+    closable = max(1e-12, start - problem.noise)
+    found: list[Finding] = []
+    inertial: list[Parametric] = []
+    unresolved = []
+    for term in solution.terms:
+        others = alternatives(search, term)
+        names = tuple(dict.fromkeys([*(a.name for a in others), *aliases(term, n)]))
+        gain = search.model(without=[term]).loss - last
+        share = gain / closable
+        p = problem.p_value(gain, len(term.columns))
+        if term.is_inertial:
+            links = term.effects[0].joints if term.name == LINK else ()
+            inertial.append(Parametric(links, share, p, names))
+            continue
+        values, std = solution.values_of(term)
+        first = (start - _alone(problem, term)) / closable
+        found.append(
+            Finding(
+                effect=term.effects[0],
+                values=tuple(values.tolist()),
+                joints=_joints(term, values, n),
+                ambiguous_with=names,
+                std=tuple(std.tolist()),
+                p_value=p,
+                share=share,
+                first=first,
+                notes=_notes(term.effects[0], values, std),
+            )
+        )
+        if others:
+            unresolved.append((term, others[0]))
+    found.sort(key=lambda f: -f.share)
+    return Findings(tuple(found), tuple(inertial), tuple(unresolved))
+
+
+def _alone(problem: Any, term: Term) -> float:
+    return Search(problem, [term]).model().loss
+
+
+def _joints(term: Term, values: Tensor, n: int) -> tuple[int, ...]:
+    """The effect's joint; of a global one those whose torque it changes beyond noise."""
+    effect: Effect = term.effects[0]
+    if effect.joints or term.name == BASE:
+        return effect.joints
+    share = (values @ term.columns).reshape(n, -1).square().sum(1)
+    felt = (share > FELT) & (share > FELT_SHARE * share.sum())
+    return tuple(felt.nonzero().flatten().tolist())
+
+
+def _notes(effect: Effect, values: Tensor, std: Tensor) -> tuple[str, ...]:
+    """Coefficients that the data leave open."""
+    return tuple(
+        f"{c.name} is not determined: {v:.3g} +- {s:.2g}"
+        for c, v, s in zip(effect.coefficients, values.tolist(), std.tolist(), strict=True)
+        if s > abs(v)
+    )
+
+
+def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str, Any] | None:
+    """What would separate the largest ambiguity: in words, and where this log comes closest."""
+    if not found.unresolved:
+        return None
+    problem = solution.problem
+    search = Search(problem, list(solution.terms))
+    term, other = max(
+        found.unresolved, key=lambda pair: float(search.block_losses(pair[0], search.model()).sum())
+    )
+    left = separation(search, term, other.term)
+    best = int(left.argmax())
+    instants = (problem.block == best).nonzero().flatten()
+    t = rows.pick([p.motion.t for p in rows.passages if p.motion.t is not None])
+    where = next(k for k, own in enumerate(rows.bounds) if own.start <= int(instants[0]) < own.stop)
+    needed = problem.threshold(1)
+    seconds = len(problem.block) * rows.interval
+    joints = term.effects[0].joints or other.term.effects[0].joints
+    return {
+        "separates": [term.name, other.name],
+        "joint": joints[0] + 1 if joints else None,
+        "do": experiment(term.name, other.name),
+        "most_informative": {
+            "trajectory": rows.passages[where].name,
+            "from_s": float(t[instants[0]]),
+            "to_s": float(t[instants[-1]]),
+            "share": float(left[best] / left.sum().clamp(min=1e-300)),
+        },
+        "seconds_of_the_same_motion": float(seconds * needed / max(1e-12, float(left.sum()))),
+    }

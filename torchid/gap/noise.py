@@ -1,0 +1,131 @@
+"""The noise of a log, as the diagnosis uses it: a whitener, a floor, and which motions repeat."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.gap.diagnosis import NoiseFloor
+from torchid.gap.flexible import OutOfFold, predict_out_of_fold
+from torchid.gap.floor import Floor, noise_floor
+from torchid.gap.passages import Passage, Rows
+from torchid.gap.repeats import Repeats, find_repeats
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+STRUCTURE = 0.1
+"""Predictable share of a joint's noise variance from which structure is worth saying."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the rows.
+
+    Attributes:
+        floor: in the fit's rows and in the report's band, with the whitener.
+        groups: per passage the motion it belongs to; repeats share one.
+        structure: (n,) share of the noise's variance by which a flexible predictor lowers the
+            residual, where that is significant; else 0. Zero where none was asked.
+    """
+
+    floor: Floor
+    groups: tuple[int, ...]
+    structure: Float[Tensor, " n"]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        return self.floor.report.notes
+
+    @property
+    def report(self) -> NoiseFloor:
+        """Floor in the band of the report."""
+        return self.floor.report
+
+    @property
+    def repeated(self) -> bool:
+        """Whether it comes from repeats."""
+        return self.report.source == "repeats"
+
+    def whiten(self, x: Tensor, joint: int) -> Tensor:
+        """Whitened rows (..., N) of a joint."""
+        return self.floor.whitener.apply(x, joint)
+
+
+def noise_of(
+    robot: Robot,
+    effects: Sequence[Valued],
+    rows: Rows,
+    report: Rows,
+    *,
+    check: bool,
+    seed: int,
+) -> Noise:
+    """Noise that a model's residual holds.
+
+    Args:
+        robot, effects: the model.
+        rows, report: of the fit, and of the report's band.
+        check: whether a flexible predictor looks at the residual although the log has repeats.
+        seed: of the flexible predictor.
+    """
+    passages = rows.passages
+    residual, loaded = _residuals(robot, effects, passages)
+    repeats = find_repeats(passages)
+    flexible = None
+    if check or not repeats:
+        flexible = predict_out_of_fold(loaded, rows, rows.apply([r.T for r in residual]), seed)
+    floor = _floor(passages, residual, rows, report, flexible, repeats, loaded, seed)
+    return Noise(
+        floor, _groups(len(passages), repeats), _structure(flexible, residual, rows, floor)
+    )
+
+
+def _floor(
+    passages: Sequence[Passage],
+    residual: Sequence[Tensor],
+    rows: Rows,
+    report: Rows,
+    flexible: OutOfFold | None,
+    repeats: Repeats,
+    loaded: Sequence[Passage],
+    seed: int,
+) -> Floor:
+    """As `noise_floor`; repeats too short for the filter are as good as none."""
+    try:
+        return noise_floor(passages, residual, rows, report, flexible, repeats or None)
+    except ValueError:
+        found = predict_out_of_fold(loaded, rows, rows.apply([r.T for r in residual]), seed)
+        return noise_floor(passages, residual, rows, report, found, None)
+
+
+def _residuals(
+    robot: Robot, effects: Sequence[Valued], passages: Sequence[Passage]
+) -> tuple[list[Tensor], list[Passage]]:
+    """Measured less model torque (T, n) a passage, and passages that know the model's torque."""
+    first, _ = in_rounds(effects)
+    residual, loaded = [], []
+    for p in passages:
+        residual.append(p.tau - model_torque(robot, effects, p.motion))
+        load = model_torque(robot, first, p.motion)
+        loaded.append(replace(p, motion=p.motion._replace(torque=load)))
+    return residual, loaded
+
+
+def _groups(count: int, repeats: Repeats) -> tuple[int, ...]:
+    """Number of each passage's motion: the first passage that it repeats."""
+    group = list(range(count))
+    for pair in repeats.pairs:
+        group[pair.b] = group[pair.a]
+    return tuple(group)
+
+
+def _structure(
+    flexible: OutOfFold | None, residual: Sequence[Tensor], rows: Rows, floor: Floor
+) -> Float[Tensor, " n"]:
+    if flexible is None:
+        return torch.zeros(residual[0].shape[1], dtype=torch.float64)
+    variance = rows.apply([r.T for r in residual]).square().mean(1)
+    share = flexible.r2 * variance / floor.rms.square().clamp(min=1e-300)
+    return torch.where(flexible.interval[:, 0] > 0, share, torch.zeros_like(share))
