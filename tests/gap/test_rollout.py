@@ -197,3 +197,15 @@ def test_joints_of_both_kinds_go_into_one_ratio() -> None:
     # In a short time errors are proportional to the torque that is wrong.
     assert row["joint_ratio"] == pytest.approx([0.5] * 6, rel=0.1)
     assert min(row["joint_ratio"]) <= row["ratio"] <= max(row["joint_ratio"])
+
+
+def test_effects_in_the_sensors_are_undone_or_named() -> None:
+    true = arm("3r")
+    gain = with_effects(true, "torque_gain", {2: {"gain": 0.1}})
+    result = rollouts(true, gain, [passage(gain, 6.0)], (0.1,), max_starts=8)
+    assert result["horizons"][0]["ratio"] < 0.05
+    assert result["ignored_effects"] == []
+    late = with_effects(true, "time_delay", {2: {"delay": 5e-3}})
+    result = rollouts(true, late, [passage(late, 6.0)], (0.1,), max_starts=8)
+    assert result["ignored_effects"] == ["time_delay"]
+    assert any("without time_delay" in sentence for sentence in result["sentences"])

@@ -72,7 +72,7 @@ def rollouts(
             joint_ratio (n), joint_ratio_ci95 (n, 2), ratio, ratio_ci95, diverged_before,
             diverged_after: shares}. A ratio is after to before; None where both are not positive
             or there are too few starts;
-        ignored_effects: names of effects that the simulation cannot have;
+        ignored_effects: names of effects that a replay of measured torque cannot have;
         sentences: what to know about it.
 
     Raises:
@@ -225,7 +225,9 @@ def _sentences(
                 "the corrected model: replay of torque in open loop says little at that horizon."
             )
     if ignored:
-        out.append(f"Rollouts are without {', '.join(ignored)}: a simulation cannot have them.")
+        out.append(
+            f"Rollouts are without {', '.join(ignored)}: a replay of torque cannot have them."
+        )
     return out
 
 
