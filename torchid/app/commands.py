@@ -11,6 +11,7 @@ from torchid.app.check import check_command
 from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
 from torchid.app.extract import extract_command
+from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
 from torchid.app.payload import payload_command
 from torchid.app.robot import robot_command
@@ -35,6 +36,7 @@ app.command("check")(check_command)
 app.command("atlas")(atlas_command)
 app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
+app.command("gap")(gap_command)
 app.command("study")(study_command)
 app.command("demo")(demo_command)
 

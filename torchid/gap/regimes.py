@@ -159,7 +159,8 @@ def reversals(
     since = torch.full_like(error, torch.inf)
     jump = torch.zeros_like(error)
     width, skip = max(4, round(REVERSAL * rate)), max(1, round(0.6 * rate / band))
-    ahead = extrapolation(width, skip).to(error)
+    # The reversal is half a sample before the first one in the new direction.
+    ahead = extrapolation(width, skip + 0.5).to(error)
     reach = width + skip
     for j in range(error.shape[1]):
         turns = (sign[1:, j] * sign[:-1, j] < 0).nonzero().flatten() + 1
@@ -178,9 +179,9 @@ def reversals(
     return since, jump
 
 
-def extrapolation(width: int, skip: int) -> Float[Tensor, " W"]:
-    """Weights of samples skip..skip+width-1 whose sum is their straight line's value at 0."""
-    x = torch.arange(skip, skip + width, dtype=torch.float64)
+def extrapolation(width: int, skip: float) -> Float[Tensor, " W"]:
+    """Weights of samples at skip, skip + 1, ... whose sum is their straight line's value at 0."""
+    x = skip + torch.arange(width, dtype=torch.float64)
     line = torch.stack([torch.ones_like(x), x], -1)
     return torch.linalg.pinv(line)[0]
 

@@ -1,0 +1,104 @@
+"""The record is the contract torchid.gap/1: its keys, joints from 1, numbers or null."""
+
+import json
+import math
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+import torch
+
+from tests.arms import mixed_arm
+from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
+from torchid.effects.friction import ViscousFriction
+from torchid.effects.registry import effect_from_record
+from torchid.gap.diagnosis import Parametric, RegimeGap, Status
+from torchid.gap.record import plain, record
+
+
+@pytest.mark.parametrize("status", get_args(Status))
+def test_keys_of_the_contract(status):
+    data = json.loads(json.dumps(record(diagnosis(status)), allow_nan=False))
+    assert data["schema"] == "torchid.gap/1"
+    assert data["status"] == status
+    assert set(data["where"]) == {"joints", "regimes"}
+    for entry in data["where"]["joints"]:
+        assert {"joint", "gap_rms", "noise_floor_rms", "share"} <= set(entry)
+    for entry in data["where"]["regimes"]:
+        assert {"joint", "regime", "excess", "p"} <= set(entry)
+    for entry in data["which"]:
+        keys = {"effect", "family", "joints", "ambiguous_with", "parameters", "p_value"}
+        assert keys <= set(entry)
+    far = {"rms_before", "rms_after", "noise_floor_rms", "closed", "closed_ci95", "per_joint"}
+    assert far | {"rollout"} <= set(data["how_far"])
+    assert [x["joint"] for x in data["how_far"]["per_joint"]] == [1, 2, 3]
+    assert set(data["budget"]) == {"parametric", "structural", "unexplained"}
+    for entry in data["not_testable"]:
+        assert {"effect", "joint", "smallest_detectable"} <= set(entry)
+    assert "next_experiment" in data
+    assert data["settings"]["nothing"] is None
+
+
+def test_joints_count_from_one():
+    data = record(diagnosis(findings=(VISCOUS, FRICTION, OFFSET)))
+    assert [x["joint"] for x in data["where"]["joints"]] == [1, 2, 3]
+    assert data["where"]["regimes"][0]["joint"] == 2
+    assert [x["joints"] for x in data["which"]] == [[1], [2], [3]]
+    assert [x["joint"] for x in data["not_testable"]] == [1, 3]
+
+
+def test_an_effect_can_be_read_back():
+    d = diagnosis()
+    entry = record(d)["which"][0]
+    written = {"effect": entry["effect"], "joint": entry["joints"][0], **entry["parameters"]}
+    assert effect_from_record(written, d.robot) == FRICTION.valued
+    assert entry["std"] == {"Fc": 0.02}
+    assert entry["unit"] == {"Fc": "N m"}
+    assert entry["family"] == "sign"
+    assert entry["meaning"]
+    assert entry["remedy"]
+
+
+def test_what_is_no_number_is_null():
+    d = diagnosis(findings=(OFFSET,))
+    d = replace(d, regimes=(RegimeGap(0, "low_speed", math.nan, (-math.inf, 0.1), 1.0),))
+    data = record(d)
+    assert data["which"][0]["std"] == {"F0": None}
+    assert data["where"]["regimes"][0]["excess"] is None
+    assert data["where"]["regimes"][0]["ci95"] == [None, 0.1]
+
+
+def test_inertial_parameters():
+    changed = (Parametric((2,), 0.5, 1e-4, ("payload",)), Parametric((), 0.3, 1e-3))
+    data = record(diagnosis(parametric=changed))
+    link = data["which"][-1]
+    assert (link["effect"], link["family"], link["joints"]) == ("link_inertia", "inertia", [3])
+    assert link["ambiguous_with"] == ["payload"]
+    assert [x["all_base_parameters"] for x in data["parametric"]] == [False, True]
+    assert len(data["which"]) == 2  # all base parameters are no effect of one link
+
+
+def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
+    far = record(diagnosis())["how_far"]
+    each = torch.tensor([x["before"] for x in far["per_joint"]])
+    assert far["rms_before"] == pytest.approx(float(each.square().sum().sqrt()))
+
+
+def test_units_of_prismatic_joints():
+    robot = mixed_arm("RPR")
+    slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
+    entry = record(diagnosis(robot=robot, findings=(slide,)))["which"][0]
+    assert entry["unit"] == {"Fv": "N s/m"}
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (torch.tensor([1.0, math.nan]), [1.0, None]),
+        ({"a": (1, True, None, "x")}, {"a": [1, True, None, "x"]}),
+        (torch.tensor(2.0), 2.0),
+        (math.inf, None),
+    ],
+)
+def test_plain(value, expected):
+    assert plain(value) == expected

@@ -1,0 +1,95 @@
+"""Figures of a diagnosis draw its data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
+from torchid.gap.diagnosis import HowFar
+from torchid.report.figures import save
+from torchid.report.gap_figures import figures, map_figure, worst_joints
+from torchid.report.gap_joint_figures import binned, samples, spectrum
+
+
+@pytest.mark.parametrize("status", ["no_gap", "explained"])
+def test_every_figure_is_drawn(status, tmp_path):
+    drawn = figures(diagnosis(status))
+    assert set(drawn) == {"where", "how_far", "gap_joint_2", "torque"}
+    for name, figure in drawn.items():
+        assert save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
+
+
+def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
+    made = trace(coulomb, some_left, seconds=12.0)
+    valid = made.valid.clone()
+    valid[1000:1500] = False
+    measured = made.measured.clone()
+    measured[1000:1500] = torch.nan
+    traces = (
+        replace(made, valid=valid, measured=measured),
+        trace(coulomb, seconds=3.0, rate=100.0),
+    )
+    d = diagnosis(traces=traces, floor=floor(noise=0.0))
+    for name, figure in figures(d).items():
+        save(figure, tmp_path / f"{name}.png")
+
+
+def test_no_traces_no_joint_figures():
+    assert set(figures(diagnosis(traces=()))) == {"where", "how_far"}
+
+
+def test_map_shows_clear_cells_only():
+    texts = [t.get_text() for t in map_figure(diagnosis()).axes[0].texts]
+    assert sorted(t for t in texts if t != "·") == ["20\u2009%", "40\u2009%", "64\u2009%"]
+    assert texts.count("·") == 1
+
+
+def test_bars_have_the_heights_of_the_rms():
+    d = diagnosis()
+    heights = [p.get_height() for p in figures(d)["how_far"].axes[0].patches]
+    rms = torch.cat([d.how_far.rms_before, d.how_far.rms_after]).tolist()
+    assert heights[:6] == pytest.approx(rms)
+    assert heights[6:] == pytest.approx((d.floor.high - d.floor.low).tolist())
+
+
+def test_worst_joints_have_shares():
+    assert worst_joints(diagnosis()) == [1]
+
+
+def test_binned_means_of_a_step():
+    g = np.random.default_rng(0)
+    x = g.uniform(-1, 1, 20_000)
+    y = np.sign(x) + 0.1 * g.standard_normal(20_000)
+    centre, mean, half = binned(x, y, np.arange(20_000) // 100)
+    outer = np.abs(centre) > 0.1
+    assert mean[outer] == pytest.approx(np.sign(centre[outer]), abs=0.03)
+    white = 1.96 * 0.1 / np.sqrt(20_000 / 24)
+    assert np.median(half[outer]) == pytest.approx(white, rel=0.25)
+
+
+def test_intervals_of_bins_know_that_samples_of_a_block_are_alike():
+    g = np.random.default_rng(0)
+    block = np.arange(24_000) // 100
+    x, y = g.uniform(-1, 1, 24_000), g.standard_normal(240)[block]
+    _, _, half = binned(x, y, block)
+    assert np.median(half) == pytest.approx(1.96 / np.sqrt(240), rel=0.4)
+
+
+def test_spectrum_holds_the_energy():
+    made = (trace(coulomb, some_left),)
+    f, density = spectrum(made, 1, "before")
+    s = samples(made, 1)
+    assert density.sum() * (f[1] - f[0]) == pytest.approx(float(np.var(s.before)), rel=0.15)
+
+
+def test_samples_are_the_valid_ones():
+    made = trace(coulomb, seconds=5.0)
+    assert len(samples((made, made), 1).t) == 2 * int(made.valid.sum())
+
+
+def test_a_negative_and_a_missing_result_are_drawn(tmp_path):
+    d = diagnosis(findings=(FRICTION,))
+    worse = HowFar(d.how_far.rms_after, d.how_far.rms_before, -0.5, (-0.7, 0.1))
+    save(figures(replace(d, how_far=worse))["how_far"], tmp_path / "worse.png")
