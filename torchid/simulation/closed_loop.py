@@ -111,21 +111,46 @@ def _run(
     every: int,
 ) -> tuple[Float[Tensor, "4 T B n"], State]:
     """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
-    stiffness, damping = gains
     arms, total, n = feed.shape
     out = feed.new_empty(4, -(-total // every), arms, n)
-    # Half a step back, so that the middle of the first step is the first sample.
-    dq = begin.dq - h / 2 * begin.ddq
-    q = begin.q - h / 2 * dq
-    start = feed.new_full((arms,), -h / 2)
-    state = plant.start(q, dq, begin.ddq, start)
+    state = _half_a_step_back(plant, begin, feed[:, 0], gains, limit, h)
     for k in range(total):
-        middle = state.q + h / 2 * state.dq
-        drive = Drive(feed[:, k] - stiffness * middle, damping, limit)
+        drive = _drive(state, feed[:, k], gains, limit, h)
         state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
         if k % every == 0:
             torch.stack(list(instant), out=out[:, k // every])
     return out, state
+
+
+def _drive(
+    state: State, feed: Tensor, gains: tuple[Tensor, Tensor], limit: Tensor | None, h: float
+) -> Drive:
+    """The controller in the middle of the step from a state."""
+    stiffness, damping = gains
+    return Drive(feed - stiffness * (state.q + h / 2 * state.dq), damping, limit)
+
+
+def _half_a_step_back(
+    plant: Plant,
+    begin: Motion,
+    feed: Tensor,
+    gains: tuple[Tensor, Tensor],
+    limit: Tensor | None,
+    h: float,
+) -> State:
+    """The state from which the middle of the first step, the first sample, is as it shall begin.
+
+    The acceleration there is the arm's own, not the reference's: two trials find it.
+    """
+    now = torch.zeros_like(begin.q[:, 0])
+    ddq = begin.ddq
+    for trial in range(3):
+        dq = begin.dq - h / 2 * ddq
+        state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
+        if trial < 2:
+            drive = _drive(state, feed, gains, limit, h)
+            ddq = plant.step(state, h, now, drive)[1].ddq
+    return state
 
 
 def _on_grid(log: Log, rate: float) -> Motion:

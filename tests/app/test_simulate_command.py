@@ -1,0 +1,92 @@
+"""`torchid simulate`: with and without effects, and how bad effects are refused."""
+
+import json
+
+import pytest
+import torch
+
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.log.readers import read_log, write_log
+from torchid.robot.library import load_robot
+
+
+@pytest.fixture(scope="module")
+def trajectory(tmp_path_factory):
+    path = tmp_path_factory.mktemp("simulate") / "trajectory.csv"
+    write_log(trajectory_log(random_trajectory(load_robot("3r"), 0, duration=3.0), 100.0), path)
+    return path
+
+
+def _simulate(command, trajectory, tmp_path, *options):
+    target = tmp_path / "log.parquet"
+    report = tmp_path / "log.json"
+    arguments = ("simulate", "3r", trajectory, "--to", target, "--json", report, *options)
+    return command(*arguments), target, report
+
+
+def test_without_effects_the_arm_is_on_the_trajectory(command, trajectory, tmp_path) -> None:
+    done, target, report = _simulate(command, trajectory, tmp_path, "--noise", "none")
+    assert done.code == 0, done.err
+    assert torch.equal(read_log(target).q, read_log(trajectory).q)
+    said = json.loads(report.read_text())
+    assert said["effects"] == []
+    assert said["closed_loop"] is False
+
+
+def test_effects_change_the_motion(command, trajectory, tmp_path) -> None:
+    friction = "coulomb_friction:joint=2,Fc=0.6"
+    gain = "torque_gain:joint=1,gain=0.5"
+    done, target, report = _simulate(
+        command, trajectory, tmp_path, "--noise", "none", "--effect", friction, "--effect", gain
+    )
+    assert done.code == 0, done.err
+    log, wanted = read_log(target), read_log(trajectory)
+    away = (log.q - wanted.q).abs().amax(0)
+    assert log.samples == wanted.samples
+    assert float(away[1]) > 1e-3
+    said = json.loads(report.read_text())
+    assert said["closed_loop"] is True
+    assert [(e["effect"], e["joint"]) for e in said["effects"]] == [
+        ("coulomb_friction", 2),
+        ("torque_gain", 1),
+    ]
+    assert said["effects"][0]["Fc"] == 0.6
+
+
+def test_closed_loop_without_effects_follows(command, trajectory, tmp_path) -> None:
+    done, target, _ = _simulate(
+        command, trajectory, tmp_path, "--closed-loop", "--rate", 200, "--noise", "none"
+    )
+    assert done.code == 0, done.err
+    log, wanted = read_log(target), read_log(trajectory)
+    assert log.samples == 2 * (wanted.samples - 1) + 1
+    assert float((log.q[::2] - wanted.q).abs().max()) < 1e-4
+
+
+def test_honest_noise_hides_the_accelerations(command, trajectory, tmp_path) -> None:
+    done, target, _ = _simulate(command, trajectory, tmp_path, "--closed-loop")
+    assert done.code == 0, done.err
+    assert set(read_log(target).signals) == {"q", "tau"}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--effect", "coulom:joint=2"], "unknown effect 'coulom'"),
+        (["--effect", "coulomb_friction:joint=2"], "Fc [N m] (Coulomb friction) is missing"),
+        (["--effect", "coulomb_friction:Fc=1"], "joint (1 to 3) is missing"),
+        (["--effect", "coulomb_friction:joint=4,Fc=1"], "joint that does not exist"),
+        (["--effect", "coulomb_friction:joint=1,Fc=high"], "Fc is not a number"),
+        (["--effect", "coulomb_friction:joint=1,Fc=1,Fv=2"], "'Fv' does not belong"),
+        (["--effect", "coulomb_friction:joint=1,Fc"], "cannot be read at 'Fc'"),
+        (["--effect", "saturation:joint=1,clip=1"], "limit [N m]"),
+        (["--rate", 200], "--rate needs"),
+        (["--closed-loop", "--noise", "paper"], "paper noise"),
+        (["--closed-loop", "--rate", 0], "sampling rate"),
+    ],
+)
+def test_bad_options_are_explained(command, trajectory, tmp_path, options, said) -> None:
+    done, target, _ = _simulate(command, trajectory, tmp_path, *options)
+    assert done.code == 1
+    assert said in " ".join(done.err.split())
+    assert not target.exists()
