@@ -1,0 +1,230 @@
+"""How much of a residual torque could be predicted at all: boosted trees, out of fold.
+
+What a flexible predictor leaves on data it was not trained on is an upper bound of the noise; what
+it can still predict after the accepted effects is a gap without a name. It sees motion and the
+model's torque only, never a measured torque, whose noise would predict itself.
+
+Rows are dependent over the residual's autocorrelation time, so folds are made of contiguous blocks
+of four such times, with rows one such time away from a block under test left out of its training
+(Roberts et al. 2017, blocked cross-validation). Predictions are shrunk by a factor that the other
+folds' predictions determine: trees that found nothing predict nothing.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.stats import t as student
+from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
+
+from torchid.gap.blocks import block_numbers, block_sums
+from torchid.gap.passages import RESTING, Passage, Rows
+from torchid.typing import Bool, Float, Int, Signals, Tensor
+
+FOLDS = 5
+BLOCK_TIMES = 4.0
+"""Length of a block in autocorrelation times."""
+
+FEWEST_BLOCKS = 20
+LONGEST_TRAINING = 4000
+"""Rows that one fit is trained on at most."""
+
+LAGS = (0.05, 0.15)
+"""History that is looked at [s]."""
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class OutOfFold:
+    """What the residual is predicted to be by a predictor trained elsewhere.
+
+    Attributes:
+        prediction: (n, N) [N m; N].
+        r2: (n,) share of the residual's sum of squares (about zero) that is predicted; may be < 0.
+        interval: (n, 2) 95 % interval of it, from the spread between blocks.
+        block_seconds: (n,) length of the blocks [s].
+    """
+
+    prediction: Float[Tensor, "n N"]
+    r2: Float[Tensor, " n"]
+    interval: Float[Tensor, "n 2"]
+    block_seconds: Float[Tensor, " n"]
+
+    def left(self, residual: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+        """The residual less what is predicted, where the prediction helps at all."""
+        return residual - self.prediction * (self.r2 > 0).to(residual).unsqueeze(-1)
+
+
+def predict_out_of_fold(
+    passages: Sequence[Passage],
+    rows: Rows,
+    residual: Float[Tensor, "n N"],
+    seed: int = 0,
+    joints: Sequence[int] | None = None,
+) -> OutOfFold:
+    """Predict the residual torque of each joint from motion and model torque.
+
+    Args:
+        passages: with the model's torque in their motion.
+        rows: of these passages.
+        residual: rows of measured less model torque.
+        seed: of the trees' binning; the result is a function of it.
+        joints: from 0, whose residual to predict; all if None. Others are predicted to be zero.
+    """
+    shared = _shared_features(passages, rows)
+    predictions, scores = [], []
+    # Trees this small are faster on one thread than on several, and never compete with torch's.
+    with threadpool_limits(limits=1, user_api="openmp"):
+        for j, r in enumerate(residual):
+            if joints is not None and j not in joints:
+                predictions.append(torch.zeros_like(r))
+                scores.append((0.0, 0.0, 0.0, 0.0))
+                continue
+            features = torch.cat([_own_features(passages, rows, j), shared]).T.cpu().numpy()
+            length, gap = _block_rows(r, rows)
+            block = block_numbers(rows.bounds, length)
+            predicted = _shrunk(_joint(features, r, rows.bounds, block, gap, seed), r, block)
+            predictions.append(predicted)
+            scores.append((*_score(r, predicted, block), length * rows.interval))
+    table = residual.new_tensor(scores)
+    return OutOfFold(torch.stack(predictions), table[:, 0], table[:, 1:3], table[:, 3])
+
+
+def autocorrelation_rows(x: Float[Tensor, " N"], bounds: tuple[slice, ...]) -> float:
+    """Integrated autocorrelation time [rows]: 1 + 2 sum rho_k up to the first rho_k below 0.05."""
+    longest = max(b.stop - b.start for b in bounds)
+    total = x.new_zeros(longest)
+    for b in bounds:
+        spectrum = torch.fft.rfft(x[b] - x.mean(), n=2 * longest)
+        total += torch.fft.irfft(spectrum.abs().square(), n=2 * longest)[:longest]
+    if not float(total[0]) > 0:
+        return 1.0
+    rho = total / total[0]
+    low = torch.nonzero(rho < 0.05).flatten()
+    end = int(low[0]) if len(low) else longest
+    return float(1 + 2 * rho[1:end].sum())
+
+
+def _block_rows(r: Float[Tensor, " N"], rows: Rows) -> tuple[int, int]:
+    """Length of a block and of the gap next to it [rows]; twenty blocks where that is possible."""
+    time = max(autocorrelation_rows(r, rows.bounds), 0.25 / rows.interval)
+    length = min(BLOCK_TIMES * time, len(r) / FEWEST_BLOCKS)
+    return max(4, round(length)), max(1, round(min(time, length)))
+
+
+def _shared_features(passages: Sequence[Passage], rows: Rows) -> Float[Tensor, "F N"]:
+    """Motion of all joints, and time."""
+    signals = [torch.cat([p.motion.q, p.motion.dq, p.motion.ddq], -1).T for p in passages]
+    elapsed = rows.pick([_elapsed(p) for p in passages])
+    return torch.cat([rows.apply(signals), elapsed.unsqueeze(0)])
+
+
+def _own_features(passages: Sequence[Passage], rows: Rows, joint: int) -> Float[Tensor, "F N"]:
+    """Direction, model torque, their and the velocity's history, and the way since reversal."""
+    signals, instants = [], []
+    for p in passages:
+        m = p.motion
+        torque = m.require("torque", "the flexible predictor")[:, joint]
+        sign, dq = m.sign[:, joint].to(torque), m.dq[:, joint]
+        past = [_before(x, round(lag * p.rate)) for lag in LAGS for x in (dq, torque)]
+        signals.append(torch.stack([sign, torque, *past]))
+        instants.append(torch.stack(_since_reversal(p, joint), -1))
+    return torch.cat([rows.apply(signals), rows.pick(instants).T])
+
+
+def _elapsed(p: Passage) -> Float[Tensor, " T"]:
+    return torch.arange(p.samples).to(p.tau) / p.rate if p.motion.t is None else p.motion.t
+
+
+def _before(x: Signals, samples: int) -> Signals:
+    """The value some samples ago; at the beginning the first one."""
+    return torch.cat([x[:1].expand(samples), x])[: len(x)]
+
+
+def _since_reversal(p: Passage, joint: int) -> tuple[Tensor, Tensor]:
+    """Time [s] and displacement since the joint last turned, or since the beginning."""
+    q, dq = p.motion.q[:, joint], p.motion.dq[:, joint]
+    index = torch.arange(len(q))
+    last = torch.cummax(torch.where(dq.abs() > RESTING, index, 0), 0).values
+    direction = torch.sign(dq)[last]
+    turned = torch.nn.functional.pad(direction.diff() != 0, (1, 0))
+    since = torch.cummax(torch.where(turned, index, 0), 0).values
+    return (index - since).to(q) / p.rate, q - q[since]
+
+
+def _joint(
+    features: np.ndarray,
+    r: Float[Tensor, " N"],
+    bounds: tuple[slice, ...],
+    block: Int[Tensor, " N"],
+    gap: int,
+    seed: int,
+) -> Float[Tensor, " N"]:
+    """Prediction of each fold by trees grown on the others; zero where nothing is left to train."""
+    out = torch.zeros_like(r)
+    target = r.cpu().numpy()
+    for fold in range(FOLDS):
+        test = block % FOLDS == fold
+        usable = torch.nonzero(~_widened(test, bounds, gap)).flatten()
+        train = usable[:: math.ceil(len(usable) / LONGEST_TRAINING) or 1].numpy()
+        if not bool(test.any()) or len(train) < 4 * FEWEST_BLOCKS:
+            continue
+        trees = _trees(seed).fit(features[train], target[train])
+        out[test] = torch.from_numpy(trees.predict(features[test.numpy()])).to(r)
+    return out
+
+
+def _trees(seed: int) -> HistGradientBoostingRegressor:
+    return HistGradientBoostingRegressor(
+        learning_rate=0.1,
+        max_iter=60,
+        max_leaf_nodes=8,
+        min_samples_leaf=20,
+        l2_regularization=5.0,
+        max_bins=64,
+        early_stopping=False,
+        random_state=seed,
+    )
+
+
+def _widened(mask: Bool[Tensor, " N"], bounds: tuple[slice, ...], gap: int) -> Bool[Tensor, " N"]:
+    """The mask and what lies within `gap` rows of it in the same trajectory."""
+    out = mask.clone()
+    for b in bounds:
+        wide = torch.nn.functional.max_pool1d(mask[b].double()[None], 2 * gap + 1, 1, gap)
+        out[b] = wide[0] > 0
+    return out
+
+
+def _shrunk(
+    predicted: Float[Tensor, " N"], r: Float[Tensor, " N"], block: Int[Tensor, " N"]
+) -> Float[Tensor, " N"]:
+    """Each fold's prediction times the factor, between 0 and 1, that suits the other folds."""
+    out = torch.zeros_like(predicted)
+    for fold in range(FOLDS):
+        others = block % FOLDS != fold
+        energy = predicted[others].square().sum()
+        factor = (predicted[others] @ r[others] / energy.clamp(min=1e-300)).clamp(0, 1)
+        out[~others] = factor * predicted[~others]
+    return out
+
+
+def _score(
+    r: Float[Tensor, " N"], predicted: Float[Tensor, " N"], block: Int[Tensor, " N"]
+) -> tuple[float, float, float]:
+    """R^2 and its interval, from what each block gains."""
+    total = float(r @ r)
+    if total == 0:
+        return 0.0, 0.0, 0.0
+    gains = block_sums(r.square() - (r - predicted).square(), block) / total
+    count = len(gains)
+    if count < 3:
+        return float(gains.sum()), -math.inf, 1.0
+    spread = float(gains.std()) * math.sqrt(count)
+    half = float(student.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread
+    r2 = float(gains.sum())
+    return r2, r2 - half, r2 + half

@@ -1,0 +1,53 @@
+"""The level of a residual's spectrum above the fit's cut-off, where little but noise is left."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torchid.gap.passages import Passage, Rows
+from torchid.log.filtering import ZeroPhaseFilter
+from torchid.typing import Float, Samples, Tensor
+
+_HANN = 2.0  # tapered, neighbouring frequencies are not independent
+
+
+def white_level(
+    passages: Sequence[Passage], residual: Sequence[Samples], cutoff: float
+) -> Float[Tensor, " n"]:
+    """Spectral density (n,) [(N m)^2/Hz, one-sided] above the cut-off, as a lower bound: the
+    smaller one of residual and measured torque (the model's acceleration has noise of its own,
+    which grows with frequency), less two standard errors. Medians, for lines do not move them."""
+    levels = []
+    for signals in (residual, [p.tau for p in passages]):
+        densities = [_densities(x, p, cutoff) for x, p in zip(signals, passages, strict=True)]
+        every = torch.cat(densities, -1)
+        error = _HANN**0.5 / math.log(2) / math.sqrt(max(1, every.shape[-1]))
+        # The median of chi^2 with two degrees of freedom is ln 2 of its mean.
+        levels.append(every.median(-1).values / math.log(2) * max(0.0, 1 - 2 * error))
+    return torch.minimum(*levels)
+
+
+def _densities(x: Samples, p: Passage, cutoff: float) -> Float[Tensor, "n F"]:
+    """Periodogram of a tapered signal between the cut-off and the wide band's edge."""
+    count = len(x)
+    window = torch.hann_window(count, periodic=False).to(x)
+    index = torch.linspace(-1, 1, count).to(x)
+    line = torch.stack([torch.ones_like(index), index], -1)
+    straight = x - line @ torch.linalg.lstsq(line, x).solution
+    spectrum = torch.fft.rfft((straight * window.unsqueeze(-1)).T)
+    density = 2 * spectrum.abs().square() / (p.rate * window.square().sum())
+    frequency = torch.arange(density.shape[-1]).to(x) * p.rate / count
+    last = min(p.band, 0.45 * p.rate)
+    first = min(1.25 * cutoff, 0.7 * last)
+    return density[:, (frequency >= first) & (frequency <= last)]
+
+
+def bandwidth(rows: Rows) -> float:
+    """Integral of the filter's squared amplitude [Hz]: variance of noise of density 1."""
+    nyquist = rows.rate / 2
+    if rows.cutoff >= 0.45 * rows.rate:
+        return nyquist
+    frequency = torch.linspace(0, nyquist * (1 - 1e-9), 4001, dtype=torch.float64)
+    amplitude = ZeroPhaseFilter(rows.rate, rows.cutoff).response(frequency)
+    return float(torch.trapezoid(amplitude.square(), frequency))
