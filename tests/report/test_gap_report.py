@@ -10,7 +10,7 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.diagnosis import HowFar, NotTestable, Parametric
 from torchid.report.gap import remarks, tables
-from torchid.report.gap_words import coefficients, effect_words, listed, measure, verdict
+from torchid.report.gap_words import coefficients, effect_words, listed, measure, percent, verdict
 
 
 def text_of(d) -> str:
@@ -116,6 +116,23 @@ def test_joints_of_one_reason_share_a_line():
         NotTestable("rotor_inertia", j, 0.1 * (j + 1), "kg m^2", "hidden") for j in range(3)
     )
     assert "1: 0.1 kg m^2; 2: 0.2 kg m^2; 3: 0.3 kg m^2" in text_of(diagnosis(not_testable=same))
+
+
+def test_reasons_that_differ_in_a_number_share_a_line():
+    two = (
+        NotTestable("rotor_inertia", 0, None, "kg m^2", "only 0.27 % of it is its own"),
+        NotTestable("rotor_inertia", 1, None, "kg m^2", "only 1.3 % of it is its own"),
+    )
+    text = text_of(diagnosis(not_testable=two))
+    assert "1, 2: no size only 0.27 to 1.3 % of it is its own" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0.93, "93 %"), (0.998, "99.8 %"), (1.0, "100 %"), (0.002, "0.2 %"), (float("nan"), "-")],
+)
+def test_percent(value, expected):
+    assert percent(value) == expected
 
 
 def test_rollouts_are_told():

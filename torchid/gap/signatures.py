@@ -256,21 +256,21 @@ def window_energy(x: Float[Tensor, "*batch N"], width: int) -> Float[Tensor, "*b
 def surrogates(x: Float[Tensor, "n N"], width: int, draws: Draws) -> Float[Tensor, "D n F"]:
     """Largest window energies of Gaussian processes of the same spectra, first the largest one,
     then the logarithm of the share of the FEW largest. Random phases, the same on all joints."""
-    size = torch.fft.rfft(x).abs()
+    size = torch.fft.rfft(x).abs().float()  # enough for a null distribution, and twice as fast
     out = []
     for start in range(0, len(draws), _CHUNK):
         count = min(_CHUNK, len(draws) - start)
         turn = 2 * math.pi * torch.rand(
-            count, 1, size.shape[-1], generator=draws.generator, dtype=torch.float64
+            count, 1, size.shape[-1], generator=draws.generator
         )  # fmt: skip
         spectrum = torch.polar(size.expand(count, -1, -1), turn.expand(-1, len(x), -1))
         series = torch.fft.irfft(spectrum, n=x.shape[-1])
         energy = window_energy(series, width)
         ranked = energy.topk(min(FEW[-1], energy.shape[-1]), -1).values
-        total = energy.sum(-1).clamp(min=1e-300)
-        shares = [(ranked[..., :c].sum(-1) / total).clamp(min=1e-300).log() for c in FEW]
+        total = energy.sum(-1).clamp(min=1e-30)
+        shares = [(ranked[..., :c].sum(-1) / total).clamp(min=1e-30).log() for c in FEW]
         out.append(torch.stack([ranked[..., 0], *shares], -1))
-    return torch.cat(out)
+    return torch.cat(out).to(x.dtype)
 
 
 def _chosen_energy(pool: Pool, chosen: Tensor, width: int) -> Float[Tensor, "K n"]:

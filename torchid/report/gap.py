@@ -1,5 +1,6 @@
 """A diagnosis as tables for people."""
 
+import re
 from typing import Any
 
 from rich.markup import escape
@@ -12,6 +13,7 @@ from torchid.report.gap_words import (
     CLEAR,
     coefficients,
     effect_words,
+    interval,
     joints_words,
     listed,
     percent,
@@ -24,6 +26,7 @@ from torchid.robot.model import JointType
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -63,8 +66,7 @@ def _regimes(diagnosis: Diagnosis, gap: JointGap) -> str:
 
 
 def _regime(r: RegimeGap) -> str:
-    low, high = (100 * x for x in r.ci95)
-    text = f"{regime_words(r.regime)} {percent(r.excess)} \\[{low:.0f}, {high:.0f}]"
+    text = escape(f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}")
     if r.times:
         starts = [f"{start:.1f}" for start, _ in r.times[:_MOST_REGIMES]]
         more = " ..." if len(r.times) > _MOST_REGIMES else ""
@@ -77,7 +79,7 @@ def which_table(diagnosis: Diagnosis) -> Table:
     table = compact("which: effects the model lacks (value ± std)")
     table.add_column("effect")
     table.add_column("joints", no_wrap=True)
-    table.add_column("value")
+    table.add_column("value", no_wrap=True)
     table.add_column("cannot be told from")
     for heading in ("lost without it", "closes alone", "p"):
         table.add_column(heading, justify="right")
@@ -141,8 +143,7 @@ def budget_table(diagnosis: Diagnosis) -> Table:
         table.add_column(heading, justify="right")
     closed = "the gap may be noise"
     if far.closed is not None and far.closed_ci95 is not None:
-        low, high = (100 * x for x in far.closed_ci95)
-        closed = f"{percent(far.closed)} \\[{low:.0f}, {high:.0f}]"
+        closed = escape(f"{percent(far.closed)} {interval(far.closed_ci95)}")
     shares = (budget.parametric, budget.structural, budget.unexplained)
     table.add_row(*(percent(x) for x in shares), closed)
     return table
@@ -181,19 +182,38 @@ def not_testable_table(diagnosis: Diagnosis) -> Table:
     table.add_column("why", ratio=1)
     groups: dict[tuple[str, str], list[NotTestable]] = {}
     for x in diagnosis.not_testable:
-        groups.setdefault((x.effect, x.reason), []).append(x)
-    for (effect, reason), members in groups.items():
-        table.add_row(
-            effect_words(effect), "; ".join(_smallest(x) for x in members), escape(reason)
-        )
+        groups.setdefault((x.effect, _NUMBER.sub("#", x.reason)), []).append(x)
+    for (effect, _), members in groups.items():
+        table.add_row(effect_words(effect), _smallest(members), escape(_reason(members)))
     return table
 
 
-def _smallest(x: NotTestable) -> str:
-    place = "the arm" if x.joint is None else str(x.joint + 1)
-    if x.smallest_detectable is None:
-        return f"{place}: no size"
-    return f"{place}: {x.smallest_detectable:.3g} {x.unit}".rstrip()
+def _reason(members: list[NotTestable]) -> str:
+    """The reason, which differs in its numbers only; of several, from the least to the greatest."""
+    found = [_NUMBER.findall(x.reason) for x in members]
+    spans = []
+    for same in zip(*found, strict=True):
+        low, high = min(same, key=float), max(same, key=float)
+        spans.append(low if low == high else f"{low} to {high}")
+    each = iter(spans)
+    return _NUMBER.sub(lambda _: next(each), members[0].reason)
+
+
+def _smallest(members: list[NotTestable]) -> str:
+    """`2: 0.4 N m; joint 3: ...`; joints on which no size would do together."""
+    never = [x for x in members if x.smallest_detectable is None]
+    texts = [
+        f"{_place(x)}: {x.smallest_detectable:.3g} {x.unit}".rstrip()
+        for x in members
+        if x.smallest_detectable is not None
+    ]
+    if never:
+        texts.append(f"{', '.join(_place(x) for x in never)}: no size")
+    return "; ".join(texts)
+
+
+def _place(x: NotTestable) -> str:
+    return "the arm" if x.joint is None else str(x.joint + 1)
 
 
 def experiment_table(experiment: dict[str, Any]) -> Table:

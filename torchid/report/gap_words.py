@@ -83,8 +83,17 @@ def shapes(finding: Finding, robot: Robot) -> list[str]:
 
 
 def percent(value: float) -> str:
-    """A fraction in percent."""
-    return f"{100 * value:.0f} %" if math.isfinite(value) else "-"
+    """A fraction in percent; with a decimal where it would be taken for none or all."""
+    if not math.isfinite(value):
+        return "-"
+    near = min(abs(value), abs(1 - value))
+    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
+
+
+def interval(ends: tuple[float, float]) -> str:
+    """Of fractions, in percent: `[90, 95]`."""
+    low, high = (percent(x).removesuffix(" %") for x in ends)
+    return f"[{low}, {high}]"
 
 
 def torque_unit(robot: Robot) -> str:
@@ -177,7 +186,7 @@ def _explained(d: Diagnosis) -> str:
 
 
 def _unexplained(d: Diagnosis) -> str:
-    left = percent(d.budget.unexplained)
+    left = percent(d.budget.unexplained) if d.budget.unexplained >= 5e-4 else "less than 0.1 %"
     if not d.findings and not d.parametric:
         return _sentence(
             f"There is a gap ({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}) that no "
@@ -197,7 +206,8 @@ def _not_testable(d: Diagnosis) -> str:
 def _causes(d: Diagnosis) -> str:
     """All causes, one effect on several joints together, the largest first."""
     names = list(dict.fromkeys(f.effect.name for f in sorted(d.findings, key=lambda f: -f.share)))
-    groups = [[f for f in d.findings if f.effect.name == name] for name in names]
+    by_joint = sorted(d.findings, key=lambda f: f.effect.joints)
+    groups = [[f for f in by_joint if f.effect.name == name] for name in names]
     inertia = [_inertia(d.parametric)] if d.parametric else []
     if len(d.findings) == 1:
         return listed([finding_words(d.findings[0], d.robot), *inertia])
@@ -225,8 +235,7 @@ def _shrinks(d: Diagnosis) -> str:
     far = d.how_far
     if far.closed is None or far.closed_ci95 is None:
         return f"the gap goes from {_rms(d, 'before')} to {_rms(d, 'after')} RMS"
-    low, high = far.closed_ci95
-    return f"the gap shrinks by {percent(far.closed)} [{100 * low:.0f}, {100 * high:.0f}]"
+    return f"the gap shrinks by {percent(far.closed)} {interval(far.closed_ci95)}"
 
 
 def _mostly(d: Diagnosis) -> str:
