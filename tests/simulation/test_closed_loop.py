@@ -110,26 +110,12 @@ def test_a_batch_is_its_arms_one_by_one() -> None:
             effect(robot, "gear_coupling", joint=3, source_joint=2, Fvm=0.1, Iam=0.0, Fcm=0.05),
         ],
     ]
-    controller = Controller(natural_frequency=4.0)
-    # Gains come from all references of a call, so each arm alone gets them from the same ones.
-    together = closed_loop(robot, logs, arms, controller=_Fixed(robot, controller, logs))
+    together = closed_loop(robot, logs, arms)
     for k, log in enumerate(together):
-        fixed = _Fixed(robot, controller, logs)
-        (alone,) = closed_loop(robot, [logs[k]], [arms[k]], controller=fixed)
+        (alone,) = closed_loop(robot, [logs[k]], [arms[k]])
         assert log.samples == logs[k].samples
         assert float((log.q - alone.q).abs().max()) < 1e-12
         assert relative(_tau(log), _tau(alone)) < 1e-9
-
-
-class _Fixed(Controller):
-    """Gains as for given references."""
-
-    def __init__(self, robot: Robot, controller: Controller, logs: list[Log]):
-        super().__init__(controller.natural_frequency, controller.damping)
-        object.__setattr__(self, "fixed", controller.gains(robot, torch.cat([x.q for x in logs])))
-
-    def gains(self, robot: Robot, q: Tensor) -> tuple[Tensor, Tensor]:
-        return self.fixed  # type: ignore[attr-defined, no-any-return]
 
 
 def _body(mass: float) -> dict[str, float]:

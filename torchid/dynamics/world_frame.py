@@ -46,7 +46,7 @@ class Arms:
         revolute: (n,) 1 or 0.
         inertia: (*arms, n, 4, 4) pseudo-inertias about the link frames.
         gravity: (*arms, 3) in the base frame [m/s^2].
-        lower: (n, n) ones on and below the diagonal.
+        above: (n, n) true above the diagonal.
         cross: (3, 9) takes w to the rows of [w]x.
         slides: whether any joint is prismatic.
     """
@@ -59,7 +59,7 @@ class Arms:
     revolute: Tensor
     inertia: Tensor
     gravity: Tensor
-    lower: Tensor
+    above: Tensor
     cross: Tensor
     slides: bool
 
@@ -108,29 +108,30 @@ class Posture:
 
     def mass_matrix(self) -> JointMatrix:
         """M(q) [kg m^2]."""
-        upper = self._arms.lower.T
-        composite = (upper @ self._inertia.flatten(-2)).unflatten(-1, (4, 4))
+        composite = _towards_the_base(self._inertia)
         # <S_i, S_j sum_{l>=j} P_l> is M_ij for i <= j only.
         half = self._flat @ (self._screws @ composite).flatten(-2).transpose(-1, -2)
-        return torch.where(self._arms.lower == 0, half, half.transpose(-1, -2))
+        return torch.where(self._arms.above, half, half.transpose(-1, -2))
 
     def torque(self, dq: BroadcastJoints, ddq: BroadcastJoints | None = None) -> Joints:
         """M ddq + S dq + g [N m; N]; the bias alone if ddq is None."""
         arms, s = self._arms, self._screws
         rate = dq[..., None, None]
-        v = self._along_the_chain(s * rate)
+        v = (s * rate).cumsum(-3)
         turning = v[..., :3]
         # dS/dt dq, in which S dq's own part of V cancels.
         change = (turning @ s - s[..., :3] @ v) * rate
         if ddq is not None:
             change = torch.addcmul(change, s, ddq[..., None, None])
-        a = self._along_the_chain(change) + turning @ v
+        a = change.cumsum(-3) + turning @ v
         a[..., 3] -= arms.gravity.unsqueeze(-2)
-        force = arms.lower.T @ (a @ self._inertia).flatten(-2)
-        return (self._flat * force).sum(-1)
+        force = _towards_the_base(a @ self._inertia)
+        return (self._flat * force.flatten(-2)).sum(-1)
 
-    def _along_the_chain(self, x: Tensor) -> Tensor:
-        return (self._arms.lower @ x.flatten(-2)).unflatten(-1, (3, 4))
+
+def _towards_the_base(x: Tensor) -> Tensor:
+    """Sums over the links l >= i (*batch, n, ., .), for every i."""
+    return x.flip(-3).cumsum(-3).flip(-3)
 
 
 def arms_of(
@@ -163,7 +164,7 @@ def arms_of(
         revolute=revolute.to(like),
         inertia=joined([pseudo_inertia(p.pi) for p in parameters]).to(like),
         gravity=joined([robot.gravity for robot in robots]).to(like),
-        lower=torch.ones(robots[0].n, robots[0].n).tril().to(like),
+        above=torch.ones(robots[0].n, robots[0].n, device=like.device).triu(1).bool(),
         cross=torch.tensor(_CROSS).to(like),
         slides=not bool(revolute.all()),
     )

@@ -62,8 +62,9 @@ def closed_loop(
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
     steps = max(1, math.ceil(1 / rate / longest_step - 1e-9))
     targets = [_on_grid(log, steps * rate) for log in references]
-    gains = controller.gains(robot, torch.cat([m.q for m in targets]))
-    feed = _padded(controller.feed(robot, targets, gains))
+    each = [controller.gains(robot, m.q) for m in targets]
+    feed = _padded([controller.feed(robot, m, g) for m, g in zip(targets, each, strict=True)])
+    gains = torch.stack([stiffness for stiffness, _ in each]), torch.stack([d for _, d in each])
     firsts = zip(*([x[0] for x in m.state] for m in targets), strict=True)
     begin = Motion(*(torch.stack(first) for first in firsts))
     plant = plant_of(robot, effects, begin.q)

@@ -1,7 +1,6 @@
 """Joint control as arms have it: feed-forward of a nominal model, and PD."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -26,7 +25,7 @@ _SAMPLES = 200  # of the reference, for the mean inertia
 class Controller:
     """tau = tau_nominal(reference) + Kp (q_ref - q) + Kd (dq_ref - dq), joint by joint.
 
-    Kp = w^2 I and Kd = 2 z w I with the joint's mean inertia I along the references: the diagonal
+    Kp = w^2 I and Kd = 2 z w I with the joint's mean inertia I along the reference: the diagonal
     of the nominal mass matrix with the nominal rotor inertias. It acts on the true motion without
     delay, between sampling instants too.
 
@@ -54,7 +53,7 @@ class Controller:
     def gains(
         self, robot: Robot, q: Float[Tensor, "*batch n"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-        """Kp [N m/rad; N/m] and Kd [N m s/rad; N s/m] for references through positions q.
+        """Kp [N m/rad; N/m] and Kd [N m s/rad; N s/m] for a reference through positions q.
 
         Raises:
             RobotError: the robot has no nominal parameters.
@@ -88,21 +87,17 @@ class Controller:
         return torch.tensor(limits, dtype=torch.float64)
 
     def feed(
-        self, robot: Robot, references: Sequence[Motion], gains: tuple[Tensor, Tensor]
-    ) -> list[Float[Tensor, "T n"]]:
-        """The part of each torque that the references determine: all but -Kp q - Kd dq.
+        self, robot: Robot, reference: Motion, gains: tuple[Tensor, Tensor]
+    ) -> Float[Tensor, "T n"]:
+        """The part of the torque that the reference determines: all but -Kp q - Kd dq.
 
         Args:
             robot: the nominal one.
-            references: of each arm, (T, n) with t.
+            reference: (T, n) with t.
             gains: Kp and Kd.
         """
         stiffness, damping = gains
-        nominal = nominal_effects(robot)
-        feeds = []
-        for reference in references:
-            feed = stiffness * reference.q + damping * reference.dq
-            if self.feed_forward:
-                feed = feed + model_torque(robot, nominal, reference)
-            feeds.append(feed)
-        return feeds
+        feed = stiffness * reference.q + damping * reference.dq
+        if not self.feed_forward:
+            return feed
+        return feed + model_torque(robot, nominal_effects(robot), reference)

@@ -58,7 +58,7 @@ class Drive(NamedTuple):
 
     Attributes:
         feed: (B, n) [N m; N].
-        damping: (B, n) or (n,), or None.
+        damping: (B, n), or None.
         limit: (n,) largest absolute torque, or None.
     """
 
