@@ -261,7 +261,7 @@ def surrogates(x: Float[Tensor, "n N"], width: int, draws: Draws) -> Float[Tenso
     for start in range(0, len(draws), _CHUNK):
         count = min(_CHUNK, len(draws) - start)
         turn = 2 * math.pi * torch.rand(
-            count, 1, size.shape[-1], generator=draws.generator
+            count, 1, size.shape[-1], generator=draws.generator, dtype=size.dtype
         )  # fmt: skip
         spectrum = torch.polar(size.expand(count, -1, -1), turn.expand(-1, len(x), -1))
         series = torch.fft.irfft(spectrum, n=x.shape[-1])

@@ -77,11 +77,11 @@ def _regime(r: RegimeGap) -> str:
 def which_table(diagnosis: Diagnosis) -> Table:
     """Accepted effects with their coefficients."""
     table = compact("which: effects the model lacks (value ± std)")
-    table.add_column("effect")
+    table.add_column("effect", no_wrap=True)
     table.add_column("joints", no_wrap=True)
     table.add_column("value", no_wrap=True)
     table.add_column("cannot be told from")
-    for heading in ("lost without it", "closes alone", "p"):
+    for heading in ("lost\nwithout it", "closes\nalone", "p"):
         table.add_column(heading, justify="right")
     for f in diagnosis.findings:
         values = coefficients(f, diagnosis.robot)
