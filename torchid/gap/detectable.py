@@ -2,13 +2,12 @@
 been found."""
 
 import math
-
-import torch
+from collections.abc import Sequence
 
 from torchid.effects.base import Effect
 from torchid.gap.diagnosis import NotTestable
 from torchid.gap.projection import Projector
-from torchid.gap.select import BASE, FRICTION, LINK, Problem
+from torchid.gap.select import BASE, FRICTION, LINK, Problem, Term, term_of
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -23,7 +22,7 @@ MARGIN = 2.0
 
 
 def not_testable(
-    problem: Problem, model: Projector, robot: Robot, torque: Tensor
+    problem: Problem, model: Projector, robot: Robot, torque: Tensor, found: Sequence[Term]
 ) -> list[NotTestable]:
     """Effects that these data cannot show, one entry an effect and place.
 
@@ -31,11 +30,13 @@ def not_testable(
         problem: rows and candidates.
         model: what is in the model: free base parameters hide other effects than trusted ones.
         robot: for units.
+        found: accepted terms, which are not listed.
         torque: (n,) RMS of each joint's whitened torque, as a measure of what is large.
     """
     out = []
+    accepted = {term.key for term in found}
     for bank in problem.banks:
-        if bank.name in (BASE, LINK, FRICTION):
+        if bank.name in (BASE, LINK, FRICTION) or term_of(bank).key in accepted:
             continue
         effect = bank.members[0][0]
         column = bank.columns[:, 0]
@@ -72,8 +73,3 @@ def _unit(effect: Effect, robot: Robot) -> str:
     joints = effect.joints
     prismatic = bool(joints) and robot.joint_types[joints[0]] is JointType.PRISMATIC
     return effect.coefficients[0].unit_for(prismatic)
-
-
-def whitened_torque(problem_rows: Tensor) -> Tensor:
-    """RMS (n,) of whitened rows (n, N)."""
-    return problem_rows.square().mean(1).sqrt() if problem_rows.numel() else torch.zeros(0)

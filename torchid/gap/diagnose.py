@@ -241,7 +241,7 @@ def _answer(
     excess = _excess(case, folds, models)
     search = Search(whole.problem, list(whole.terms))
     torque = _torque_rows(case)
-    hidden = not_testable(whole.problem, search.model(), case.start.robot, torque)
+    hidden = not_testable(whole.problem, search.model(), case.start.robot, torque, whole.terms)
     robot = _as_robot(whole, case)
     return Diagnosis(
         robot=case.start.robot,

@@ -15,6 +15,9 @@ from torchid.typing import Tensor
 FELT = 25.0
 """Whitened sum of squares above which a joint feels a global effect."""
 
+HOPELESS = 3600.0
+"""Seconds of the same motion beyond which only another motion can help."""
+
 FELT_SHARE = 0.01
 """And the share of the effect's whole that it must be."""
 
@@ -42,7 +45,7 @@ def findings(solution: Solution) -> Findings:
     n = problem.y.shape[0]
     start = Search(problem, []).model().loss
     last = search.model().loss
-    closable = max(1e-12, start - problem.noise)
+    closable = max(start - problem.noise, start - last, 1e-12)
     found: list[Finding] = []
     inertial: list[Parametric] = []
     unresolved = []
@@ -115,7 +118,8 @@ def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str
     t = rows.pick([p.motion.t for p in rows.passages if p.motion.t is not None])
     where = next(k for k, own in enumerate(rows.bounds) if own.start <= int(instants[0]) < own.stop)
     needed = problem.threshold(1)
-    seconds = len(problem.block) * rows.interval
+    total = float(left.sum())
+    seconds = len(problem.block) * rows.interval * needed / max(1e-12, total)
     joints = term.effects[0].joints or other.term.effects[0].joints
     return {
         "separates": [term.name, other.name],
@@ -125,7 +129,7 @@ def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str
             "trajectory": rows.passages[where].name,
             "from_s": float(t[instants[0]]),
             "to_s": float(t[instants[-1]]),
-            "share": float(left[best] / left.sum().clamp(min=1e-300)),
+            "share": float(left[best]) / max(1e-12, total),
         },
-        "seconds_of_the_same_motion": float(seconds * needed / max(1e-12, float(left.sum()))),
+        "seconds_of_the_same_motion": seconds if seconds < HOPELESS else None,
     }

@@ -14,7 +14,7 @@ from torchid.gap.repeats import Repeats, find_repeats
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-STRUCTURE = 0.1
+STRUCTURE = 0.25
 """Predictable share of a joint's noise variance from which structure is worth saying."""
 
 

@@ -103,7 +103,7 @@ class Rows:
         """Unfiltered values (N, ...) of signals (T_p, ...) at the rows' instants."""
         return torch.cat([x[self.edge : x.shape[0] - self.edge : self.step] for x in signals])
 
-    def _one(self, x: Signals) -> Signals:
+    def _one(self, x: Signals) -> Float[Tensor, "*batch _"]:
         last = x.shape[-1] - self.edge
         if self._filter is None:
             return x[..., self.edge : last : self.step]

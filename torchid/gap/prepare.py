@@ -25,6 +25,9 @@ WIDE_BAND = 40.0
 REVERSAL = 0.004
 """Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
 
+DWELL = 0.2
+"""Time below the reversal speed from which a joint counts as dwelling [s]."""
+
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
 
@@ -90,12 +93,12 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
     even, warnings = prepared(log, robot)
     narrow, wide = bands(even, cutoff)
     measured = measurements(even, wide)
-    threshold = reversal_speed(measured)
-    measured = [
-        replace(m, motion=m.motion._replace(direction=direction(m.motion.dq, threshold).double()))
-        for m in measured
-    ]
     passages = _with_ages(passages_of(measured, wide), even)
+    threshold = reversal_speed(measured)
+    passages = [
+        replace(p, motion=p.motion._replace(direction=sharp_direction(p, threshold)))
+        for p in passages
+    ]
     long = [p for p in passages if p.samples > 4 * p.rate / narrow + 20]
     if not long:
         raise LogError(
@@ -122,6 +125,22 @@ def _with_ages(passages: list[Passage], even: Log) -> list[Passage]:
         return passages
     pairs = zip(passages, ages, strict=True)
     return [replace(p, motion=p.motion._replace(age=age)) for p, age in pairs]
+
+
+def sharp_direction(p: Passage, threshold: Float[Tensor, " n"]) -> Float[Tensor, "T n"]:
+    """Direction of motion (T, n), from -1 to 1.
+
+    Where a joint turns without stopping, the mean of its sign over a sampling interval, which puts
+    the reversal between two samples where it belongs; where it dwells (slower than the threshold
+    for more than `DWELL`), the direction it came from: velocity noise is no motion.
+    """
+    dq, ddq = p.motion.dq, p.motion.ddq
+    turning = (dq / (ddq.abs() * 0.5 / p.rate).clamp(min=1e-12)).clamp(-1, 1)
+    slow = (dq.abs() < threshold).double().T.unsqueeze(1)
+    width = 2 * round(0.5 * DWELL * p.rate) + 1
+    inner = -torch.nn.functional.max_pool1d(-slow, width, 1, width // 2)
+    dwells = torch.nn.functional.max_pool1d(inner, width, 1, width // 2)[:, 0].T > 0.5
+    return torch.where(dwells, direction(dq, threshold).to(dq), turning)
 
 
 def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:

@@ -11,11 +11,15 @@ from dataclasses import dataclass
 import torch
 
 from torchid.gap.candidates import Bank
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
-VISIBLE = 2e-4
-"""Share of a column's square that must be left outside the model for it to be seen at all; what is
-left of less is rounding of the filters and of the geometry, and noise of the regressors."""
+VISIBLE = 0.01
+"""Share of a column's square that must be left outside the model for it to be seen at all. Of less,
+what is left is noise of the regressors and the misfit of the effects already there, and the
+coefficient would be large and cancel against theirs."""
+
+ROUNDING = 1e-7
+"""The same for columns that join the model whatever is left of them."""
 
 
 DETERMINED = 0.99
@@ -50,15 +54,17 @@ class Projector:
         self.q = y.new_zeros(0, y.numel())
         self.r = y.clone()
 
-    def add(self, columns: Float[Tensor, "C R"], place: int | None) -> None:
-        """Columns join the model: those not yet in it, to rounding."""
+    def add(
+        self, columns: Float[Tensor, "C R"], place: int | None, visible: float = VISIBLE
+    ) -> None:
+        """Columns join the model: the directions of which at least `visible` is not yet in it."""
         full = self.full(columns, place)
         size = full.norm(dim=1, keepdim=True)
         full = full[(size > 0).flatten()] / size[size > 0].unsqueeze(-1)
         for _ in range(2):  # once more: classical Gram-Schmidt loses digits
             full = full - (full @ self.q.T) @ self.q
         _, s, v = torch.linalg.svd(full, full_matrices=False)
-        new = v[s**2 > VISIBLE]
+        new = v[s**2 > visible]
         new = new - (new @ self.q.T) @ self.q
         self.q = torch.cat([self.q, torch.linalg.qr(new.T).Q.T])
         flat = self.r.flatten()
@@ -87,9 +93,11 @@ class Projector:
 class Scanner:
     """Gains of a bank while a projector's model grows."""
 
-    def __init__(self, bank: Bank):
+    def __init__(self, bank: Bank, keep: Bool[Tensor, "n N"]):
         self.bank = bank
-        self.gram = bank.columns @ bank.columns.transpose(1, 2)
+        # The residual and the basis are zero in rows that do not count; only here must they be.
+        rows = keep.flatten() if bank.place is None else keep[bank.place]
+        self.gram = (bank.columns * rows) @ bank.columns.transpose(1, 2)
         self._held = bank.columns.new_zeros(*bank.columns.shape[:2], 0)
         self._basis: Tensor | None = None
 

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from torchid.effects.base import Effect
 from torchid.gap.blocks import block_numbers, block_sums, held_out_gain, mean_bound, sign_flip_p
 from torchid.gap.candidates import Bank, Place
-from torchid.gap.projection import Gains, Projector, Scanner
+from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner
 from torchid.typing import Bool, Float, Int, Tensor
 
 PHI = 1.3
@@ -144,7 +144,7 @@ class Problem:
     Attributes:
         y: (n, N) whitened gap; masked rows are zero.
         keep: (n, N) rows that count.
-        banks: candidates.
+        banks: candidates; their rows that do not count need not be zero.
         fixed: terms that are always in the model (free base parameters, a fitted background).
         bounds: rows of each trajectory.
         interval: seconds between rows.
@@ -187,6 +187,11 @@ class Problem:
         """Block of each row."""
         return block_numbers(self.bounds, max(2, round(BLOCK_SECONDS / self.interval)))
 
+    def masked(self, term: Term) -> Term:
+        """The term with the rows that do not count at zero."""
+        rows = self.keep.flatten() if term.place is None else self.keep[term.place]
+        return replace(term, columns=term.columns * rows)
+
     def blocks_of(self, place: Place) -> Int[Tensor, " R"]:
         """Block of each row of a place."""
         return self.block if place is not None else self.block.repeat(self.y.shape[0])
@@ -200,7 +205,7 @@ class Search:
     terms: list[Term] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.scanners = [Scanner(bank) for bank in self.problem.banks]
+        self.scanners = [Scanner(bank, self.problem.keep) for bank in self.problem.banks]
 
     def model(self, without: Sequence[Term] = ()) -> Projector:
         """The residual of the present model, some terms left out."""
@@ -208,7 +213,7 @@ class Search:
         left_out = {id(term) for term in without}
         for term in (*self.problem.fixed, *self.terms):
             if id(term) not in left_out:
-                out.add(term.columns, term.place)
+                out.add(term.columns, term.place, visible=ROUNDING)
         return out
 
     def candidates(
@@ -219,8 +224,11 @@ class Search:
         out = []
         for scanner in self.scanners if scanners is None else scanners:
             found = _best_member(scanner, model)
-            if found is not None and not (found.term.key in present and found.term.effects):
-                out.append(found)
+            if found is None or (found.term.key in present and found.term.effects):
+                continue
+            if found.gain > 0.5 * self.problem.threshold(found.df):
+                found = replace(found, term=self.problem.masked(found.term))
+            out.append(found)
         return sorted(out, key=lambda c: -c.score)
 
     def run(self, most: int) -> list[Term]:
@@ -321,10 +329,10 @@ class Search:
         gain = 0.0
         for level in range(FINEST):
             bank = self.problem.refine(term.effects[0], level)
-            found = None if bank is None else _best_member(Scanner(bank), model)
+            found = None if bank is None else _best_member(Scanner(bank, self.problem.keep), model)
             if found is None:
                 break
-            term, last, gain = found.term, gain, found.gain
+            term, last, gain = self.problem.masked(found.term), gain, found.gain
             if level > 1 and gain - last < 1.0:
                 break
         return term
@@ -336,7 +344,7 @@ class Search:
             if term is newest or not related or term not in self.terms:
                 continue
             without = self.model(without=[term])
-            own = _best_member(Scanner(_bank_of(term)), without)
+            own = _best_member(Scanner(_bank_of(term), self.problem.keep), without)
             if own is None or own.gain < self.problem.threshold(own.df):
                 self.terms = [t for t in self.terms if t is not term]
                 continue
@@ -375,8 +383,3 @@ def _best_member(scanner: Scanner, model: Projector) -> Candidate | None:
     if float(gains.gain[k]) <= 0:
         return None
     return Candidate(term_of(scanner.bank, k), float(gains.gain[k]), int(gains.df[k]))
-
-
-def with_term(term: Term, columns: Tensor) -> Term:
-    """The same term, its columns taken at another model."""
-    return replace(term, columns=columns)

@@ -27,6 +27,10 @@ PASSES = 2
 CHANGED = 0.02
 """Relative change of the model's torque from which the columns that depend on it are taken anew."""
 
+SETTLING = 3
+SETTLED = 1e-4
+"""Gauss-Newton steps at most, and the share of the loss that one must gain."""
+
 DETERMINED = 1e-7
 """Eigenvalue of the scaled Gram matrix, relative to the largest, below which a direction is left
 at zero."""
@@ -138,12 +142,6 @@ def rigid_banks(evaluator: Evaluator, task: Task) -> list[Bank]:
     return banks
 
 
-def masked(bank: Bank, keep: Bool[Tensor, "n N"]) -> Bank:
-    """The bank with the rows that do not count at zero."""
-    rows = keep.flatten() if bank.place is None else keep[bank.place]
-    return replace(bank, columns=bank.columns * rows)
-
-
 def fixed_terms(evaluator: Evaluator, task: Task) -> tuple[Term, ...]:
     """Terms that are always in the model."""
     if not task.free:
@@ -179,11 +177,11 @@ def solve(
         problem = Problem(
             y,
             keep,
-            tuple(masked(bank, keep) for bank in banks),
+            tuple(banks),
             fixed,
             start.rows.bounds,
             start.rows.interval,
-            _refiner(evaluator, keep),
+            _refiner(evaluator),
             task.alpha,
             task.seed,
         )
@@ -200,10 +198,39 @@ def solve(
         if not change and attempt > 0:
             break
         evaluator = latest
-        terms = [_mask(_retaken(t, evaluator, fit.values[len(fixed) + k]), keep)
-                 for k, t in enumerate(terms)]  # fmt: skip
+        terms = _all_retaken(terms, evaluator, fit.values[len(fixed) :], keep)
         banks = _renewed(banks, evaluator, change)
-    return Solution(problem, tuple(terms), fit, robot, effects)
+    return _settled(start, problem, terms, fit, task)
+
+
+def _settled(
+    start: Evaluator, problem: Problem, terms: list[Term], fit: Fit, task: Task
+) -> Solution:
+    """Gauss-Newton steps on the residual of the corrected model itself, as long as they lower it:
+    what is nonlinear in several coefficients at once (a gain on refitted parameters) settles."""
+    best = Solution(problem, tuple(terms), fit, *corrected(start, problem.fixed, terms, fit, task))
+    evaluator = start.with_model(best.robot, best.effects)
+    r = evaluator.residual() * problem.keep
+    for _ in range(SETTLING if terms else 0):
+        own = best.fit.values[len(problem.fixed) :]
+        retaken = _all_retaken(best.terms, evaluator, own, problem.keep)
+        step = fitted(replace(problem, y=r), retaken)
+        values = tuple(v + d for v, d in zip(best.fit.values, step.values, strict=True))
+        moved = Fit(values, step.std, step.loss)
+        robot, effects = corrected(start, problem.fixed, retaken, moved, task)
+        evaluator = start.with_model(robot, effects)
+        left = evaluator.residual() * problem.keep
+        if float(left.square().sum()) > (1 - SETTLED) * float(r.square().sum()):
+            break
+        r, best = left, Solution(problem, tuple(retaken), moved, robot, effects)
+    return replace(best, fit=replace(best.fit, loss=float(r.square().sum())))
+
+
+def _all_retaken(
+    terms: Sequence[Term], evaluator: Evaluator, values: Sequence[Tensor], keep: Tensor
+) -> list[Term]:
+    pairs = zip(terms, values, strict=True)
+    return [_mask(_retaken(term, evaluator, v), keep) for term, v in pairs]
 
 
 def _mask(term: Term, keep: Tensor) -> Term:
@@ -286,12 +313,12 @@ def _renewed(banks: Sequence[Bank], evaluator: Evaluator, change: _Change) -> li
     return out
 
 
-def _refiner(evaluator: Evaluator, keep: Tensor) -> Callable[[Effect, int], Bank | None]:
+def _refiner(evaluator: Evaluator) -> Callable[[Effect, int], Bank | None]:
     """Shapes around an effect's own: within the grid's step, then a third of it, a ninth, ..."""
 
     def refine(effect: Effect, level: int) -> Bank | None:
         if isinstance(effect, Contact) and effect.start is not None:
-            return masked(evaluator.around(effect, level), keep)
+            return evaluator.around(effect, level)
         if not isinstance(effect, JointEffect):
             return None
         kind = type(effect)
@@ -315,7 +342,7 @@ def _refiner(evaluator: Evaluator, keep: Tensor) -> Callable[[Effect, int], Bank
         bank = evaluator.joint_bank(
             kind, effect.joint, torch.cartesian_prod(*axes).reshape(-1, len(axes))
         )
-        return masked(bank, keep)
+        return bank
 
     return refine
 
