@@ -90,6 +90,10 @@ class Evaluator:
         """Number of joints."""
         return self.robot.n
 
+    def with_whitener(self, whiten: Whiten) -> "Evaluator":
+        """The same model, rows scaled in another way."""
+        return Evaluator(self.robot, self.effects, self.rows, whiten)
+
     def with_model(self, robot: Robot, effects: Sequence[Valued]) -> "Evaluator":
         """The same rows, another model."""
         other = Evaluator(robot, effects, self.rows, self.whiten)

@@ -50,8 +50,9 @@ class _Case:
         given, checked: the log searched, and the one held out.
         task: what is looked for.
         noise: floor and whitener.
-        evaluator: of the model as given on the log searched.
-        banks: its candidates.
+        evaluator: of the model as given on the log searched, whitened.
+        plain: the same, its rows divided by their noise only.
+        banks: candidates.
     """
 
     start: Model
@@ -61,6 +62,7 @@ class _Case:
     task: Task
     noise: Noise
     evaluator: Evaluator
+    plain: Evaluator
     banks: tuple[Bank, ...]
 
 
@@ -99,11 +101,11 @@ def diagnose(
     case = _case(robot, log, held_out, settings, say)
     keep = case.given.keep
     say("searching for effects", 0, 1)
-    whole = solve(case.evaluator, keep, case.task, case.banks)
+    whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
     if not case.noise.repeated and whole.terms:
         # Without repeats the noise is what a predictor leaves of the gap; of a smaller one, less.
         case = _with_noise(case, whole, settings, say)
-        whole = solve(case.evaluator, keep, case.task, case.banks)
+        whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
     folds, models = _held_out_models(case, whole, settings, say)
     say("judging", 0, 1)
     found = _answer(case, whole, folds, models, settings)
@@ -132,8 +134,10 @@ def _case(
     start = _start(robot, given, task)
     say("measuring the noise", 0, 1)
     noise = _noise(start, given, settings, check=False)
-    evaluator, banks = _candidates(start, given, task, noise, say)
-    return _Case(start, robot.parameters is None, given, checked, task, noise, evaluator, banks)
+    fitted = robot.parameters is None
+    return _Case(
+        start, fitted, given, checked, task, noise, *_candidates(start, given, task, noise, say)
+    )
 
 
 def _noise(model: Model, given: Prepared, settings: GapSettings, *, check: bool) -> Noise:
@@ -144,18 +148,19 @@ def _noise(model: Model, given: Prepared, settings: GapSettings, *, check: bool)
 
 def _candidates(
     start: Model, given: Prepared, task: Task, noise: Noise, say: Progress
-) -> tuple[Evaluator, tuple[Bank, ...]]:
+) -> tuple[Evaluator, Evaluator, tuple[Bank, ...]]:
     say("computing candidates", 0, 1)
     evaluator = Evaluator(start.robot, start.effects, given.rows, noise.whiten)
-    return evaluator, tuple(banks_of(evaluator, task))
+    plain = evaluator.with_whitener(noise.scale)
+    return evaluator, plain, tuple(banks_of(evaluator, task))
 
 
 def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progress) -> _Case:
     """The same case, its noise measured on what a first search has left."""
     say("measuring the noise", 0, 1)
     noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
-    evaluator, banks = _candidates(case.start, case.given, case.task, noise, say)
-    return replace(case, noise=noise, evaluator=evaluator, banks=banks)
+    evaluator, plain, banks = _candidates(case.start, case.given, case.task, noise, say)
+    return replace(case, noise=noise, evaluator=evaluator, plain=plain, banks=banks)
 
 
 def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
@@ -189,7 +194,7 @@ def _start(robot: Robot, given: Prepared, task: Task) -> Model:
 def _refitted(evaluator: Evaluator, keep: Bool[Tensor, "n N"], task: Task) -> Model:
     """The model with base parameters, and the background, refitted on the rows that count."""
     free = replace(task, free=True)
-    bare = solve(evaluator, keep, replace(free, most=0), ())
+    bare = solve(evaluator, evaluator, keep, replace(free, most=0), ())
     return Model(bare.robot, bare.effects)
 
 
@@ -199,7 +204,7 @@ def _held_out_models(
     """Models before, with refitted parameters and after, for data they were not fitted on."""
     keep = case.given.keep
     if case.checked is not None:
-        refitted = _refitted(case.evaluator, keep, case.task)
+        refitted = _refitted(case.plain, keep, case.task)
         before = refitted if case.fitted else case.start
         return None, _Models([before], [refitted], [Model(whole.robot, whole.effects)])
     folds = make_folds(case.given.rows, settings.folds, case.noise.groups)
@@ -207,8 +212,8 @@ def _held_out_models(
     for k in range(folds.count):
         say("leaving data out", k, folds.count)
         rows = keep & folds.fitted(k)
-        refitted = _refitted(case.evaluator, rows, case.task)
-        found = solve(case.evaluator, rows, case.task, case.banks)
+        refitted = _refitted(case.plain, rows, case.task)
+        found = solve(case.evaluator, case.plain, rows, case.task, case.banks)
         out.before.append(refitted if case.fitted else case.start)
         out.refitted.append(refitted)
         out.after.append(Model(found.robot, found.effects))
@@ -343,7 +348,8 @@ def _modes(case: _Case, whole: Solution) -> list[str]:
     """Whether the diagnosis with base parameters always refitted names other effects."""
     if not whole.terms:
         return []
-    free = solve(case.evaluator, case.given.keep, replace(case.task, free=True), case.banks)
+    task = replace(case.task, free=True)
+    free = solve(case.evaluator, case.plain, case.given.keep, task, case.banks)
     names = [
         {(t.name, t.effects[0].joints) for t in s.terms if t.effects and not t.is_inertial}
         for s in (whole, free)

@@ -52,6 +52,10 @@ class Noise:
         """Whitened rows (..., N) of a joint."""
         return self.floor.whitener.apply(x, joint)
 
+    def scale(self, x: Tensor, joint: int) -> Tensor:
+        """Rows (..., N) of a joint in units of its noise, their spectrum as it is."""
+        return x / self.floor.rms[joint].clamp(min=1e-12)
+
 
 def noise_of(
     robot: Robot,
