@@ -8,6 +8,7 @@ is nothing (Winkler et al. 2014, sign flipping), and their spread is an honest s
 import math
 
 import torch
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from torchid.typing import Float, Int, Tensor
@@ -42,6 +43,30 @@ def sign_flip_p(scores: Float[Tensor, "K C"], seed: int) -> float:
     sums = torch.cat([scores.sum(0, keepdim=True), signs @ scores])
     statistic = ((sums @ inner) * sums).sum(-1)
     return float((1 + (statistic[1:] >= statistic[0] * (1 - 1e-9)).sum()) / (1 + FLIPS))
+
+
+def wald_p(
+    columns: Float[Tensor, "C R"], r: Float[Tensor, " R"], block: Int[Tensor, " R"]
+) -> float:
+    """p-value of coefficients being zero: W = x' V^-1 x with the covariance V of a cluster-robust
+    fit (Liang and Zeger 1986), against Hotelling's T^2 with as many degrees of freedom as blocks.
+
+    Args:
+        columns: projected on the complement of the model.
+        r: residual.
+        block: block of each row.
+    """
+    gram = columns @ columns.T
+    inverse = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
+    x = inverse @ (columns @ r)
+    scores = block_sums(columns * (r - x @ columns), block)
+    k = scores.shape[1]
+    spread = inverse @ (scores @ scores.T) @ inverse * (k / max(1, k - 1))
+    rank = int(torch.linalg.matrix_rank(spread, rtol=1e-9, hermitian=True))
+    if rank == 0 or k <= rank:
+        return 1.0
+    w = float(x @ torch.linalg.pinv(spread, rtol=1e-9, hermitian=True) @ x)
+    return float(fisher.sf(w * (k - rank) / (rank * (k - 1)), rank, k - rank))
 
 
 def mean_bound(x: Float[Tensor, " K"], confidence: float) -> float:

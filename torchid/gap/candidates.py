@@ -394,6 +394,15 @@ def _place(effect: Effect, signals: Sequence[Tensor]) -> Place:
     return hit[0] if len(hit) == 1 else None
 
 
+def rescaled(bank: Bank, factor: Float[Tensor, " n"]) -> Bank:
+    """The bank in rows of which each joint's are that many times larger."""
+    if bank.place is not None:
+        return replace(bank, columns=bank.columns * factor[bank.place])
+    shape = bank.columns.shape
+    scaled = bank.columns.reshape(*shape[:2], len(factor), -1) * factor.unsqueeze(-1)
+    return replace(bank, columns=scaled.reshape(shape))
+
+
 def composite(name: str, banks: Sequence[Bank]) -> Bank:
     """Banks of one member each, at one place, as one that enters together."""
     return Bank(

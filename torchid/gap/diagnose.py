@@ -12,10 +12,10 @@ import torch
 
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.errors import LogError
-from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.candidates import Bank, Evaluator, rescaled
 from torchid.gap.closing import Closing, budget, closing
 from torchid.gap.detectable import not_testable
-from torchid.gap.diagnosis import Diagnosis, HowFar, Status
+from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Status
 from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise, noise_of
@@ -33,6 +33,11 @@ from torchid.typing import Bool, Tensor
 
 EXCESS = 1.35
 """Held-out variance of a joint, relative to its noise, above which something is unexplained."""
+
+ROUNDS = 3
+SETTLED = 0.9
+"""Without repeats: searches after the first at most, each with the noise that the last one left,
+and the ratio of two of them from which it has settled."""
 
 SAME_RATE = 0.02
 """Relative difference of two sampling rates that count as one."""
@@ -102,9 +107,13 @@ def diagnose(
     keep = case.given.keep
     say("searching for effects", 0, 1)
     whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
-    if not case.noise.repeated and whole.terms:
+    for _ in range(0 if case.noise.repeated else ROUNDS):
         # Without repeats the noise is what a predictor leaves of the gap; of a smaller one, less.
-        case = _with_noise(case, whole, settings, say)
+        better = _with_noise(case, whole, settings, say)
+        ratio = better.noise.size / case.noise.size
+        if not whole.terms or bool((ratio > SETTLED).all()):
+            break
+        case = better
         whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
     folds, models = _held_out_models(case, whole, settings, say)
     say("judging", 0, 1)
@@ -134,6 +143,7 @@ def _case(
     start = _start(robot, given, task)
     say("measuring the noise", 0, 1)
     noise = _noise(start, given, settings, check=False)
+    task = replace(task, whitened=noise.repeated)
     fitted = robot.parameters is None
     return _Case(
         start, fitted, given, checked, task, noise, *_candidates(start, given, task, noise, say)
@@ -156,11 +166,18 @@ def _candidates(
 
 
 def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progress) -> _Case:
-    """The same case, its noise measured on what a first search has left."""
+    """The same case, its noise measured on what a search has left."""
     say("measuring the noise", 0, 1)
     noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
-    evaluator, plain, banks = _candidates(case.start, case.given, case.task, noise, say)
-    return replace(case, noise=noise, evaluator=evaluator, plain=plain, banks=banks)
+    factor = case.noise.size / noise.size
+    evaluator = case.evaluator.with_whitener(noise.whiten)
+    return replace(
+        case,
+        noise=noise,
+        evaluator=evaluator,
+        plain=evaluator.with_whitener(noise.scale),
+        banks=tuple(rescaled(bank, factor) for bank in case.banks),
+    )
 
 
 def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
@@ -173,6 +190,7 @@ def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
         inertial=settings.parameters != "trusted",
         own_velocity=given.own_velocity,
         age=given.age,
+        whitened=True,
         most=settings.max_effects,
         alpha=settings.alpha,
         seed=settings.seed,
@@ -243,7 +261,7 @@ def _answer(
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     far = closing(shown, floor, settings.seed)
-    excess = _excess(case, folds, models)
+    excess = _excess(case, folds, models, far, floor)
     search = Search(whole.problem, list(whole.terms))
     torque = _torque_rows(case)
     hidden = not_testable(whole.problem, search.model(), case.start.robot, torque, whole.terms)
@@ -269,9 +287,14 @@ def _answer(
     )
 
 
-def _excess(case: _Case, folds: Folds | None, models: _Models) -> Tensor:
-    """(n,) held-out variance of the corrected model's gap in the fit's rows, relative to noise."""
+def _excess(
+    case: _Case, folds: Folds | None, models: _Models, far: Closing, floor: NoiseFloor
+) -> Tensor:
+    """(n,) held-out variance of the corrected model's gap, relative to noise: in the fit's rows;
+    without repeats in the report's band, relative to what a flexible predictor leaves."""
     judged = case.given if case.checked is None else case.checked
+    if not case.noise.repeated:
+        return (far.rms_after / floor.high.clamp(min=1e-12)).square()
     whiten = case.noise.floor.whitener.on(judged.rows.bounds).apply
     total = torch.zeros(judged.keep.shape[0], dtype=torch.float64)
     count = torch.zeros_like(total)

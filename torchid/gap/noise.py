@@ -49,12 +49,19 @@ class Noise:
         return self.report.source == "repeats"
 
     def whiten(self, x: Tensor, joint: int) -> Tensor:
-        """Whitened rows (..., N) of a joint."""
-        return self.floor.whitener.apply(x, joint)
+        """Rows (..., N) of a joint, whitened where repeats tell the noise's spectrum. Without them
+        nobody knows which part of the spectrum is noise, and rows are only scaled."""
+        return self.floor.whitener.apply(x, joint) if self.repeated else self.scale(x, joint)
 
     def scale(self, x: Tensor, joint: int) -> Tensor:
         """Rows (..., N) of a joint in units of its noise, their spectrum as it is."""
-        return x / self.floor.rms[joint].clamp(min=1e-12)
+        return x / self.size[joint]
+
+    @property
+    def size(self) -> Float[Tensor, " n"]:
+        """RMS (n,) of the noise in the fit's rows [N m; N]; without repeats its upper bound."""
+        rms = self.floor.rms if self.repeated else self.floor.high
+        return rms.clamp(min=1e-12)
 
 
 def noise_of(
@@ -81,9 +88,8 @@ def noise_of(
     if check or not repeats:
         flexible = predict_out_of_fold(loaded, rows, rows.apply([r.T for r in residual]), seed)
     floor = _floor(passages, residual, rows, report, flexible, repeats, loaded, seed)
-    return Noise(
-        floor, _groups(len(passages), repeats), _structure(flexible, residual, rows, floor)
-    )
+    structure = _structure(flexible, residual, rows, floor)
+    return Noise(floor, _groups(len(passages), repeats), structure)
 
 
 def _floor(

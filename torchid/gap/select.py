@@ -13,7 +13,14 @@ from functools import cached_property
 from scipy.stats import chi2
 
 from torchid.effects.base import Effect
-from torchid.gap.blocks import block_numbers, block_sums, held_out_gain, mean_bound, sign_flip_p
+from torchid.gap.blocks import (
+    block_numbers,
+    block_sums,
+    held_out_gain,
+    mean_bound,
+    sign_flip_p,
+    wald_p,
+)
 from torchid.gap.candidates import Bank, Place
 from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner
 from torchid.typing import Bool, Float, Int, Tensor
@@ -34,6 +41,7 @@ SMALL = 0.02
 """A gain below this share of what is left is not worth a name."""
 
 BLOCK_SECONDS = 2.0
+FEWEST_BLOCKS = 20
 FLIP_LEVEL = 0.02
 SIMPLER = 0.01
 """While misfit remains a simpler law is kept if it loses less than this share of the gain."""
@@ -150,6 +158,8 @@ class Problem:
         interval: seconds between rows.
         refine: from an effect to a bank of shapes around its own, ever finer with `level`; None
             where there is nothing to refine.
+        whitened: whether rows are; if not, their noise is as autocorrelated as it likes, and every
+            gain must stand out from the spread between blocks.
         alpha: family-wise level.
         seed: of the random signs.
     """
@@ -161,6 +171,7 @@ class Problem:
     bounds: tuple[slice, ...]
     interval: float
     refine: Callable[[Effect, int], Bank | None]
+    whitened: bool
     alpha: float = 0.01
     seed: int = 0
 
@@ -185,7 +196,11 @@ class Problem:
     @cached_property
     def block(self) -> Int[Tensor, " N"]:
         """Block of each row."""
-        return block_numbers(self.bounds, max(2, round(BLOCK_SECONDS / self.interval)))
+        rows = sum(b.stop - b.start for b in self.bounds)
+        longest = max(1.0, rows / FEWEST_BLOCKS)
+        return block_numbers(
+            self.bounds, round(max(2, min(BLOCK_SECONDS / self.interval, longest)))
+        )
 
     def masked(self, term: Term) -> Term:
         """The term with the rows that do not count at zero."""
@@ -271,7 +286,8 @@ class Search:
         for best in self.candidates(model)[:6]:
             if best.gain < max(self.problem.threshold(best.df), SMALL * left):
                 continue
-            if best.gain < DOMINANT * left and not self._holds_on_blocks(best.term, model):
+            small = best.gain < DOMINANT * left
+            if (small or not self.problem.whitened) and not self._holds_on_blocks(best.term, model):
                 continue
             return self._simplest(best, model)
         return None
@@ -310,15 +326,20 @@ class Search:
         return block_sums(after.r.square().sum(0), self.problem.block)
 
     def _holds_on_blocks(self, term: Term, model: Projector) -> bool:
-        """Random signs of blocks, or coefficients from other folds, confirm the gain."""
+        """Where rows are whitened: random signs of blocks, or coefficients from other folds,
+        confirm the gain. Else both coefficients from other folds and a Wald test whose covariance
+        is the spread between blocks, at the level shared by all looks."""
         columns = model.full(term.columns, term.place)
         columns = columns - (columns @ model.q.T) @ model.q
         rows = model.rows_of(term.place)
         columns, r = columns[:, rows], model.r.flatten()[rows]
         block = self.problem.blocks_of(term.place)
         scores = block_sums(columns * r, block).T
-        if sign_flip_p(scores, self.problem.seed) < FLIP_LEVEL:
-            return True
+        if self.problem.whitened:
+            if sign_flip_p(scores, self.problem.seed) < FLIP_LEVEL:
+                return True
+        elif wald_p(columns, r, block) * self.problem.looks > self.problem.alpha:
+            return False
         return mean_bound(held_out_gain(columns, r, block), 0.95) > 0
 
     def _refined(self, term: Term) -> Term:

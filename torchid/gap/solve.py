@@ -15,6 +15,7 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS, Valued
 from torchid.effects.transient import Contact
 from torchid.gap.candidates import Bank, Evaluator, all_banks, composite
+from torchid.gap.projection import VISIBLE
 from torchid.gap.select import BASE, FRICTION, LINK, Problem, Search, Term, term_of
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
@@ -87,6 +88,7 @@ class Task:
         free: whether base parameters are always fitted.
         inertial: whether corrections of the links' parameters compete.
         own_velocity, age: what the log holds.
+        whitened: as Problem's.
         most: effects at most.
         alpha, seed: as Problem's.
     """
@@ -98,6 +100,7 @@ class Task:
     inertial: bool
     own_velocity: bool
     age: bool
+    whitened: bool
     most: int
     alpha: float
     seed: int
@@ -186,6 +189,7 @@ def solve(
             start.rows.bounds,
             start.rows.interval,
             _refiner(evaluator),
+            task.whitened,
             task.alpha,
             task.seed,
         )
@@ -392,7 +396,8 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     if not both:
         return Fit((), (), float(problem.y.square().sum()))
     frame = rows_of_all(n, count)
-    a = torch.cat([frame(t) for t in both])
+    bases = [_strong_directions(t) for t in both]
+    a = torch.cat([basis @ frame(t) for t, basis in zip(both, bases, strict=True)])
     size = a.norm(dim=1).clamp(min=1e-300)
     a = a / size.unsqueeze(1)
     values, vectors = torch.linalg.eigh(a @ a.T)
@@ -405,9 +410,33 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     k = int(block.max()) + 1
     scores = a.new_zeros(len(a), k).index_add_(1, block, a * r)
     spread = inverse @ (scores @ scores.T) @ inverse * (k / max(1, k - 1))
-    std = spread.diagonal().clamp(min=0).sqrt() / size
-    lengths = [len(t.columns) for t in both]
-    return Fit(tuple((x / size).split(lengths)), tuple(std.split(lengths)), float(r.square().sum()))
+    lengths = [len(basis) for basis in bases]
+    values = [v @ basis for v, basis in zip((x / size).split(lengths), bases, strict=True)]
+    spread = spread / size / size.unsqueeze(1)
+    stds = []
+    for own, basis in zip(_diagonal_blocks(spread, lengths), bases, strict=True):
+        stds.append((basis.T @ own @ basis).diagonal().clamp(min=0).sqrt())
+    return Fit(tuple(values), tuple(stds), float(r.square().sum()))
+
+
+def _strong_directions(term: Term) -> Float[Tensor, "D C"]:
+    """Combinations (rows) of a term's coefficients that its own columns determine: a force at the
+    tool has none along an axis that no joint feels. All of them for base parameters, which are
+    independent by construction, and for one column."""
+    c = len(term.columns)
+    if c == 1 or term.name == BASE:
+        return torch.eye(c, dtype=term.columns.dtype)
+    size = term.columns.norm(dim=1).clamp(min=1e-300)
+    scaled = term.columns / size.unsqueeze(1)
+    values, vectors = torch.linalg.eigh(scaled @ scaled.T)
+    return (vectors[:, values > VISIBLE].T) / size
+
+
+def _diagonal_blocks(matrix: Tensor, lengths: Sequence[int]) -> list[Tensor]:
+    starts = [sum(lengths[:k]) for k in range(len(lengths))]
+    return [
+        matrix[a : a + length, a : a + length] for a, length in zip(starts, lengths, strict=True)
+    ]
 
 
 def rows_of_all(n: int, count: int) -> Callable[[Term], Tensor]:
