@@ -4,7 +4,6 @@ A case is a function of its id and the seed alone. Arms are simulated under cont
 their true motions are kept in files, so that a changed diagnosis needs no new simulation.
 """
 
-import json
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import torch
 from gap_plant import (
     DURATION,
     NEEDS_FRICTION,
+    NEEDS_SMOOTH,
     PAUSE,
     Planted,
     Scene,
@@ -28,16 +28,15 @@ from gap_plant import (
 )
 
 from torchid.effects.base import JointEffect
-from torchid.effects.registry import KINDS, Valued, effect_from_record
+from torchid.effects.registry import KINDS, Valued
 from torchid.effects.variation import OneJointEffect
 from torchid.errors import TorchidError
 from torchid.log.model import Log
-from torchid.robot.library import load_robot
 from torchid.simulation.closed_loop import closed_loop
 from torchid.simulation.sensors import HonestNoise, Sensors, measured_log
 
 ROBOTS = ("3r", "kuka_lwr4", "3r_friction", "kuka_lwr4_friction")
-RUBBING = ROBOTS[2:]
+SMOOTH, RUBBING = ROBOTS[:2], ROBOTS[2:]
 COLOUR = 5.0
 """Cut-off of coloured torque noise [Hz]."""
 
@@ -72,7 +71,7 @@ SIMULATED_AS = {"leave_one_out": "single", "closing": "single"}
 ARMS = 64
 """Simulated together."""
 
-RECIPE = 1
+RECIPE = 2
 """Counts up when cases of the same id change, so that simulated ones are not mixed."""
 
 
@@ -168,7 +167,8 @@ def _case(
     """Robots and colours take turns, each effect beginning with another one."""
     turn = number + (zlib.crc32(names[0].encode()) if len(names) == 1 else 0)
     rubbing = suite == "triples" or any(name in NEEDS_FRICTION for name in names)
-    robots = RUBBING if rubbing else ROBOTS
+    smooth = any(name in NEEDS_SMOOTH for name in names)
+    robots = RUBBING if rubbing else SMOOTH if smooth else ROBOTS
     robot = robots[turn % len(robots)]
     coloured = (turn + turn // len(robots)) % 2 == 1
     colour = COLOUR if coloured else None
@@ -181,13 +181,19 @@ def _several(suite: str, number: int, seed: int) -> tuple[tuple[str, ...], bool]
         return COLLINEAR[number // 2 % len(COLLINEAR)], True
     g = generator("names", seed, suite, number)
     names: list[str] = []
-    # A payload and the last link's parameters are the same thing; held torque hides the others.
+    # A payload is the same as the last link's parameters.
     known = [name for name in KINDS if name != "payload"]
     while len(names) < (2 if suite == "pairs" else 3):
         name = known[pick(g, len(known))]
-        if name not in names:
+        if name not in names and _go_together([name, *names], suite == "triples"):
             names.append(name)
     return tuple(names), pick(g, 2) == 0
+
+
+def _go_together(names: Sequence[str], rubbing: bool) -> bool:
+    """Effects that need a smooth torque are not planted beside dry friction."""
+    dry = rubbing or any(KINDS[name].jumps for name in names if name not in NEEDS_SMOOTH)
+    return not (dry and any(name in NEEDS_SMOOTH for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +220,7 @@ def drawn(case: Case) -> Arm:
     place = scene(case.robot, case.key, case.repeats)
     joint = pick(generator("joint", case.key), place.robot.n) if case.same_joint else None
     planted = tuple(
-        plant(place, name, case.size, generator("effect", case.key, name), joint)
+        plant(place, name, case.size, generator("effect", case.key, name), joint, SIZE)
         for name in case.names
     )
     return Arm(case, place, planted)
@@ -345,12 +351,3 @@ def measured(arm: Arm, work: Path) -> Log:
         seed = int(torch.randint(2**31, (1,), generator=generator("noise", arm.case.key, k)))
         parts.append(measured_log(robot, log, on_clock(arm.effects, start), sensors, seed))
     return Log.concatenate(parts).replace(source=arm.case.id)
-
-
-def planted_from(record: dict[str, Any], robot: str) -> Valued:
-    """An effect from a file."""
-    return effect_from_record(record, load_robot(robot))
-
-
-def dumped(row: dict[str, Any]) -> str:
-    return json.dumps(row, allow_nan=True)

@@ -40,6 +40,7 @@ import gap_score as score
 import torch
 from gap_cases import (  # fmt: skip
     ARMS,
+    RECIPE,
     SIMULATED_AS,
     SUITES,
     Arm,
@@ -114,6 +115,7 @@ def case_row(arm: Arm) -> dict[str, Any]:
     case = arm.case
     return {
         "id": case.id,
+        "recipe": RECIPE,
         "suite": case.suite,
         "robot": case.robot,
         "colour_hz": case.colour_hz,
@@ -175,7 +177,8 @@ class Results:
             self.rows = {row["id"]: row for row in map(json.loads, filter(None, lines))}
 
     def done(self, case_id: str) -> bool:
-        return case_id in self.rows and "error" not in self.rows[case_id]
+        row = self.rows.get(case_id, {"error": "not run"})
+        return "error" not in row and row["recipe"] == RECIPE
 
     def add(self, row: dict[str, Any]) -> None:
         self.rows[row["id"]] = row

@@ -47,6 +47,10 @@ TRIES = 12
 NEEDS_FRICTION = ("thermal_friction_drift", "asymmetric_friction")
 """They take away from friction that must be there first."""
 
+NEEDS_SMOOTH = ("joint_elasticity",)
+"""The deflection is in proportion to the torque at every instant, so that dry friction, which
+jumps, would make the motor's position jump."""
+
 CAPS = {
     "torque_gain": 0.3,
     "torque_crosstalk": 0.3,
@@ -250,7 +254,12 @@ class Planted:
 
 
 def plant(
-    scene: Scene, name: str, size: float, g: torch.Generator, joint: int | None = None
+    scene: Scene,
+    name: str,
+    size: float,
+    g: torch.Generator,
+    joint: int | None = None,
+    usual: float | None = None,
 ) -> Planted:
     """A random effect of this name, as large as asked for or as large as makes sense.
 
@@ -260,21 +269,25 @@ def plant(
         size: asked for, in standard deviations of the noise.
         g: random numbers.
         joint: on which joint, from 0; a random one if None.
+        usual: size for which place and shapes are drawn, so that effects of several sizes have
+            them in common; `size` if None.
     """
-    best: Planted | None = None
+    drawn_for = size if usual is None else usual
+    best: tuple[float, Sized, Planted] | None = None
     for _ in range(TRIES):
         place = pick(g, scene.robot.n)
         sized = _sized(scene, name, g, place if joint is None else joint)
         if sized is None:
             continue
-        found = _scaled(scene, sized, size)
-        if best is None or abs(math.log(found.size / size)) < abs(math.log(best.size / size)):
-            best = found
-        if abs(math.log(best.size / size)) < 0.1:
+        found = _scaled(scene, sized, drawn_for)
+        off = abs(math.log(found.size / drawn_for))
+        if best is None or off < best[0]:
+            best = off, sized, found
+        if off < 0.1:
             break
     if best is None:
         raise ValueError(f"no place for {name} on {scene.robot.name}")
-    return best
+    return best[2] if drawn_for == size else _scaled(scene, best[1], size)
 
 
 def _scaled(scene: Scene, sized: Sized, size: float) -> Planted:

@@ -361,23 +361,20 @@ def closing_table(rows: Sequence[Row]) -> str:
 def _closing_cells(some: Sequence[Row]) -> list[str]:
     own = [r for r in some if r.get("closed") is not None]
     both = [r for r in own if r.get("oracle_closed") is not None]
-    ratio = (
-        mean(r["closed"] for r in both) / mean(r["oracle_closed"] for r in both)
-        if both
-        else math.nan
-    )
+    told = mean(r["oracle_closed"] for r in both)
+    ratio = mean(r["closed"] for r in both) / told if both and told > 0 else math.nan
     fresh = [r for r in some if r.get("fresh_closed") is not None]
-    told = [r["oracle_fresh_closed"] for r in some if r.get("oracle_fresh_closed") is not None]
+    best = [r["oracle_fresh_closed"] for r in some if r.get("oracle_fresh_closed") is not None]
     covered = [r for r in fresh if r.get("closed_ci95") is not None]
     holds = sum(r["closed_ci95"][0] <= r["fresh_closed"] <= r["closed_ci95"][1] for r in covered)
     coefficients = [c for r in some for c in r.get("coverage", ())]
     good = sum(inside(c["value"], c["std"], c["true"]) for c in coefficients)
     return [
         number(mean(r["closed"] for r in own)),
-        number(mean(r["oracle_closed"] for r in both)),
+        number(told),
         number(ratio),
         number(mean(r["fresh_closed"] for r in fresh)),
-        number(mean(told)),
+        number(mean(best)),
         share(holds, len(covered)),
         share(good, len(coefficients)),
     ]
