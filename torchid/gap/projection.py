@@ -54,6 +54,12 @@ class Projector:
         self.q = y.new_zeros(0, y.numel())
         self.r = y.clone()
 
+    def copy(self) -> "Projector":
+        """The same model, to which other columns may be added."""
+        out = object.__new__(Projector)
+        out.__dict__.update(self.__dict__)
+        return out
+
     def add(
         self, columns: Float[Tensor, "C R"], place: int | None, visible: float = VISIBLE
     ) -> None:

@@ -28,6 +28,9 @@ from torchid.typing import Bool, Float, Int, Tensor
 PHI = 1.3
 """Factor on chi^2: the whitener is estimated, and noise is not exactly Gaussian."""
 
+TRIED = 30
+"""Candidates, best first, that may be refused before a search ends."""
+
 FINEST = 7
 """Times a shape is searched around the best one, each time more closely."""
 
@@ -37,7 +40,7 @@ PENALTY = 4.0
 DOMINANT = 0.25
 """A gain above this share of what is left needs no test on blocks: its energy may sit in few."""
 
-SMALL = 0.02
+SMALL = 0.01
 """A gain below this share of what is left is not worth a name."""
 
 BLOCK_SECONDS = 2.0
@@ -224,11 +227,19 @@ class Search:
 
     def model(self, without: Sequence[Term] = ()) -> Projector:
         """The residual of the present model, some terms left out."""
-        out = Projector(self.problem.y)
+        out = self._fixed.copy()
         left_out = {id(term) for term in without}
-        for term in (*self.problem.fixed, *self.terms):
+        for term in self.terms:
             if id(term) not in left_out:
                 out.add(term.columns, term.place, visible=ROUNDING)
+        return out
+
+    @cached_property
+    def _fixed(self) -> Projector:
+        """The residual of the terms that are always there."""
+        out = Projector(self.problem.y)
+        for term in self.problem.fixed:
+            out.add(term.columns, term.place, visible=ROUNDING)
         return out
 
     def candidates(
@@ -283,7 +294,7 @@ class Search:
     def _choose(self, model: Projector) -> Candidate | None:
         """The candidate to add, or None."""
         left = max(0.0, model.loss - self.problem.noise)
-        for best in self.candidates(model)[:6]:
+        for best in self.candidates(model)[:TRIED]:
             if best.gain < max(self.problem.threshold(best.df), SMALL * left):
                 continue
             small = best.gain < DOMINANT * left
@@ -320,8 +331,7 @@ class Search:
 
     def block_losses(self, term: Term, model: Projector) -> Float[Tensor, " K"]:
         """Sum of squares of every block when a term joins the model."""
-        after = Projector(self.problem.y)
-        after.q, after.r = model.q, model.r
+        after = model.copy()
         after.add(term.columns, term.place)
         return block_sums(after.r.square().sum(0), self.problem.block)
 
