@@ -47,7 +47,7 @@ class Backlash(OneJointEffect):
     family: ClassVar[Family] = "hysteresis"
     needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
     jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (Coefficient("width", "rad", True, "angle between the flanks"),)
+    coefficients: ClassVar = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
     meaning: ClassVar[str] = "Gear teeth lose contact and cross the play when the torque reverses."
     remedy: ClassVar[str] = (
         "Preload or adjust the gear; in the simulator, a joint of range `width` between motor and "

@@ -16,6 +16,7 @@ delay, a wave number, ...). Its columns X are torque per unit coefficient. There
   needs the robot, and may act on all joints.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -109,12 +110,15 @@ class Coefficient:
         unit: for a revolute joint; for a prismatic one N replaces N m and m replaces rad.
         non_negative: whether physics forbids a negative value.
         meaning: one line.
+        largest: size that it hardly exceeds on any arm, in `unit`; what seems larger is something
+            else.
     """
 
     name: str
     unit: str
     non_negative: bool
     meaning: str
+    largest: float = math.inf
 
     def unit_for(self, prismatic: bool) -> str:
         """The unit on this kind of joint."""

@@ -128,7 +128,7 @@ class LoadDependentFriction(JointEffect):
     needs: ClassVar[frozenset[str]] = frozenset({"torque"})
     jumps: ClassVar[bool] = True
     coefficients: ClassVar = (
-        Coefficient("mu", "1", True, "friction as a fraction of the transmitted torque"),
+        Coefficient("mu", "1", True, "friction as a fraction of the transmitted torque", 1.0),
     )
     meaning: ClassVar[str] = "Tooth and bearing forces press harder under load, so friction rises."
     remedy: ClassVar[str] = (

@@ -37,8 +37,12 @@ class BaseTilt(ModelEffect):
     name: ClassVar[str] = "base_tilt"
     family: ClassVar[Family] = "gravity"
     coefficients: ClassVar = (
-        ArmCoefficient("tilt_x", "rad", False, "gravity turned about the first horizontal axis"),
-        ArmCoefficient("tilt_y", "rad", False, "gravity turned about the second horizontal axis"),
+        ArmCoefficient(
+            "tilt_x", "rad", False, "gravity turned about the first horizontal axis", 0.35
+        ),
+        ArmCoefficient(
+            "tilt_y", "rad", False, "gravity turned about the second horizontal axis", 0.35
+        ),
     )
     meaning: ClassVar[str] = "The base is not level, so gravity pulls in another direction."
     remedy: ClassVar[str] = "Turn the simulator's gravity vector by the tilt, or level the base."
@@ -86,7 +90,7 @@ class TorqueGain(OneJointEffect):
     family: ClassVar[Family] = "gravity"
     needs: ClassVar[frozenset[str]] = frozenset({"torque"})
     coefficients: ClassVar = (
-        Coefficient("gain", "1", False, "relative error of the torque's scale"),
+        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.9),
     )
     meaning: ClassVar[str] = "The torque sensor's scale, or the drive's torque constant, is off."
     remedy: ClassVar[str] = (
@@ -120,7 +124,7 @@ class TorqueCrosstalk(JointPairEffect):
     family: ClassVar[Family] = "gravity"
     needs: ClassVar[frozenset[str]] = frozenset({"torque"})
     coefficients: ClassVar = (
-        Coefficient("C", "1", False, "share of the source joint's torque that is read"),
+        Coefficient("C", "1", False, "share of the source joint's torque that is read", 0.9),
     )
     meaning: ClassVar[str] = "Load on one joint deforms the torque sensor of another."
     remedy: ClassVar[str] = (
@@ -162,7 +166,7 @@ class EncoderOffset(OneJointEffect):
     name: ClassVar[str] = "encoder_offset"
     family: ClassVar[Family] = "gravity"
     coefficients: ClassVar = (
-        Coefficient("offset", "rad", False, "true position minus the measured one"),
+        Coefficient("offset", "rad", False, "true position minus the measured one", 0.35),
     )
     meaning: ClassVar[str] = "The joint's zero is not where the encoder says it is."
     remedy: ClassVar[str] = "Add the offset to the joint's position, or calibrate its zero."
@@ -203,11 +207,13 @@ class KinematicError(OneJointEffect):
     name: ClassVar[str] = "kinematic_error"
     family: ClassVar[Family] = "gravity"
     coefficients: ClassVar = (
-        ArmCoefficient("dx", "m", False, "joint frame displaced along its x"),
-        ArmCoefficient("dy", "m", False, "joint frame displaced along its y"),
-        ArmCoefficient("dz", "m", False, "joint frame displaced along its z, the joint's axis"),
-        ArmCoefficient("rx", "rad", False, "joint frame turned about its x"),
-        ArmCoefficient("ry", "rad", False, "joint frame turned about its y"),
+        ArmCoefficient("dx", "m", False, "joint frame displaced along its x", 0.05),
+        ArmCoefficient("dy", "m", False, "joint frame displaced along its y", 0.05),
+        ArmCoefficient(
+            "dz", "m", False, "joint frame displaced along its z, the joint's axis", 0.05
+        ),
+        ArmCoefficient("rx", "rad", False, "joint frame turned about its x", 0.1),
+        ArmCoefficient("ry", "rad", False, "joint frame turned about its y", 0.1),
     )
     meaning: ClassVar[str] = "Link lengths or the joint axes' directions differ from the model's."
     remedy: ClassVar[str] = "Calibrate the kinematics, and move the joint's frame in the model."

@@ -38,7 +38,7 @@ class TimeDelay(OneJointEffect):
     name: ClassVar[str] = "time_delay"
     family: ClassVar[Family] = "phase"
     needs: ClassVar[frozenset[str]] = frozenset({"torque", "t"})
-    coefficients: ClassVar = (Coefficient("delay", "s", True, "by which the torque is late"),)
+    coefficients: ClassVar = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
     meaning: ClassVar[str] = "The torque is filtered or stamped later than the position."
     remedy: ClassVar[str] = "Shift the torque's stamps back by the delay, or filter both alike."
     source: ClassVar[str] = (
@@ -80,7 +80,7 @@ class FilterLag(ModelEffect):
     family: ClassVar[Family] = "phase"
     needs: ClassVar[frozenset[str]] = frozenset({"robot", "t", "velocity"})
     coefficients: ClassVar = (
-        Coefficient("lag", "s", True, "by which velocity and acceleration are late"),
+        Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
     )
     meaning: ClassVar[str] = "The controller's velocity filter delays dq and what follows from it."
     remedy: ClassVar[str] = "Differentiate q with a zero-phase filter, or advance dq by the lag."
@@ -136,7 +136,7 @@ class JointElasticity(OneJointEffect):
     family: ClassVar[Family] = "phase"
     needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
     coefficients: ClassVar = (
-        Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K"),
+        Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.02),
     )
     meaning: ClassVar[str] = (
         "Gears and torque sensors twist under load, so the link lags the motor."

@@ -33,7 +33,9 @@ class Saturation(JointEffect):
     family: ClassVar[Family] = "transient"
     needs: ClassVar[frozenset[str]] = frozenset({"torque"})
     coefficients: ClassVar = (
-        Coefficient("clip", "1", True, "share of the torque beyond the limit that is lost, 0 to 1"),
+        Coefficient(
+            "clip", "1", True, "share of the torque beyond the limit that is lost, 0 to 1", 1.2
+        ),
     )
     shapes: ClassVar[tuple[Shape, ...]] = (
         Shape(
@@ -82,7 +84,9 @@ class Contact(ModelEffect):
     family: ClassVar[Family] = "transient"
     needs: ClassVar[frozenset[str]] = frozenset({"robot", "t"})
     coefficients: ClassVar = tuple(
-        ArmCoefficient(f"f{a}", "N", False, f"force of the tool on its surroundings, base {a}")
+        ArmCoefficient(
+            f"f{a}", "N", False, f"force of the tool on its surroundings, base {a}", 2000.0
+        )
         for a in "xyz"
     )
     meaning: ClassVar[str] = "The tool touches or drags something, or a cable pulls at it."
@@ -153,7 +157,7 @@ class DroppedSamples(OneJointEffect):
     needs: ClassVar[frozenset[str]] = frozenset({"torque", "t", "age"})
     jumps: ClassVar[bool] = True
     coefficients: ClassVar = (
-        Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1"),
+        Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1", 1.2),
     )
     meaning: ClassVar[str] = "The logger repeats old torques while new ones are lost."
     remedy: ClassVar[str] = "Leave the repeated samples out, and repair the logger's link."

@@ -14,7 +14,7 @@ import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect, Motion, Shape
 from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
 from torchid.effects.transient import Contact
 from torchid.gap.passages import Rows
@@ -44,7 +44,7 @@ class Bank:
         place: whose rows the columns are in.
         members: per member the effects whose coefficients the columns belong to, in order.
         columns: (S, C, N) or, on all joints, (S, C, n N); whitened rows.
-        non_negative: C; whether a coefficient must not be negative.
+        coefficients: C; signs and sizes that physics allows. Base parameters have none.
         looks: tests this bank counts for: its members, or fewer where they are strongly related.
         extra: penalty beyond that of its columns (see select.PENALTY).
         vanishing: per column its size before whitening is next to nothing.
@@ -54,14 +54,14 @@ class Bank:
     place: Place
     members: tuple[tuple[Effect, ...], ...]
     columns: Float[Tensor, "S C R"]
-    non_negative: tuple[bool, ...]
+    coefficients: tuple[Coefficient, ...]
     looks: float
     extra: float = 0.0
 
     @property
     def size(self) -> int:
         """C."""
-        return len(self.non_negative)
+        return len(self.coefficients)
 
 
 class Evaluator:
@@ -195,7 +195,7 @@ class Evaluator:
             joint,
             members,
             self._joint_columns(kind, joint, shapes),
-            tuple(c.non_negative for c in kind.coefficients),
+            kind.coefficients,
             looks,
             EXTRA.get(kind.name, 0.0),
         )
@@ -205,8 +205,8 @@ class Evaluator:
         banks = []
         for effect in kind.candidates(self.robot):
             place, columns = self.columns(effect)
-            signs = tuple(c.non_negative for c in kind.coefficients)
-            bank = Bank(kind.name, place, ((effect,),), columns.unsqueeze(0), signs, 1.0)
+            members = ((effect,),)
+            bank = Bank(kind.name, place, members, columns.unsqueeze(0), kind.coefficients, 1.0)
             banks.append(replace(bank, extra=EXTRA.get(kind.name, 0.0)))
         return banks
 
@@ -235,7 +235,7 @@ class Evaluator:
             None,
             tuple((contact,) for contact in members),
             torch.stack(columns),
-            (False,) * 3,
+            Contact.coefficients,
             WINDOW_LOOKS,
             EXTRA[Contact.name],
         )
@@ -259,8 +259,7 @@ class Evaluator:
         signals = [self._signals(e) for e in effects]
         together = [torch.stack(parts).sum(0) for parts in zip(*signals, strict=True)]
         columns = self.on_all(together).flatten(1)
-        signs = tuple(c.non_negative for c in kind.coefficients)
-        return Bank(kind.name, None, (effects,), columns.unsqueeze(0), signs, 1.0)
+        return Bank(kind.name, None, (effects,), columns.unsqueeze(0), kind.coefficients, 1.0)
 
     @cached_property
     def regressor(self) -> Float[Tensor, "n 10 n N"]:
@@ -284,7 +283,7 @@ class Evaluator:
             None,
             (effects,),
             flat[list(columns)].unsqueeze(0),
-            (False,) * len(columns),
+            effects[0].coefficients if effects else ANY * len(columns),
             1.0,
             EXTRA.get(name, 0.0),
         )
@@ -324,6 +323,8 @@ class Evaluator:
         count = min(MOST_RIPPLES, int(highest / step) - 2)
         return step * (3 + torch.arange(max(0, count), dtype=torch.float64))
 
+
+ANY = (Coefficient("", "", False, "a base parameter"),)
 
 EXTRA = {
     "link_inertia": 2.0,
@@ -410,7 +411,7 @@ def composite(name: str, banks: Sequence[Bank]) -> Bank:
         banks[0].place,
         (tuple(e for bank in banks for e in bank.members[0]),),
         torch.cat([bank.columns for bank in banks], 1),
-        tuple(sign for bank in banks for sign in bank.non_negative),
+        tuple(c for bank in banks for c in bank.coefficients),
         1.0,
     )
 

@@ -6,6 +6,7 @@ squared length of r along the part of X that Q does not hold. Joint banks only m
 their joint. Q' X is kept and extended when columns join.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -21,6 +22,9 @@ coefficient would be large and cancel against theirs."""
 ROUNDING = 1e-7
 """The same for columns that join the model whatever is left of them."""
 
+
+NOISE = 1.0
+"""Whitened sum of squares that one coefficient could explain by chance."""
 
 DETERMINED = 0.99
 """Share of a coefficient's direction that must be visible for its sign to be judged."""
@@ -104,6 +108,8 @@ class Scanner:
         # The residual and the basis are zero in rows that do not count; only here must they be.
         rows = keep.flatten() if bank.place is None else keep[bank.place]
         self.gram = (bank.columns * rows) @ bank.columns.transpose(1, 2)
+        self._signed = torch.tensor([c.non_negative for c in bank.coefficients])
+        self._largest = self.gram.new_tensor([c.largest for c in bank.coefficients])
         self._held = bank.columns.new_zeros(*bank.columns.shape[:2], 0)
         self._basis: Tensor | None = None
 
@@ -124,17 +130,19 @@ class Scanner:
         b = self.bank.columns @ model.r.flatten()[rows]
         held = self._projections(model.q, rows)
         left = self.gram - held @ held.transpose(1, 2)
-        return _solve(self.gram, left, b, self.bank.non_negative)
+        return _solve(self.gram, left, b, self._signed, self._largest)
 
 
 def _begins_with(q: Tensor, start: Tensor) -> bool:
     return q is start or (len(start) <= len(q) and torch.equal(q[: len(start), :64], start[:, :64]))
 
 
-def _solve(gram: Tensor, left: Tensor, b: Tensor, non_negative: tuple[bool, ...]) -> Gains:
+def _solve(gram: Tensor, left: Tensor, b: Tensor, signed: Tensor, largest: Tensor) -> Gains:
     """Gains from what is left of the Gram matrices (S, C, C), in units where columns have length
-    one."""
-    size = gram.diagonal(dim1=1, dim2=2).clamp(min=1e-300).sqrt()
+    one. Columns that are below noise at their largest plausible size are none."""
+    square = gram.diagonal(dim1=1, dim2=2)
+    felt = (square * largest.square() > NOISE) & (square > 0)
+    size = torch.where(felt, square.clamp(min=1e-300).sqrt(), math.inf)
     scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))
     values, vectors = torch.linalg.eigh(scaled)
     seen = values > VISIBLE
@@ -145,5 +153,5 @@ def _solve(gram: Tensor, left: Tensor, b: Tensor, non_negative: tuple[bool, ...]
     x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
     # A sign counts only where the coefficient is determined: not along invisible directions.
     known = (vectors.square() * seen.unsqueeze(-2)).sum(-1) > DETERMINED
-    wrong = ((x < 0) & known & torch.tensor(non_negative)).any(-1)
+    wrong = (known & (((x < 0) & signed) | (x.abs() > largest))).any(-1)
     return Gains(torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x)

@@ -12,7 +12,7 @@ from functools import cached_property
 
 from scipy.stats import chi2
 
-from torchid.effects.base import Effect
+from torchid.effects.base import Coefficient, Effect
 from torchid.gap.blocks import (
     block_numbers,
     block_sums,
@@ -22,7 +22,7 @@ from torchid.gap.blocks import (
     wald_p,
 )
 from torchid.gap.candidates import Bank, Place
-from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner
+from torchid.gap.projection import NOISE, ROUNDING, Gains, Projector, Scanner
 from torchid.typing import Bool, Float, Int, Tensor
 
 PHI = 1.3
@@ -84,14 +84,14 @@ class Term:
     """What is in the model: effects that entered together.
 
     Attributes:
-        name, place, effects, columns, non_negative, extra: as a Bank's, of the member that won.
+        name, place, effects, columns, coefficients, extra: as a Bank's, of the member that won.
     """
 
     name: str
     place: Place
     effects: tuple[Effect, ...]
     columns: Float[Tensor, "C R"]
-    non_negative: tuple[bool, ...]
+    coefficients: tuple[Coefficient, ...]
     extra: float = 0.0
 
     @property
@@ -118,13 +118,16 @@ def _window_of(effect: Effect) -> str:
 
 
 def term_of(bank: Bank, member: int = 0) -> Term:
-    """A bank's member as a term."""
+    """A bank's member as a term. Columns below noise at their largest plausible size are zero."""
+    columns = bank.columns[member]
+    largest = columns.new_tensor([c.largest for c in bank.coefficients])
+    felt = columns.square().sum(1) * largest.square() > NOISE
     return Term(
         bank.name,
         bank.place,
         bank.members[member],
-        bank.columns[member],
-        bank.non_negative,
+        columns if bool(felt.all()) else columns * felt.unsqueeze(1),
+        bank.coefficients,
         bank.extra,
     )
 
@@ -286,7 +289,7 @@ class Search:
                     term.place,
                     (effect,),
                     term.columns[own],
-                    term.non_negative[own],
+                    term.coefficients[own],
                 )
             )
         return parts
@@ -401,7 +404,7 @@ def _bank_of(term: Term) -> Bank:
         term.place,
         (term.effects,),
         term.columns.unsqueeze(0),
-        term.non_negative,
+        term.coefficients,
         1.0,
         term.extra,
     )

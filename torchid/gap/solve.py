@@ -132,9 +132,7 @@ def rigid_banks(evaluator: Evaluator, task: Task) -> list[Bank]:
     links = [list(range(link * k, (link + 1) * k)) for link in range(n)]
     banks = []
     if "payload" in task.names:
-        payload = evaluator.rigid_bank("payload", (KINDS["payload"](),), links[-1])
-        signs = tuple(c.non_negative for c in KINDS["payload"].coefficients)
-        banks.append(replace(payload, non_negative=signs))
+        banks.append(evaluator.rigid_bank("payload", (KINDS["payload"](),), links[-1]))
     if task.inertial and not task.free:
         if LINK in task.names:
             banks += [
