@@ -47,6 +47,10 @@ _FEWEST_IN_ALL = 100  # rows of repeats; fewer say less than the bracket
 _NORMAL = 1.645  # 90 % of a normal variable
 
 
+class NoFloorError(ValueError):
+    """Neither repeats that are long enough, nor a flexible prediction."""
+
+
 @dataclass(frozen=True)
 class Floor:
     """Noise of the residual.
@@ -97,12 +101,15 @@ def noise_floor(
         flexible: what can be predicted of the residual in `rows`; needed without repeats, a check
             with them.
         repeats: among the passages.
+
+    Raises:
+        NoFloorError: no flexible prediction, and no repeats or too short ones.
     """
     bracket = None if flexible is None else _bracket(passages, residual, rows, report, flexible)
     found = None if repeats is None else _from_repeats(passages, residual, rows, report, repeats)
     if found is None:
         if bracket is None:
-            raise ValueError("a noise floor needs repeats or a flexible prediction.")
+            raise NoFloorError("a noise floor needs repeats or a flexible prediction.")
         return bracket
     return found if bracket is None else _lower(found, bracket)
 

@@ -8,7 +8,7 @@ import torch
 from torchid.effects.registry import Valued, in_rounds, model_torque
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
-from torchid.gap.floor import Floor, noise_floor
+from torchid.gap.floor import Floor, NoFloorError, noise_floor
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.repeats import Repeats, find_repeats
 from torchid.robot.model import Robot
@@ -85,29 +85,16 @@ def noise_of(
     residual, loaded = _residuals(robot, effects, passages)
     repeats = find_repeats(passages)
     flexible = None
+    rows_of_residual = rows.apply([r.T for r in residual])
     if check or not repeats:
-        flexible = predict_out_of_fold(loaded, rows, rows.apply([r.T for r in residual]), seed)
-    floor = _floor(passages, residual, rows, report, flexible, repeats, loaded, seed)
-    structure = _structure(flexible, residual, rows, floor)
-    return Noise(floor, _groups(len(passages), repeats), structure)
-
-
-def _floor(
-    passages: Sequence[Passage],
-    residual: Sequence[Tensor],
-    rows: Rows,
-    report: Rows,
-    flexible: OutOfFold | None,
-    repeats: Repeats,
-    loaded: Sequence[Passage],
-    seed: int,
-) -> Floor:
-    """As `noise_floor`; repeats too short for the filter are as good as none."""
+        flexible = predict_out_of_fold(loaded, rows, rows_of_residual, seed)
     try:
-        return noise_floor(passages, residual, rows, report, flexible, repeats or None)
-    except ValueError:
-        found = predict_out_of_fold(loaded, rows, rows.apply([r.T for r in residual]), seed)
-        return noise_floor(passages, residual, rows, report, found, None)
+        floor = noise_floor(loaded, residual, rows, report, flexible, repeats or None)
+    except NoFloorError:  # repeats too short for the filter are as good as none
+        flexible = predict_out_of_fold(loaded, rows, rows_of_residual, seed)
+        floor = noise_floor(loaded, residual, rows, report, flexible, None)
+    structure = _structure(flexible, rows_of_residual, floor)
+    return Noise(floor, _groups(len(passages), repeats), structure)
 
 
 def _residuals(
@@ -132,10 +119,10 @@ def _groups(count: int, repeats: Repeats) -> tuple[int, ...]:
 
 
 def _structure(
-    flexible: OutOfFold | None, residual: Sequence[Tensor], rows: Rows, floor: Floor
+    flexible: OutOfFold | None, residual: Float[Tensor, "n N"], floor: Floor
 ) -> Float[Tensor, " n"]:
+    variance = residual.square().mean(1)
     if flexible is None:
-        return torch.zeros(residual[0].shape[1], dtype=torch.float64)
-    variance = rows.apply([r.T for r in residual]).square().mean(1)
+        return torch.zeros_like(variance)
     share = flexible.r2 * variance / floor.rms.square().clamp(min=1e-300)
     return torch.where(flexible.interval[:, 0] > 0, share, torch.zeros_like(share))
