@@ -21,7 +21,7 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS, Valued, effect_torque, model_torque, nominal_effects
 from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.effects.transient import Contact, DroppedSamples, Saturation
-from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.excitation.trajectories import random_trajectory
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, six
@@ -143,9 +143,12 @@ def scene(robot: str, key: str, repeats: bool, first: float = 0.0) -> Scene:
     logs = []
     for k, (usage, seed) in enumerate(choices):
         plan = random_trajectory(arm, seed, duration=DURATION, fill=True, usage=usage)
+        # Clocks of logger and controller differ by a part of a sample: without that two repeats
+        # would count the same positions, and what counting does to the gap would cancel.
+        t = torch.arange(round(DURATION * RATE), dtype=torch.float64) / RATE
+        q, dq, ddq = plan.at(t + uniform(g, 0, 1 / RATE)).state
         start = first + k * (DURATION + PAUSE)
-        log = trajectory_log(plan, RATE, names=[f"trajectory {k + 1}"])
-        logs.append(log.replace(t=log.t + start))
+        logs.append(Log(t + start, q, dq, ddq, names=(f"trajectory {k + 1}",)))
     motions = tuple(_coarse(arm, log) for log in logs)
     every = torch.cat([m.require("torque", "noise") for m in motions])
     noise = NOISE * every.square().mean(0).sqrt()
