@@ -33,7 +33,7 @@ from torchid.effects.variation import OneJointEffect
 from torchid.errors import TorchidError
 from torchid.log.model import Log
 from torchid.simulation.closed_loop import closed_loop
-from torchid.simulation.sensors import HonestNoise, Sensors, measured_log
+from torchid.simulation.sensors import ENCODER_STEP, HonestNoise, Sensors, measured_log
 
 ROBOTS = ("3r", "kuka_lwr4", "3r_friction", "kuka_lwr4_friction")
 SMOOTH, RUBBING = ROBOTS[:2], ROBOTS[2:]
@@ -349,5 +349,9 @@ def measured(arm: Arm, work: Path) -> Log:
     parts = []
     for k, (log, start) in enumerate(zip(logs, arm.scene.starts, strict=True)):
         seed = int(torch.randint(2**31, (1,), generator=generator("noise", arm.case.key, k)))
-        parts.append(measured_log(robot, log, on_clock(arm.effects, start), sensors, seed))
+        # No arm repeats a motion to a fraction of an encoder's count; a simulated one would, and
+        # quantisation would then cancel in the difference of repeats.
+        phase = torch.rand(robot.n, generator=generator("phase", arm.case.key, k)).double()
+        moved = log.replace(q=log.q + (phase - 0.5) * ENCODER_STEP)
+        parts.append(measured_log(robot, moved, on_clock(arm.effects, start), sensors, seed))
     return Log.concatenate(parts).replace(source=arm.case.id)

@@ -135,9 +135,19 @@ class Evaluator:
     def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
         """Columns of a model effect along every passage; in one call where time plays no part."""
         if effect.needs & {"t", "age"}:
-            return [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in self.motions]
+            motions = self._smooth if effect.family in DIFFERENTIATING else self.motions
+            return [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in motions]
         together = effect.torque_columns(self._together, self.robot).permute(2, 1, 0)
         return list(together.split([len(m.q) for m in self.motions], -1))
+
+    @cached_property
+    def _smooth(self) -> list[Motion]:
+        """Motion and torque low-passed like the rows: columns that differentiate the model's torque
+        would otherwise be full of the encoder's noise, which the residual shares."""
+        return [
+            m._replace(**{k: self.rows.low_passed(getattr(m, k)) for k in SMOOTHED})
+            for m in self.motions
+        ]
 
     @cached_property
     def _together(self) -> Motion:
@@ -340,6 +350,11 @@ EXTRA = {
 RIPPLE_LOOKS = 60.0
 WINDOW_LOOKS = 300.0
 """Tests that a search over wave numbers, or over windows, counts for: neighbours are related."""
+
+DIFFERENTIATING = ("phase", "hysteresis")
+"""Families of model effects whose columns differentiate the model's torque."""
+
+SMOOTHED = ("q", "dq", "ddq", "torque")
 
 SHARED = ("time_delay", "torque_gain")
 """Effects of one joint that may be common to all: one cause explains them better than many."""

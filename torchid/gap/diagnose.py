@@ -160,8 +160,9 @@ def _candidates(
     start: Model, given: Prepared, task: Task, noise: Noise, say: Progress
 ) -> tuple[Evaluator, Evaluator, tuple[Bank, ...]]:
     say("computing candidates", 0, 1)
-    evaluator = Evaluator(start.robot, start.effects, given.rows, noise.whiten)
-    plain = evaluator.with_whitener(noise.scale)
+    whiten = noise.whitening(given.rows, given.keep)
+    evaluator = Evaluator(start.robot, start.effects, given.rows, whiten)
+    plain = evaluator.with_whitener(noise.scaling(given.keep))
     return evaluator, plain, tuple(banks_of(evaluator, task))
 
 
@@ -170,12 +171,12 @@ def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progre
     say("measuring the noise", 0, 1)
     noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
     factor = case.noise.size / noise.size
-    evaluator = case.evaluator.with_whitener(noise.whiten)
+    evaluator = case.evaluator.with_whitener(noise.scaling(case.given.keep))
     return replace(
         case,
         noise=noise,
         evaluator=evaluator,
-        plain=evaluator.with_whitener(noise.scale),
+        plain=evaluator,
         banks=tuple(rescaled(bank, factor) for bank in case.banks),
     )
 
@@ -205,14 +206,22 @@ def _start(robot: Robot, given: Prepared, task: Task) -> Model:
     zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
     empty = Model(robot.with_parameters(InertialParameters(zero)), tuple(nominal_effects(robot)))
     size = torch.cat([p.tau for p in given.rows.passages]).std(0).clamp(min=1e-12)
-    evaluator = Evaluator(empty.robot, empty.effects, given.rows, lambda x, j: x / size[j])
+    keep = given.keep
+    evaluator = Evaluator(
+        empty.robot, empty.effects, given.rows, lambda x, j: x * keep[j] / size[j]
+    )
     return _refitted(evaluator, given.keep, task)
 
 
-def _refitted(evaluator: Evaluator, keep: Bool[Tensor, "n N"], task: Task) -> Model:
+def _refitted(
+    evaluator: Evaluator,
+    keep: Bool[Tensor, "n N"],
+    task: Task,
+    folds: Bool[Tensor, " N"] | None = None,
+) -> Model:
     """The model with base parameters, and the background, refitted on the rows that count."""
     free = replace(task, free=True)
-    bare = solve(evaluator, evaluator, keep, replace(free, most=0), ())
+    bare = solve(evaluator, evaluator, keep, replace(free, most=0), (), folds)
     return Model(bare.robot, bare.effects)
 
 
@@ -229,9 +238,9 @@ def _held_out_models(
     out = _Models([], [], [])
     for k in range(folds.count):
         say("leaving data out", k, folds.count)
-        rows = keep & folds.fitted(k)
-        refitted = _refitted(case.plain, rows, case.task)
-        found = solve(case.evaluator, case.plain, rows, case.task, case.banks)
+        rows = folds.fitted(k)
+        refitted = _refitted(case.plain, keep, case.task, rows)
+        found = solve(case.evaluator, case.plain, keep, case.task, case.banks, rows)
         out.before.append(refitted if case.fitted else case.start)
         out.refitted.append(refitted)
         out.after.append(Model(found.robot, found.effects))
@@ -295,20 +304,20 @@ def _excess(
     judged = case.given if case.checked is None else case.checked
     if not case.noise.repeated:
         return (far.rms_after / floor.high.clamp(min=1e-12)).square()
-    whiten = case.noise.floor.whitener.on(judged.rows.bounds).apply
+    whiten = case.noise.whitening(judged.rows, judged.keep)
     total = torch.zeros(judged.keep.shape[0], dtype=torch.float64)
     count = torch.zeros_like(total)
     for k, model in enumerate(models.after):
-        rows = judged.keep if folds is None else judged.keep & (folds.fold == k)
+        rows = torch.ones_like(judged.keep[0]) if folds is None else folds.fold == k
         r = Evaluator(model.robot, model.effects, judged.rows, whiten).residual() * rows
         total += r.square().sum(1)
-        count += rows.sum(1)
+        count += (judged.keep & rows).sum(1)
     return total / count.clamp(min=1)
 
 
 def _torque_rows(case: _Case) -> Tensor:
     """(n,) RMS of each joint's whitened torque."""
-    y = case.evaluator.on_all([p.tau.T for p in case.given.rows.passages])
+    y = case.plain.on_all([p.tau.T for p in case.given.rows.passages])
     return y.square().mean(1).sqrt()
 
 

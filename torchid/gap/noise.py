@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.gap.candidates import Whiten
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
 from torchid.gap.floor import Floor, NoFloorError, noise_floor
+from torchid.gap.missing import WhiteRows
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.repeats import Repeats, find_repeats
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 STRUCTURE = 0.25
 """Predictable share of a joint's noise variance from which structure is worth saying."""
@@ -48,14 +50,16 @@ class Noise:
         """Whether it comes from repeats."""
         return self.report.source == "repeats"
 
-    def whiten(self, x: Tensor, joint: int) -> Tensor:
-        """Rows (..., N) of a joint, whitened where repeats tell the noise's spectrum. Without them
-        nobody knows which part of the spectrum is noise, and rows are only scaled."""
-        return self.floor.whitener.apply(x, joint) if self.repeated else self.scale(x, joint)
+    def whitening(self, rows: Rows, keep: Bool[Tensor, "n N"]) -> Whiten:
+        """How rows are whitened, those that do not count left out. Without repeats nobody knows
+        which part of the spectrum is noise, and rows are only scaled."""
+        if self.repeated:
+            return WhiteRows(self.floor.whitener.on(rows.bounds), keep)
+        return self.scaling(keep)
 
-    def scale(self, x: Tensor, joint: int) -> Tensor:
-        """Rows (..., N) of a joint in units of its noise, their spectrum as it is."""
-        return x / self.size[joint]
+    def scaling(self, keep: Bool[Tensor, "n N"]) -> Whiten:
+        """Rows in units of the noise, their spectrum as it is; those that do not count are zero."""
+        return lambda x, joint: x * (keep[joint] / self.size[joint])
 
     @property
     def size(self) -> Float[Tensor, " n"]:

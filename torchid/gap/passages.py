@@ -25,6 +25,11 @@ GRID = 6.0
 ROWS = 2.5
 """Rows a period of the cut-off."""
 
+EDGE = 3.0
+"""Length that is left out at both ends of a passage, in periods of the cut-off: beyond them the
+filter sees a reflection, and most trajectories begin and end at rest, where friction can be
+anything."""
+
 RESTING = 0.02
 """|dq| below which a joint's friction is undetermined [rad/s or m/s]."""
 
@@ -78,7 +83,7 @@ class Rows:
         self.passages = tuple(passages)
         self.step = max(1, int(self.rate / (ROWS * cutoff)))
         self._filter = ZeroPhaseFilter(self.rate, cutoff) if cutoff < 0.45 * self.rate else None
-        self.edge = round(self.rate / cutoff)
+        self.edge = round(EDGE * self.rate / cutoff)
 
     @property
     def interval(self) -> float:
@@ -98,6 +103,10 @@ class Rows:
     def apply(self, signals: Sequence[Signals]) -> Float[Tensor, "*batch N"]:
         """Rows (..., N) of signals (..., T_p), one tensor a passage."""
         return torch.cat([self._one(x) for x in signals], -1)
+
+    def low_passed(self, x: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+        """A signal of a passage through the rows' filter, on the passage's grid."""
+        return x if self._filter is None else self._filter.apply(x.T).T.contiguous()
 
     def pick(self, signals: Sequence[Tensor]) -> Tensor:
         """Unfiltered values (N, ...) of signals (T_p, ...) at the rows' instants."""

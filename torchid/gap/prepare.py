@@ -25,8 +25,14 @@ WIDE_BAND = 40.0
 REVERSAL = 0.004
 """Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
 
+SHORTEST = 12.0
+"""Length of the shortest passage, in periods of the cut-off."""
+
 DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
+
+REACH = 0.75
+"""How far the filter carries what happens at a reversal, in periods of the cut-off."""
 
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
@@ -38,7 +44,8 @@ class Prepared:
 
     Attributes:
         rows: of the passages.
-        keep: (n, N) rows that count: those whose own joint moves, unless it hardly ever does.
+        keep: (n, N) rows that count: those whose own joint moves and does not reverse, unless it
+            hardly ever moves.
         own_velocity: whether dq was measured on its own in every passage.
         age: whether held samples were found.
         still: joints, from 0, that never move.
@@ -99,12 +106,12 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
         replace(p, motion=p.motion._replace(direction=sharp_direction(p, threshold)))
         for p in passages
     ]
-    long = [p for p in passages if p.samples > 4 * p.rate / narrow + 20]
+    long = [p for p in passages if p.samples > SHORTEST * p.rate / narrow]
     if not long:
         raise LogError(
             "every trajectory is too short for the diagnosis.",
             got=f"{max(p.samples / p.rate for p in passages):.3g} s",
-            expected=f"more than {4 / narrow + 0.5:.3g} s at a cut-off of {narrow:g} Hz",
+            expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
         )
     rows = Rows(long, narrow)
     keep, still = moving_rows(rows)
@@ -153,17 +160,28 @@ def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
 
 
 def moving_rows(rows: Rows) -> tuple[Bool[Tensor, "n N"], tuple[int, ...]]:
-    """Rows whose own joint moves, and the joints that never do.
+    """Rows whose own joint moves and does not reverse, and the joints that never move.
 
-    At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
-    keeps them all: what holds it is then most of what is known about it.
+    At rest static friction holds any torque, and at a reversal the joint may stick. A
+    joint that moves in less than a tenth of the rows keeps them all: what holds it is then most of
+    what is known about it.
     """
-    dq = rows.pick([p.motion.dq for p in rows.passages]).T
+    moves = [_moves(p, REACH / rows.cutoff) for p in rows.passages]
     q = torch.cat([p.motion.q for p in rows.passages])
-    moving = dq.abs() > RESTING
+    moving = rows.pick(moves).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
     mostly = moving.double().mean(1) > 0.1
     return moving | ~mostly.unsqueeze(1), tuple(still)
+
+
+def _moves(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
+    """Instants at which a joint neither rests nor reverses within a margin [s]."""
+    sign = torch.sign(p.motion.dq)
+    turns = torch.zeros_like(sign)
+    turns[1:] = (sign[1:] != sign[:-1]).to(sign)
+    width = 2 * round(margin * p.rate) + 1
+    near = torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T
+    return (p.motion.dq.abs() > RESTING) & (near == 0)
 
 
 def _said(still: tuple[int, ...], passages: list[Passage], kept: list[Passage]) -> list[str]:

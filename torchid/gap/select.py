@@ -43,6 +43,10 @@ DOMINANT = 0.25
 SMALL = 0.01
 """A gain below this share of what is left is not worth a name."""
 
+MISFITTED = 2e-3
+"""Share of an accepted effect's gain that its own misfit can hold: no law of friction fits an arm
+to a few per cent. A smaller gain on the same rows is not told from it."""
+
 BLOCK_SECONDS = 2.0
 FEWEST_BLOCKS = 20
 FLIP_LEVEL = 0.02
@@ -156,8 +160,9 @@ class Problem:
     """Rows and candidates.
 
     Attributes:
-        y: (n, N) whitened gap; masked rows are zero.
-        keep: (n, N) rows that count.
+        y: (n, N) whitened gap; rows of other folds are zero.
+        keep: (n, N) rows of the folds fitted.
+        count: rows that count: in those folds, and moving.
         banks: candidates; their rows that do not count need not be zero.
         fixed: terms that are always in the model (free base parameters, a fitted background).
         bounds: rows of each trajectory.
@@ -172,6 +177,7 @@ class Problem:
 
     y: Float[Tensor, "n N"]
     keep: Bool[Tensor, "n N"]
+    count: int
     banks: tuple[Bank, ...]
     fixed: tuple[Term, ...]
     bounds: tuple[slice, ...]
@@ -184,7 +190,7 @@ class Problem:
     @property
     def noise(self) -> float:
         """Sum of squares that noise has: one a row."""
-        return float(self.keep.sum())
+        return float(self.count)
 
     @cached_property
     def looks(self) -> float:
@@ -226,6 +232,7 @@ class Search:
     terms: list[Term] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self._accepted: dict[tuple[str, Place, tuple[str, ...]], float] = {}
         self.scanners = [Scanner(bank, self.problem.keep) for bank in self.problem.banks]
 
     def model(self, without: Sequence[Term] = ()) -> Projector:
@@ -269,6 +276,7 @@ class Search:
                 break
             for term in self._parts(chosen):
                 self.terms.append(self._refined(term))
+                self._accepted[self.terms[-1].key] = chosen.gain
             self._look_back(newest=self.terms[-1])
             model = self.model()
         self._look_back(newest=None)
@@ -298,13 +306,19 @@ class Search:
         """The candidate to add, or None."""
         left = max(0.0, model.loss - self.problem.noise)
         for best in self.candidates(model)[:TRIED]:
-            if best.gain < max(self.problem.threshold(best.df), SMALL * left):
+            least = max(SMALL * left, MISFITTED * self._largest_near(best.term))
+            if best.gain < max(self.problem.threshold(best.df), least):
                 continue
             small = best.gain < DOMINANT * left
             if (small or not self.problem.whitened) and not self._holds_on_blocks(best.term, model):
                 continue
             return self._simplest(best, model)
         return None
+
+    def _largest_near(self, term: Term) -> float:
+        """Sum of squares of the largest contribution that was accepted on the same rows."""
+        near = [t for t in self.terms if term.place is None or t.place in (term.place, None)]
+        return max((self._accepted.get(t.key, 0.0) for t in near), default=0.0)
 
     def _simplest(self, best: Candidate, model: Projector) -> Candidate:
         """The simplest candidate that explains it as well: within 1 % while misfit remains, else

@@ -28,6 +28,9 @@ PASSES = 2
 CHANGED = 0.02
 """Relative change of the model's torque from which the columns that depend on it are taken anew."""
 
+SIGNIFICANT = 2.5
+"""Standard deviations from zero that a coefficient of an accepted effect has at least."""
+
 SETTLING = 3
 SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain."""
@@ -160,6 +163,7 @@ def solve(
     keep: Bool[Tensor, "n N"],
     task: Task,
     banks: Sequence[Bank],
+    folds: Bool[Tensor, " N"] | None = None,
 ) -> Solution:
     """Search on whitened rows, fit on plain ones.
 
@@ -170,10 +174,13 @@ def solve(
     Args:
         start: at the model as given.
         plain: the same with rows that are only divided by their noise.
-        keep: (n, N) rows that count.
+        keep: (n, N) rows that count, which both evaluators know.
         task: what to look for.
         banks: candidates at the model as given (from `banks_of`).
+        folds: (N,) rows to search and fit on; all if None.
     """
+    count = int((keep if folds is None else keep & folds).sum())
+    keep = (torch.ones_like(keep[0]) if folds is None else folds).expand_as(keep)
     y = start.residual() * keep
     evaluator = start
     fixed = tuple(_mask(t, keep) for t in fixed_terms(start, task))
@@ -182,6 +189,7 @@ def solve(
         problem = Problem(
             y,
             keep,
+            count,
             tuple(banks),
             fixed,
             start.rows.bounds,
@@ -204,7 +212,29 @@ def solve(
         evaluator = latest
         terms = _all_retaken(terms, evaluator, fit.values[len(fixed) :], keep)
         banks = _renewed(banks, evaluator, change)
-    return _settled(plain, problem, terms, fit, task)
+    while True:
+        found = _settled(plain, problem, terms, fit, task)
+        weak = _weakest(found)
+        if weak is None:
+            return found
+        terms = [t for t in terms if t is not weak]
+        fit = fitted(problem, terms)
+
+
+def _weakest(found: Solution) -> Term | None:
+    """A term that the fit on plain rows does not confirm: no coefficient differs from zero, or one
+    has a sign that physics forbids."""
+    worst, least = None, SIGNIFICANT
+    for term in found.terms:
+        if term.is_inertial:
+            continue
+        values, std = found.values_of(term)
+        ratio = values.abs() / std.clamp(min=1e-300)
+        signed = torch.tensor([c.non_negative for c in term.coefficients])
+        size = float(torch.where(signed & (values < 0), -ratio, ratio).max())
+        if size < least:
+            worst, least = term, size
+    return worst
 
 
 def _settled(
