@@ -136,7 +136,7 @@ class JointElasticity(OneJointEffect):
     family: ClassVar[Family] = "phase"
     needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
     coefficients: ClassVar = (
-        Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.02),
+        Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.2),
     )
     meaning: ClassVar[str] = (
         "Gears and torque sensors twist under load, so the link lags the motor."

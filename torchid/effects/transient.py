@@ -176,12 +176,20 @@ class DroppedSamples(OneJointEffect):
         return on_joint((shifted(own, t, -age) - own)[:, 0], self.joint, torque.shape[1])
 
     def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The joint's torque held in windows at random, and its age."""
+        """The joint's torque held in windows at random, and its age.
+
+        Exact copies of the sample held, as a logger makes them: after the noise, if there is any.
+        """
         torque, t = motion.require("torque", self.name), motion.require("t", self.name)
+        own = self._age(t).to(torque)
+        index = torch.arange(len(t)) - torch.round(own / interval(t)).long()
+        held = torque[:, self.joint][index]
+        if values[0] != 1.0:
+            held = torque[:, self.joint] + values[0] * (held - torque[:, self.joint])
         age = torch.zeros_like(torque) if motion.age is None else motion.age
-        held = motion._replace(age=with_joint(age, self.joint, self._age(t).to(age)))
-        lost = self.torque_columns(held)[..., 0] * values[0]
-        return held._replace(torque=torque + lost)
+        out = torque.clone()
+        out[:, self.joint] = held
+        return motion._replace(torque=out, age=with_joint(age, self.joint, own))
 
     def _age(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
         """Seconds since the window began, 0 outside of one."""

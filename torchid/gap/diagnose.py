@@ -32,7 +32,10 @@ from torchid.robot.model import Robot
 from torchid.typing import Bool, Tensor
 
 EXCESS = 1.35
-"""Held-out variance of a joint, relative to its noise, above which something is unexplained."""
+"""Held-out variance of a joint, relative to its noise, above which something is unexplained if a
+flexible predictor agrees,"""
+CLEAR_EXCESS = 2.0
+"""and above which it is, whatever that says: the noise is known to a few ten per cent."""
 
 ROUNDS = 3
 SETTLED = 0.9
@@ -324,7 +327,8 @@ def _torque_rows(case: _Case) -> Tensor:
 def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bool) -> Status:
     """The verdict: what is left is unexplained where it exceeds the noise on data
     used for no choice, or where a flexible predictor still finds structure in it."""
-    unexplained = bool((excess > EXCESS).any()) or bool((left.structure > STRUCTURE).any())
+    odd = (excess > EXCESS) & (left.structure > 0)
+    unexplained = bool((odd | (excess > CLEAR_EXCESS) | (left.structure > STRUCTURE)).any())
     if not (found.effects or found.parametric):
         if unexplained and far.closed is not None:
             return "detected_unexplained"

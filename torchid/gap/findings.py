@@ -120,7 +120,7 @@ def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str
     needed = problem.threshold(1)
     total = float(left.sum())
     seconds = len(problem.block) * rows.interval * needed / max(1e-12, total)
-    joints = term.effects[0].joints or other.term.effects[0].joints
+    joints = next((e.joints for e in (*term.effects, *other.term.effects) if e.joints), ())
     return {
         "separates": [term.name, other.name],
         "joint": joints[0] + 1 if joints else None,

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued
+from torchid.effects.transient import DroppedSamples
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
@@ -115,7 +116,8 @@ def measured_log(
 ) -> Log:
     """The log that sensors and logger make of a true motion.
 
-    In this order: the effects that are in the sensors (see `sensed_log`), sampling, then noise.
+    In this order: the effects that are in the sensors (see `sensed_log`), sampling, noise, then
+    samples that the logger loses.
 
     Args:
         robot: for the number of its joints.
@@ -129,9 +131,19 @@ def measured_log(
         TorchidError: the noise does not fit the robot or the sampling rate.
     """
     generator = torch.Generator().manual_seed(seed)
-    seen = sensed_log(log, effects)
+    lost = [pair for pair in effects if isinstance(pair[0], DroppedSamples)]
+    seen = sensed_log(log, [pair for pair in effects if not isinstance(pair[0], DroppedSamples)])
     parts = [_measured(robot, part, sensors, generator) for part in seen.trajectories()]
-    return Log.concatenate(parts).replace(source=log.source)
+    return Log.concatenate([_held(p, lost) for p in parts]).replace(source=log.source)
+
+
+def _held(log: Log, lost: Sequence[Valued]) -> Log:
+    """What the logger makes of it: samples that it loses are the last ones, noise and all."""
+    assert log.tau is not None
+    motion = Motion(log.q, log.q, log.q, t=log.t - log.t[0], torque=log.tau)
+    for effect, values in lost:
+        motion = effect.measured(motion, values)  # type: ignore[attr-defined]
+    return log.replace(tau=motion.torque)
 
 
 def _measured(robot: Robot, log: Log, sensors: Sensors, generator: torch.Generator) -> Log:
