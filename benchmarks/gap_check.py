@@ -27,7 +27,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import argparse
 import json
 import multiprocessing
+import multiprocessing.connection
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -166,6 +168,19 @@ def run_simulation(some: Sequence[Case], work: Path, fresh: bool) -> dict[str, s
     return simulate(some, work, fresh)
 
 
+def end_with_parent() -> None:
+    """A worker whose parent is killed would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        multiprocessing.connection.wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 class Results:
     """Rows on file."""
 
@@ -210,7 +225,7 @@ def batches(some: Sequence[Case], work: Path) -> list[tuple[list[Case], bool]]:
 def run(some: Sequence[Case], results: Results, work: Path, processes: int) -> None:
     todo = [c for c in some if not results.done(c.id)]
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with ProcessPoolExecutor(processes, context, end_with_parent) as pool:
         failed: dict[str, str] = {}
         made = [pool.submit(run_simulation, cs, work, f) for cs, f in batches(todo, work)]
         for k, future in enumerate(made):
