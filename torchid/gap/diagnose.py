@@ -73,6 +73,11 @@ class _Case:
     plain: Evaluator
     banks: tuple[Bank, ...]
 
+    @property
+    def keep(self) -> Bool[Tensor, "n N"]:
+        """Rows that count."""
+        return self.given.counting(self.noise.repeated)
+
 
 def diagnose(
     robot: Robot,
@@ -107,7 +112,7 @@ def diagnose(
         )
     say = progress or (lambda stage, done, total: None)
     case = _case(robot, log, held_out, settings, say)
-    keep = case.given.keep
+    keep = case.keep
     say("searching for effects", 0, 1)
     whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
     for _ in range(0 if case.noise.repeated else ROUNDS):
@@ -163,9 +168,10 @@ def _candidates(
     start: Model, given: Prepared, task: Task, noise: Noise, say: Progress
 ) -> tuple[Evaluator, Evaluator, tuple[Bank, ...]]:
     say("computing candidates", 0, 1)
-    whiten = noise.whitening(given.rows, given.keep)
+    keep = given.counting(noise.repeated)
+    whiten = noise.whitening(given.rows, keep)
     evaluator = Evaluator(start.robot, start.effects, given.rows, whiten)
-    plain = evaluator.with_whitener(noise.scaling(given.keep))
+    plain = evaluator.with_whitener(noise.scaling(keep))
     return evaluator, plain, tuple(banks_of(evaluator, task))
 
 
@@ -174,7 +180,7 @@ def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progre
     say("measuring the noise", 0, 1)
     noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
     factor = case.noise.size / noise.size
-    evaluator = case.evaluator.with_whitener(noise.scaling(case.given.keep))
+    evaluator = case.evaluator.with_whitener(noise.scaling(case.keep))
     return replace(
         case,
         noise=noise,
@@ -209,11 +215,11 @@ def _start(robot: Robot, given: Prepared, task: Task) -> Model:
     zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
     empty = Model(robot.with_parameters(InertialParameters(zero)), tuple(nominal_effects(robot)))
     size = torch.cat([p.tau for p in given.rows.passages]).std(0).clamp(min=1e-12)
-    keep = given.keep
+    keep = given.moving
     evaluator = Evaluator(
         empty.robot, empty.effects, given.rows, lambda x, j: x * keep[j] / size[j]
     )
-    return _refitted(evaluator, given.keep, task)
+    return _refitted(evaluator, keep, task)
 
 
 def _refitted(
@@ -232,7 +238,7 @@ def _held_out_models(
     case: _Case, whole: Solution, settings: GapSettings, say: Progress
 ) -> tuple[Folds | None, "_Models"]:
     """Models before, with refitted parameters and after, for data they were not fitted on."""
-    keep = case.given.keep
+    keep = case.keep
     if case.checked is not None:
         refitted = _refitted(case.plain, keep, case.task)
         before = refitted if case.fitted else case.start
@@ -307,14 +313,15 @@ def _excess(
     judged = case.given if case.checked is None else case.checked
     if not case.noise.repeated:
         return (far.rms_after / floor.high.clamp(min=1e-12)).square()
-    whiten = case.noise.whitening(judged.rows, judged.keep)
-    total = torch.zeros(judged.keep.shape[0], dtype=torch.float64)
+    keep = judged.counting(noise_is_known=True)
+    whiten = case.noise.whitening(judged.rows, keep)
+    total = torch.zeros(keep.shape[0], dtype=torch.float64)
     count = torch.zeros_like(total)
     for k, model in enumerate(models.after):
-        rows = torch.ones_like(judged.keep[0]) if folds is None else folds.fold == k
+        rows = torch.ones_like(keep[0]) if folds is None else folds.fold == k
         r = Evaluator(model.robot, model.effects, judged.rows, whiten).residual() * rows
         total += r.square().sum(1)
-        count += (judged.keep & rows).sum(1)
+        count += (keep & rows).sum(1)
     return total / count.clamp(min=1)
 
 
@@ -385,7 +392,7 @@ def _modes(case: _Case, whole: Solution) -> list[str]:
     if not whole.terms:
         return []
     task = replace(case.task, free=True)
-    free = solve(case.evaluator, case.plain, case.given.keep, task, case.banks)
+    free = solve(case.evaluator, case.plain, case.keep, task, case.banks)
     names = [
         {(t.name, t.effects[0].joints) for t in s.terms if t.effects and not t.is_inertial}
         for s in (whole, free)

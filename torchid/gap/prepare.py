@@ -44,8 +44,8 @@ class Prepared:
 
     Attributes:
         rows: of the passages.
-        keep: (n, N) rows that count: those whose own joint moves and does not reverse, unless it
-            hardly ever moves.
+        moving: (n, N) rows whose own joint moves; all of them where it hardly ever does.
+        turning: (n, N) rows that a reversal of the own joint reaches.
         own_velocity: whether dq was measured on its own in every passage.
         age: whether held samples were found.
         still: joints, from 0, that never move.
@@ -53,11 +53,21 @@ class Prepared:
     """
 
     rows: Rows
-    keep: Bool[Tensor, "n N"]
+    moving: Bool[Tensor, "n N"]
+    turning: Bool[Tensor, "n N"]
     own_velocity: bool
     age: bool
     still: tuple[int, ...]
     warnings: tuple[str, ...]
+
+    def counting(self, noise_is_known: bool) -> Bool[Tensor, "n N"]:
+        """Rows (n, N) that count.
+
+        At a reversal a joint may stick, and no law says with which torque. Where the noise is known
+        from repeats such rows would stand out as a gap of their own; where it is not, tests look at
+        the spread between blocks and can bear them, and presliding shows there.
+        """
+        return self.moving & ~self.turning if noise_is_known else self.moving
 
 
 def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
@@ -114,10 +124,11 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
             expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
         )
     rows = Rows(long, narrow)
-    keep, still = moving_rows(rows)
+    moving, turning, still = row_masks(rows)
     return Prepared(
         rows,
-        keep,
+        moving,
+        turning,
         all(p.own_velocity for p in long),
         any(p.motion.age is not None for p in long),
         still,
@@ -159,29 +170,29 @@ def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
 
 
-def moving_rows(rows: Rows) -> tuple[Bool[Tensor, "n N"], tuple[int, ...]]:
-    """Rows whose own joint moves and does not reverse, and the joints that never move.
+def row_masks(
+    rows: Rows,
+) -> tuple[Bool[Tensor, "n N"], Bool[Tensor, "n N"], tuple[int, ...]]:
+    """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
 
-    At rest static friction holds any torque, and at a reversal the joint may stick. A
-    joint that moves in less than a tenth of the rows keeps them all: what holds it is then most of
-    what is known about it.
+    At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
+    keeps them all: what holds it is then most of what is known about it.
     """
-    moves = [_moves(p, REACH / rows.cutoff) for p in rows.passages]
     q = torch.cat([p.motion.q for p in rows.passages])
-    moving = rows.pick(moves).T
+    moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > RESTING
+    turning = rows.pick([_turns(p, REACH / rows.cutoff) for p in rows.passages]).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
-    mostly = moving.double().mean(1) > 0.1
-    return moving | ~mostly.unsqueeze(1), tuple(still)
+    hardly = (moving & ~turning).double().mean(1) < 0.1
+    return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
-def _moves(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
-    """Instants at which a joint neither rests nor reverses within a margin [s]."""
+def _turns(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
+    """Instants within a margin [s] of a reversal of the joint."""
     sign = torch.sign(p.motion.dq)
     turns = torch.zeros_like(sign)
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
     width = 2 * round(margin * p.rate) + 1
-    near = torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T
-    return (p.motion.dq.abs() > RESTING) & (near == 0)
+    return torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T > 0
 
 
 def _said(still: tuple[int, ...], passages: list[Passage], kept: list[Passage]) -> list[str]:

@@ -31,7 +31,7 @@ CHANGED = 0.02
 SIGNIFICANT = 2.5
 """Standard deviations from zero that a coefficient of an accepted effect has at least."""
 
-SETTLING = 3
+SETTLING = 4
 SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain."""
 
@@ -248,22 +248,43 @@ def _settled(
     evaluator = plain.with_model(*corrected(plain, fixed, terms, fit, task))
     taken = [_plain(t, evaluator, problem.keep, task) for t in terms]
     r = plain.residual() * problem.keep
+    weight = torch.ones_like(r)
     values = tuple(torch.zeros_like(v) for v in fit.values)
     best: Solution | None = None
-    for _ in range(SETTLING):
-        step = fitted(replace(own, y=r), taken)
+    for k in range(SETTLING):
+        step = fitted(_weighted(own, r, weight), [_scaled(t, weight) for t in taken])
         values = tuple(v + d for v, d in zip(values, step.values, strict=True))
         moved = Fit(values, step.std, step.loss)
         robot, effects = corrected(plain, fixed, taken, moved, task)
         evaluator = plain.with_model(robot, effects)
         left = evaluator.residual() * problem.keep
-        gained = float(r.square().sum() - left.square().sum())
-        if best is not None and gained < SETTLED * float(r.square().sum()):
+        losses = [float((weight * x).square().sum()) for x in (r, left)]
+        if best is not None and losses[0] - losses[1] < SETTLED * losses[0]:
             break
         r, best = left, Solution(problem, tuple(terms), moved, robot, effects)
+        if k == 0:
+            weight = huber_weights(r)
         taken = _all_retaken(taken, evaluator, values[len(fixed) :], problem.keep)
     assert best is not None
     return best
+
+
+def huber_weights(r: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+    """Square roots of Huber's weights: rows far out, at reversals or in a collision, count as much
+    as one at 1.345 robust standard deviations does (Huber 1981, section 7.8)."""
+    size = torch.where(r == 0, torch.nan, r.abs()).nanmedian(1, keepdim=True).values
+    limit = 1.345 * 1.4826 * torch.nan_to_num(size, nan=1.0).clamp(min=1e-12)
+    return (limit / r.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
+
+
+def _weighted(problem: Problem, r: Tensor, weight: Tensor) -> Problem:
+    fixed = tuple(_scaled(t, weight) for t in problem.fixed)
+    return replace(problem, y=weight * r, fixed=fixed)
+
+
+def _scaled(term: Term, weight: Tensor) -> Term:
+    rows = weight.flatten() if term.place is None else weight[term.place]
+    return replace(term, columns=term.columns * rows)
 
 
 def _plain(term: Term, evaluator: Evaluator, keep: Tensor, task: Task) -> Term:
