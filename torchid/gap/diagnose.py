@@ -150,7 +150,7 @@ def _case(
     task = _task(robot, given, settings)
     start = _start(robot, given, task)
     say("measuring the noise", 0, 1)
-    noise = _noise(start, given, settings, check=False)
+    noise = _noise(start, given, settings, keep=None)
     task = replace(task, whitened=noise.repeated)
     fitted = robot.parameters is None
     return _Case(
@@ -158,10 +158,10 @@ def _case(
     )
 
 
-def _noise(model: Model, given: Prepared, settings: GapSettings, *, check: bool) -> Noise:
+def _noise(model: Model, given: Prepared, settings: GapSettings, *, keep: Tensor | None) -> Noise:
     band = report_band(given.rows, settings.report_band)
     shown = Rows(given.rows.passages, band)
-    return noise_of(model.robot, model.effects, given.rows, shown, check=check, seed=settings.seed)
+    return noise_of(model.robot, model.effects, given.rows, shown, keep=keep, seed=settings.seed)
 
 
 def _candidates(
@@ -178,7 +178,7 @@ def _candidates(
 def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progress) -> _Case:
     """The same case, its noise measured on what a search has left."""
     say("measuring the noise", 0, 1)
-    noise = _noise(Model(found.robot, found.effects), case.given, settings, check=False)
+    noise = _noise(Model(found.robot, found.effects), case.given, settings, keep=None)
     factor = case.noise.size / noise.size
     evaluator = case.evaluator.with_whitener(noise.scaling(case.keep))
     return replace(
@@ -272,7 +272,7 @@ def _answer(
     judged = case.given if case.checked is None else case.checked
     rows = judged.rows
     band = report_band(rows, settings.report_band)
-    left = _noise(Model(whole.robot, whole.effects), case.given, settings, check=True)
+    left = _noise(Model(whole.robot, whole.effects), case.given, settings, keep=case.keep)
     floor = left.report
     shown = traces(rows, folds, models.before, models.after, band)
     refitted = traces(rows, folds, models.before, models.refitted, band)

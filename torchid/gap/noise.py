@@ -74,7 +74,7 @@ def noise_of(
     rows: Rows,
     report: Rows,
     *,
-    check: bool,
+    keep: Bool[Tensor, "n N"] | None = None,
     seed: int,
 ) -> Noise:
     """Noise that a model's residual holds.
@@ -82,7 +82,8 @@ def noise_of(
     Args:
         robot, effects: the model.
         rows, report: of the fit, and of the report's band.
-        check: whether a flexible predictor looks at the residual although the log has repeats.
+        keep: (n, N) rows at which a flexible predictor looks for structure although the log has
+            repeats; None for no such look.
         seed: of the flexible predictor.
     """
     passages = rows.passages
@@ -90,14 +91,19 @@ def noise_of(
     repeats = find_repeats(passages)
     flexible = None
     rows_of_residual = rows.apply([r.T for r in residual])
-    if check or not repeats:
+    if not repeats:
         flexible = predict_out_of_fold(loaded, rows, rows_of_residual, seed)
     try:
         floor = noise_floor(loaded, residual, rows, report, flexible, repeats or None)
     except NoFloorError:  # repeats too short for the filter are as good as none
         flexible = predict_out_of_fold(loaded, rows, rows_of_residual, seed)
         floor = noise_floor(loaded, residual, rows, report, flexible, None)
-    structure = _structure(flexible, rows_of_residual, floor)
+    if keep is None:
+        structure = torch.zeros(robot.n, dtype=torch.float64)
+    else:
+        looked = rows_of_residual * keep
+        found = predict_out_of_fold(loaded, rows, looked, seed)
+        structure = _structure(found, looked, floor)
     return Noise(floor, _groups(len(passages), repeats), structure)
 
 
@@ -123,10 +129,8 @@ def _groups(count: int, repeats: Repeats) -> tuple[int, ...]:
 
 
 def _structure(
-    flexible: OutOfFold | None, residual: Float[Tensor, "n N"], floor: Floor
+    flexible: OutOfFold, residual: Float[Tensor, "n N"], floor: Floor
 ) -> Float[Tensor, " n"]:
     variance = residual.square().mean(1)
-    if flexible is None:
-        return torch.zeros_like(variance)
     share = flexible.r2 * variance / floor.rms.square().clamp(min=1e-300)
     return torch.where(flexible.interval[:, 0] > 0, share, torch.zeros_like(share))

@@ -46,6 +46,11 @@ SMALL = 0.01
 MISFITTED = 2e-3
 """Share of an accepted effect's gain that its own misfit can hold: no law of friction fits an arm
 to a few per cent. A smaller gain on the same rows is not told from it."""
+MISFITTED_BY_WINDOW = 0.03
+"""The same for a contact: of hundreds of windows one is where the misfit is largest."""
+WINDOWED = "contact"
+MISFITTED_UNKNOWN = 0.01
+"""The same where the noise is not known from repeats."""
 
 BLOCK_SECONDS = 2.0
 FEWEST_BLOCKS = 20
@@ -306,7 +311,9 @@ class Search:
         """The candidate to add, or None."""
         left = max(0.0, model.loss - self.problem.noise)
         for best in self.candidates(model)[:TRIED]:
-            least = max(SMALL * left, MISFITTED * self._largest_near(best.term))
+            share = MISFITTED if self.problem.whitened else MISFITTED_UNKNOWN
+            share = max(share, MISFITTED_BY_WINDOW if best.term.name == WINDOWED else 0.0)
+            least = max(SMALL * left, share * self._largest_near(best.term))
             if best.gain < max(self.problem.threshold(best.df), least):
                 continue
             small = best.gain < DOMINANT * left
@@ -318,7 +325,10 @@ class Search:
     def _largest_near(self, term: Term) -> float:
         """Sum of squares of the largest contribution that was accepted on the same rows."""
         near = [t for t in self.terms if term.place is None or t.place in (term.place, None)]
-        return max((self._accepted.get(t.key, 0.0) for t in near), default=0.0)
+        for t in near:
+            if t.key not in self._accepted:
+                self._accepted[t.key] = self.model(without=[t]).loss - self.model().loss
+        return max((self._accepted[t.key] for t in near), default=0.0)
 
     def _simplest(self, best: Candidate, model: Projector) -> Candidate:
         """The simplest candidate that explains it as well: within 1 % while misfit remains, else

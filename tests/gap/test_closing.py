@@ -1,0 +1,121 @@
+"""The closed share on traces whose gap and noise are known."""
+
+import pytest
+import torch
+
+from tests.gap.diagnoses import NOISE, coulomb, floor, trace
+from torchid.gap.closing import budget, closing, noise_variance
+from torchid.gap.diagnosis import NoiseFloor
+
+
+def exact(n: int = 3) -> NoiseFloor:
+    """A bracket whose middle is the noise's variance."""
+    level = torch.full((n,), NOISE, dtype=torch.float64)
+    return NoiseFloor(0.9 * level, (2 - 0.9**2) ** 0.5 * level, "repeats")
+
+
+def left(share: float):
+    return lambda motion, model: share**0.5 * coulomb(motion, model)
+
+
+def several(share: float, count: int = 3, correlation: float = 0.0):
+    return [
+        trace(coulomb, left(share), seed=k, correlation=correlation, seconds=40.0)
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
+def test_the_closed_share_is_that_of_the_squares(share):
+    found = closing(several(share), exact(), seed=0)
+    assert found.closed == pytest.approx(1 - share, abs=0.005)
+    low, high = found.closed_ci95
+    assert low - 1e-9 <= found.closed <= high + 1e-9
+    assert low - 0.01 < 1 - share < high + 0.01
+    assert found.gap_ci95[0] > 0
+
+
+def test_rms_before_and_after():
+    traces = several(0.25)
+    found = closing(traces, exact(), seed=0)
+    for which, rms in (("before", found.rms_before), ("after", found.rms_after)):
+        gaps = [(t.measured - getattr(t, which))[t.valid] for t in traces]
+        assert torch.allclose(rms, torch.cat(gaps).square().mean(0).sqrt())
+    assert float(found.rms_before[0]) == pytest.approx(NOISE, rel=0.1)
+    assert float(found.rms_before[1]) > 5 * NOISE
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.95])
+def test_no_gap_no_share(correlation):
+    """Noise, white and coloured, as large as the floor says."""
+    quiet = [trace(None, None, seed=k, seconds=40.0, correlation=correlation) for k in range(3)]
+    # The floor is what the traces hold, so that only their spread speaks.
+    size = torch.cat([(t.measured - t.before)[t.valid] for t in quiet]).square().mean(0).sqrt()
+    found = closing(quiet, NoiseFloor(size, size, "repeats"), seed=0)
+    assert found.gap_ci95[0] < 0 < found.gap_ci95[1]
+    assert found.closed is None
+    assert found.closed_ci95 is None
+
+
+def test_the_interval_covers_the_gap():
+    """Of twenty draws of noise, 95 % each."""
+    inside = 0
+    whole = []
+    for seed in range(20):
+        made = [trace(coulomb, left(0.2), seed=10 * seed + k, seconds=20.0) for k in range(2)]
+        found = closing(made, exact(), seed=seed)
+        truth = 1 - 0.2
+        inside += found.closed_ci95[0] < truth < found.closed_ci95[1]
+        whole.append(found.closed)
+    assert inside >= 16
+    assert sum(whole) / 20 == pytest.approx(0.8, abs=0.005)
+
+
+def test_joints_count_in_units_of_their_noise():
+    """A gap twice as large on a joint with twice the noise is the same gap."""
+    made = several(0.3)[0]
+    from dataclasses import replace
+
+    factor = torch.tensor([1.0, 2.0, 5.0])
+    scaled = replace(
+        made, measured=made.measured * factor, before=made.before * factor, after=made.after * factor
+    )
+    one = closing([made], exact(), seed=0)
+    other = NoiseFloor(exact().low * factor, exact().high * factor, "repeats")
+    two = closing([scaled], other, seed=0)
+    assert two.closed == pytest.approx(one.closed)
+    assert two.gap_ci95 == pytest.approx(one.gap_ci95)
+    assert torch.allclose(two.rms_before, one.rms_before * factor)
+
+
+def test_the_noise_is_the_middle_of_the_bracket_of_squares():
+    assert torch.allclose(noise_variance(exact()), torch.full((3,), NOISE**2))
+    variance = noise_variance(floor())
+    assert bool((variance > (0.8 * NOISE) ** 2).all() & (variance < (1.2 * NOISE) ** 2).all())
+
+
+@pytest.mark.parametrize(("refitted", "final"), [(0.4, 0.1), (1.0, 0.2), (0.1, 0.1)])
+def test_the_budget_sums_to_one(refitted, final):
+    made = budget(several(refitted), several(final), exact())
+    assert made.parametric + made.structural + made.unexplained == pytest.approx(1.0)
+    assert made.parametric == pytest.approx(1 - refitted, abs=0.01)
+    assert made.structural == pytest.approx(refitted - final, abs=0.01)
+    assert made.unexplained == pytest.approx(final, abs=0.01)
+
+
+def test_a_refit_that_makes_it_worse_closes_nothing():
+    made = budget(several(1.7), several(0.2), exact())
+    assert made.parametric == pytest.approx(0.0, abs=1e-12)
+    assert made.structural == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_refit_that_is_better_than_the_effects_leaves_them_nothing():
+    made = budget(several(0.05), several(0.2), exact())
+    assert made.structural == pytest.approx(0.0, abs=1e-12)
+    assert made.parametric + made.unexplained == pytest.approx(1.0)
+
+
+def test_shares_of_no_gap_are_zero():
+    quiet = [trace(None, None, noise=0.5 * NOISE)]
+    made = budget(quiet, quiet, exact())
+    assert (made.parametric, made.structural, made.unexplained) == (0.0, 0.0, 0.0)

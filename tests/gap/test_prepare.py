@@ -1,0 +1,214 @@
+"""Logs as the diagnosis prepares them: refusals, rows that count, and directions of motion."""
+
+import math
+from functools import cache
+
+import pytest
+import torch
+
+from tests.gap.motions import ROBOT, passage_of
+from torchid.effects.base import Motion
+from torchid.errors import LogError
+from torchid.excitation.synthetic import synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.gap.prepare import Prepared, bands, prepare, report_band, sharp_direction
+from torchid.log.model import Log
+from torchid.typing import Tensor
+
+
+@cache
+def log(rate: float = 250.0, duration: float = 8.0, seeds: tuple[int, ...] = (0, 1)) -> Log:
+    """Exact, in one piece a trajectory."""
+    made = [
+        synthetic_log(
+            ROBOT,
+            trajectory_log(random_trajectory(ROBOT, s, duration=duration, fill=True), rate),
+        )
+        for s in seeds
+    ]
+    return Log.concatenate([m.replace(dq=None, ddq=None) for m in made])
+
+
+def changed(given: Log, factor: list[float], about: list[float] | None = None) -> Log:
+    """The motion of each joint scaled."""
+    middle = given.q.new_tensor(about or [0.3] * given.n)
+    return given.replace(q=middle + (given.q - middle) * given.q.new_tensor(factor))
+
+
+def test_different_rates_are_refused():
+    with pytest.raises(LogError, match="rate") as found:
+        prepare(ROBOT, Log.concatenate([log(250.0), log(100.0)]), None)
+    assert "250" in str(found.value)
+    assert "100" in str(found.value)
+
+
+def test_another_robot_is_refused():
+    with pytest.raises(LogError, match="2"):
+        prepare(ROBOT, log().replace(q=log().q[:, :2], tau=log().tau[:, :2]), None)
+
+
+def test_no_torque_is_refused():
+    with pytest.raises(LogError, match="torque"):
+        prepare(ROBOT, log().replace(tau=None), None)
+
+
+def test_too_short_is_refused():
+    with pytest.raises(LogError, match="too short") as found:
+        prepare(ROBOT, log(duration=8.0).select(slice(0, 200)), None)
+    assert "0.8" in str(found.value)
+
+
+def test_short_ones_among_long_ones_are_left_out_and_said():
+    keep = torch.ones(log().samples, dtype=torch.bool)
+    keep[log().slices()[1]] = False
+    keep[log().slices()[1].start : log().slices()[1].start + 150] = True
+    found = prepare(ROBOT, log().select(keep), None)
+    assert len(found.rows.passages) == 1
+    assert any("too short" in w and log().names[1] in w for w in found.warnings)
+
+
+@pytest.mark.parametrize(("cutoff", "rate"), [(None, 250.0), (4.0, 250.0), (12.0, 250.0)])
+def test_the_cut_off_is_the_wanted_one(cutoff, rate):
+    narrow, wide = bands(log(rate), cutoff)
+    assert cutoff is None or narrow == cutoff
+    assert narrow < wide < rate / 2
+    found = prepare(ROBOT, log(rate), cutoff)
+    assert found.rows.cutoff == narrow
+    assert found.rows.passages[0].rate > 2 * wide
+
+
+def test_a_slow_log_is_cut_lower():
+    narrow, wide = bands(log(25.0), None)
+    assert narrow < 25.0 / 4
+    assert wide < 25.0 / 2
+
+
+def test_a_cut_off_beyond_the_log_is_refused():
+    with pytest.raises(LogError, match="cut-off"):
+        bands(log(25.0), 12.0)
+
+
+def test_signals_are_those_of_the_log():
+    """Positions and torques in the wide band: those of a smooth motion as they were."""
+    found = prepare(ROBOT, log(), None)
+    assert found.still == ()
+    assert not found.age
+    assert not found.own_velocity
+    for passage, rows in zip(found.rows.passages, log().slices(), strict=True):
+        step = round(250.0 / passage.rate)
+        inner = slice(found.rows.edge, -found.rows.edge)
+        assert torch.allclose(passage.motion.q[inner], log().q[rows][::step][inner], atol=1e-4)
+        assert torch.allclose(passage.tau[inner], log().tau[rows][::step][inner], atol=2e-2)
+
+
+def test_own_velocities_are_known():
+    true = trajectory_log(random_trajectory(ROBOT, 0, duration=8.0, fill=True), 250.0)
+    made = synthetic_log(ROBOT, true).replace(ddq=None)
+    assert prepare(ROBOT, made, None).own_velocity
+
+
+def test_joints_that_never_move_are_said():
+    found = prepare(ROBOT, changed(log(), [1.0, 0.0, 1.0]), None)
+    assert found.still == (1,)
+    assert any("joint 2 never moves" in w for w in found.warnings)
+    assert found.counting(noise_is_known=True)[1].all()
+    assert found.counting(noise_is_known=False)[1].all()
+
+
+def dwelling() -> tuple[Log, Tensor]:
+    """A log whose joint 2 stands still for a second at a time; and the instants it stands."""
+    rate, seconds = 250.0, 12.0
+    t = torch.arange(0, seconds, 1 / rate, dtype=torch.float64)
+    # Half a cosine up, rest, half a cosine down, rest: 2 s, 1 s, 2 s, 1 s.
+    phase = t % 6.0
+    up = (1 - (math.pi * phase / 2).cos()) / 2
+    down = (1 + (math.pi * (phase - 3) / 2).cos()) / 2
+    q2 = torch.where(phase < 2, up, torch.where(phase < 3, 1.0, torch.where(phase < 5, down, 0.0)))
+    rest = ((phase > 2) & (phase < 3)) | (phase > 5)
+    others = torch.stack([(1.3 * t).sin(), (1.7 * t).sin()], -1)
+    q = torch.stack([others[:, 0], q2, others[:, 1]], -1)
+    return Log(t, q, tau=10 * q.cos()), rest
+
+
+def counted(found: Prepared, noise_is_known: bool) -> Tensor:
+    return found.counting(noise_is_known)
+
+
+def test_rows_at_rest_do_not_count():
+    given, rest = dwelling()
+    found = prepare(ROBOT, given, None)
+    step = round(250.0 / found.rows.passages[0].rate)
+    deep = -torch.nn.functional.max_pool1d(-rest.double()[None, None], 101, 1, 50)[0, 0] > 0
+    resting = found.rows.pick([deep[::step]])
+    moving = found.rows.pick([~rest[::step]])
+    assert int(resting.sum()) > 10
+    for known in (False, True):
+        keep = counted(found, known)
+        assert not keep[1][resting].any()
+        assert keep[0][resting].double().mean() > 0.5
+        assert keep[1][moving].double().mean() > 0.6
+
+
+def test_rows_at_reversals_do_not_count_where_noise_is_known():
+    """sin reverses at its peaks; the rows around them are left out, those between them are not."""
+    rate = 250.0
+    t = torch.arange(0, 12, 1 / rate, dtype=torch.float64)
+    w = torch.tensor([2.0, 3.0, 2.5])
+    q = (t[:, None] * w).sin()
+    found = prepare(ROBOT, Log(t, q, tau=10 * q.cos()), None)
+    at = found.rows.pick([found.rows.passages[0].motion.t])
+    keep = counted(found, True)
+    for j in range(3):
+        away = ((at * w[j] / math.pi - 0.5) % 1.0 * math.pi / w[j])  # time since the last peak
+        away = torch.minimum(away, math.pi / w[j] - away)
+        assert not keep[j][away < 0.03].any()
+        assert keep[j][away > 0.3].all()
+        loose = counted(found, False)[j]
+        assert loose[away > 0.1].all()
+        assert int(loose.sum()) > int(keep[j].sum())
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 1.0])
+def test_directions_of_a_sinusoid_are_exact(amplitude):
+    """The mean of sgn(cos) over each sampling interval, reversals between samples included."""
+    rate, w = 40.0, 5.3
+    t = torch.arange(0, 10, 1 / rate, dtype=torch.float64)
+    angle = w * t[:, None] + torch.tensor([0.1, 1.0, 2.0])
+    motion = Motion(amplitude * angle.sin(), amplitude * w * angle.cos(),
+                    -amplitude * w**2 * angle.sin(), t=t)  # fmt: skip
+    # Integral of sgn(cos): a triangle wave.
+    def triangle(x: Tensor) -> Tensor:
+        return torch.asin(torch.sin(x))
+
+    half = 0.5 * w / rate
+    expected = (triangle(angle + half) - triangle(angle - half)) / (2 * half)
+    found = sharp_direction(passage_of(motion, rate=rate), torch.full((3,), 1e-3 * amplitude))
+    # dq and ddq vary over the interval: at third order in its length.
+    assert torch.allclose(found, expected, atol=(w / rate) ** 2)
+    inside = expected.abs() == 1
+    assert torch.equal(found[inside], expected[inside])
+
+
+def test_a_dwelling_joint_keeps_the_direction_it_came_from():
+    given, rest = dwelling()
+    g = torch.Generator().manual_seed(0)
+    noisy = given.replace(q=given.q + 1e-5 * torch.randn(given.q.shape, generator=g))
+    found = prepare(ROBOT, noisy, None)
+    passage = found.rows.passages[0]
+    step = round(250.0 / passage.rate)
+    t = passage.motion.t
+    phase = t % 6.0
+    inner = (t > 1) & (t < 11)
+    up = inner & (phase > 2.3) & (phase < 2.7)
+    down = inner & (phase > 5.3) & (phase < 5.7)
+    assert rest[::step][up].all()
+    assert (passage.motion.direction[up, 1] == 1).all()
+    assert (passage.motion.direction[down, 1] == -1).all()
+    assert passage.motion.direction.abs().max() <= 1
+
+
+def test_the_report_s_band_is_no_wider_than_the_passages():
+    found = prepare(ROBOT, log(), None)
+    assert report_band(found.rows, 20.0) == 20.0
+    assert report_band(found.rows, 1e4) < found.rows.passages[0].band
+    assert report_band(found.rows, 0.1) == found.rows.cutoff
