@@ -128,9 +128,7 @@ class Case:
         self.keep = torch.ones(self.robot.n, len(self.rows), dtype=torch.bool)
         white = [z.T for z in noises(passages, seed=5, size=NOISE)]
         size = self.rows.apply(white).square().mean(-1).sqrt()
-        self.evaluator = Evaluator(
-            self.robot, (), self.rows, lambda x, j: x / size[j]
-        )
+        self.evaluator = Evaluator(self.robot, (), self.rows, lambda x, j: x / size[j])
         self.task = Task(
             base=base_parameters(self.robot), names=names, background=background, free=free,
             inertial=inertial, own_velocity=False, age=False, whitened=True, most=10, alpha=0.01,

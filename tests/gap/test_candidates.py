@@ -157,7 +157,9 @@ def test_rescaled_rows_are_those_of_other_noise(evaluator):
     factor = torch.tensor([2.0, 0.1, 5.0])
     other = evaluator.with_whitener(lambda x, j: x * SCALE[j] * factor[j])
     for name in ("coulomb_friction", "base_tilt", "cogging"):
-        both = [list(all_banks(e, [name], own_velocity=False, age=False)) for e in (evaluator, other)]
+        both = [
+            list(all_banks(e, [name], own_velocity=False, age=False)) for e in (evaluator, other)
+        ]
         for bank, expected in zip(*both, strict=True):
             assert torch.allclose(rescaled(bank, factor).columns, expected.columns, rtol=1e-12)
     rigid = rescaled(evaluator.rigid_bank("all", (), range(30)), factor)
@@ -185,7 +187,7 @@ def test_the_window_that_was_planted_is_found(first, last):
     windows = best_windows(columns, r, bounds)
     a, b = windows[0]
     assert min(b, last) - max(a, first) >= 0.5 * max(b - a, last - first)
-    own = [s for s in bounds if s.start <= first < s.stop][0]
+    own = next(s for s in bounds if s.start <= first < s.stop)
     assert own.start <= a < b <= own.stop
     assert all(any(s.start <= a < b <= s.stop for s in bounds) for a, b in windows)
 
@@ -202,7 +204,11 @@ def test_contact_windows_close_in_on_the_contact():
 
     def best(bank):
         left = [
-            float((r - torch.linalg.lstsq(c.T, r[:, None], driver="gelsd").solution[:, 0] @ c).square().sum())
+            float(
+                (r - torch.linalg.lstsq(c.T, r[:, None], driver="gelsd").solution[:, 0] @ c)
+                .square()
+                .sum()
+            )
             for c in bank.columns
         ]
         k = min(range(len(left)), key=left.__getitem__)

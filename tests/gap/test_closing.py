@@ -78,7 +78,10 @@ def test_joints_count_in_units_of_their_noise():
 
     factor = torch.tensor([1.0, 2.0, 5.0])
     scaled = replace(
-        made, measured=made.measured * factor, before=made.before * factor, after=made.after * factor
+        made,
+        measured=made.measured * factor,
+        before=made.before * factor,
+        after=made.after * factor,
     )
     one = closing([made], exact(), seed=0)
     other = NoiseFloor(exact().low * factor, exact().high * factor, "repeats")

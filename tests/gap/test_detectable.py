@@ -35,7 +35,11 @@ def test_twice_the_smallest_is_found_and_a_tenth_is_not(place):
     )
     banks = (named(x, place, "viscous_friction"), *others)
     listed = not_testable(
-        problem(random(N, ROWS, seed=9), banks), Projector(random(N, ROWS, seed=9)), ROBOT, QUIET, ()
+        problem(random(N, ROWS, seed=9), banks),
+        Projector(random(N, ROWS, seed=9)),
+        ROBOT,
+        QUIET,
+        (),
     )
     entry = next(e for e in listed if e.effect == "viscous_friction")
     assert entry.joint == place

@@ -27,7 +27,7 @@ def two() -> tuple[Case, Solution]:
 
 
 def test_values_joints_and_shares():
-    case, solution = two()
+    _, solution = two()
     found = findings(solution)
     assert [(f.effect.name, f.joints) for f in found.effects] == [
         ("coulomb_friction", (1,)),
@@ -56,7 +56,9 @@ def test_a_global_effect_lists_the_joints_that_feel_it():
     values = case.evaluator.rigid.new_tensor(found.effects[0].values)
     share = (values @ columns.flatten(1)).reshape(3, -1).square().sum(1)
     share = share / share.sum()
-    assert {j for j in range(3) if share[j] > 0.1} <= felt <= {j for j in range(3) if share[j] > 1e-3}
+    assert (
+        {j for j in range(3) if share[j] > 0.1} <= felt <= {j for j in range(3) if share[j] > 1e-3}
+    )
 
 
 def test_a_load_is_a_payload_or_the_last_link():
@@ -83,11 +85,9 @@ def test_wrong_parameters_are_no_effects():
 def test_a_coefficient_that_is_open_is_said():
     _, solution = two()
     position = len(solution.problem.fixed)
-    wide = replace(
-        solution.fit,
-        std=tuple(10 * v.abs() + 1 if k == position else s
-                  for k, (v, s) in enumerate(zip(solution.fit.values, solution.fit.std, strict=True))),
-    )  # fmt: skip
+    std = list(solution.fit.std)
+    std[position] = 10 * solution.fit.values[position].abs() + 1
+    wide = replace(solution.fit, std=tuple(std))
     notes = {f.effect.name: f.notes for f in findings(replace(solution, fit=wide)).effects}
     name = solution.terms[0].name
     assert "not determined" in notes[name][0]

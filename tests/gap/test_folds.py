@@ -76,7 +76,9 @@ def test_every_instant_is_predicted_by_its_own_fold():
     found = traces(rows, folds, before, after, BAND)
     for k, trace in enumerate(found):
         added = (trace.after - trace.before)[trace.valid]
-        assert torch.allclose(added[:, 1], torch.tensor(10.0 * (int(folds.fold[rows.bounds[k]][0]) + 1)))
+        assert torch.allclose(
+            added[:, 1], torch.tensor(10.0 * (int(folds.fold[rows.bounds[k]][0]) + 1))
+        )
         assert float(added[:, [0, 2]].abs().max()) < 1e-9
 
 

@@ -159,7 +159,7 @@ def test_rows_at_reversals_do_not_count_where_noise_is_known():
     at = found.rows.pick([found.rows.passages[0].motion.t])
     keep = counted(found, True)
     for j in range(3):
-        away = ((at * w[j] / math.pi - 0.5) % 1.0 * math.pi / w[j])  # time since the last peak
+        away = (at * w[j] / math.pi - 0.5) % 1.0 * math.pi / w[j]  # time since the last peak
         away = torch.minimum(away, math.pi / w[j] - away)
         assert not keep[j][away < 0.03].any()
         assert keep[j][away > 0.3].all()
@@ -176,6 +176,7 @@ def test_directions_of_a_sinusoid_are_exact(amplitude):
     angle = w * t[:, None] + torch.tensor([0.1, 1.0, 2.0])
     motion = Motion(amplitude * angle.sin(), amplitude * w * angle.cos(),
                     -amplitude * w**2 * angle.sin(), t=t)  # fmt: skip
+
     # Integral of sgn(cos): a triangle wave.
     def triangle(x: Tensor) -> Tensor:
         return torch.asin(torch.sin(x))

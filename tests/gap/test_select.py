@@ -79,7 +79,7 @@ def test_noise_that_is_not_white_names_nothing_where_rows_are_not_whitened():
         y = ar_noise(N, ROWS, pole=0.95, seed=seed)
         made = problem(y, tuple(crowd(seed)), whitened=False)
         search = Search(made)
-        largest = max(largest, max(c.gain for c in search.candidates(search.model())))
+        largest = max(largest, *(c.gain for c in search.candidates(search.model())))
         named_any += bool(search.run(10))
     assert largest > 3 * made.threshold(1)
     assert named_any <= 1
