@@ -165,6 +165,7 @@ class Effect(ABC):
         needs: which of `t`, `torque`, `age`, `robot`, and `velocity` (that dq was measured on its
             own, not differentiated from q) its columns need.
         jumps: whether its columns are discontinuous in the motion.
+        essential: numbers of the coefficients without which it would be another, simpler effect.
     """
 
     name: ClassVar[str]
@@ -176,6 +177,7 @@ class Effect(ABC):
     source: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
     jumps: ClassVar[bool] = False
+    essential: ClassVar[tuple[int, ...]] = ()
 
     @property
     @abstractmethod

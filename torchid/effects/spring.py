@@ -41,6 +41,7 @@ class JointSpring(JointEffect):
 
     name: ClassVar[str] = "joint_spring"
     family: ClassVar[Family] = "gravity"
+    essential: ClassVar[tuple[int, ...]] = (0,)  # a rest torque alone is an offset
     coefficients: ClassVar = (
         Coefficient("k", "N m/rad", False, "stiffness at q = 0"),
         Coefficient("c0", "N m", False, "torque at q = 0; -k q0 for a straight spring"),

@@ -21,7 +21,7 @@ import torch
 from torchid.gap.blocks import block_numbers, block_sums
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
-from torchid.gap.passages import Passage, Rows
+from torchid.gap.passages import Passage, Rows, row_masks
 from torchid.gap.repeats import Repeats
 from torchid.gap.spectrum import bandwidth, white_level
 from torchid.gap.whitener import Whitener, fit_whitener
@@ -136,8 +136,11 @@ def _from_repeats(
     white = white_level(differences, [p.tau for p in differences], rows.cutoff)
     noise, predictable = _unpredictable(differences, own, x, white)
     size = _size(noise, own)
-    whitener = fit_whitener(noise, own.bounds, size.keep)
-    usual = (noise.square() * size.keep).sum(-1) / size.keep.sum(-1).clamp(min=1)
+    # At rest and at reversals the difference is what friction did, not noise.
+    moving, turning, _ = row_masks(own)
+    counting = size.keep & moving & ~turning
+    whitener = fit_whitener(noise, own.bounds, counting)
+    usual = (noise.square() * counting).sum(-1) / counting.sum(-1).clamp(min=1)
     # Uneven noise is as large as its median block, not as the blocks that were kept.
     factor = (size.low * size.high / usual.clamp(min=1e-300)).sqrt()
     uneven = torch.tensor([j in size.uneven for j in range(len(x))])

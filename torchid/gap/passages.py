@@ -17,7 +17,7 @@ import torch
 from torchid.effects.base import Motion
 from torchid.identification.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
-from torchid.typing import Float, Signals, Tensor
+from torchid.typing import Bool, Float, Signals, Tensor
 
 GRID = 6.0
 """Samples of a passage a period of the wide band's edge, at least where the log has as many."""
@@ -29,6 +29,12 @@ EDGE = 3.0
 """Length that is left out at both ends of a passage, in periods of the cut-off: beyond them the
 filter sees a reflection, and most trajectories begin and end at rest, where friction can be
 anything."""
+
+REACH = 0.75
+"""How far the filter carries what happens at a reversal, in periods of the cut-off."""
+
+NEVER = 1e-3
+"""A joint that travels less than this never moves [rad or m]."""
 
 RESTING = 0.02
 """|dq| below which a joint's friction is undetermined [rad/s or m/s]."""
@@ -82,6 +88,8 @@ class Rows:
         self.cutoff = cutoff
         self.passages = tuple(passages)
         self.step = max(1, int(self.rate / (ROWS * cutoff)))
+        if self.step > 2:
+            self.step -= self.step % 2
         self._filter = ZeroPhaseFilter(self.rate, cutoff) if cutoff < 0.45 * self.rate else None
         self.edge = round(EDGE * self.rate / cutoff)
 
@@ -118,7 +126,11 @@ class Rows:
             return x[..., self.edge : last : self.step]
         tail = self._filter.tail
         padded = extended(x, tail, tail)
-        return self._filter.decimated(padded, self.step, tail + self.edge, tail + last)
+        # Cut at the rows' own Nyquist frequency, the spectrum would ring along all rows, and what
+        # happens at a reversal would be everywhere. At twice that there is nothing left to cut.
+        half = self.step // 2 if self.step > 2 else 1
+        finer = self._filter.decimated(padded, half, tail + self.edge, tail + last)
+        return finer[..., :: self.step // half]
 
 
 def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
@@ -154,3 +166,28 @@ def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
             )
         )
     return out
+
+
+def row_masks(
+    rows: Rows,
+) -> tuple[Bool[Tensor, "n N"], Bool[Tensor, "n N"], tuple[int, ...]]:
+    """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
+
+    At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
+    keeps them all: what holds it is then most of what is known about it.
+    """
+    q = torch.cat([p.motion.q for p in rows.passages])
+    moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > RESTING
+    turning = rows.pick([_turns(p, REACH / rows.cutoff) for p in rows.passages]).T
+    still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
+    hardly = (moving & ~turning).double().mean(1) < 0.1
+    return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
+
+
+def _turns(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
+    """Instants within a margin [s] of a reversal of the joint."""
+    sign = torch.sign(p.motion.dq)
+    turns = torch.zeros_like(sign)
+    turns[1:] = (sign[1:] != sign[:-1]).to(sign)
+    width = 2 * round(margin * p.rate) + 1
+    return torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T > 0

@@ -7,7 +7,7 @@ import torch
 
 from torchid.errors import LogError
 from torchid.gap.held import passage_ages
-from torchid.gap.passages import RESTING, Passage, Rows, passages_of
+from torchid.gap.passages import Passage, Rows, passages_of, row_masks
 from torchid.identification.identify import prepared
 from torchid.identification.motion import Measurement, direction, fast_speed, measurements
 from torchid.log.model import Log
@@ -30,12 +30,6 @@ SHORTEST = 12.0
 
 DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
-
-REACH = 0.75
-"""How far the filter carries what happens at a reversal, in periods of the cut-off."""
-
-NEVER = 1e-3
-"""A joint that travels less than this never moves [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -168,31 +162,6 @@ def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     rough = torch.cat([m.motion.dq.diff(dim=0).diff(dim=0) for m in measured])
     noise = 1.4826 * rough.abs().median(0).values / math.sqrt(6.0)
     return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
-
-
-def row_masks(
-    rows: Rows,
-) -> tuple[Bool[Tensor, "n N"], Bool[Tensor, "n N"], tuple[int, ...]]:
-    """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
-
-    At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
-    keeps them all: what holds it is then most of what is known about it.
-    """
-    q = torch.cat([p.motion.q for p in rows.passages])
-    moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > RESTING
-    turning = rows.pick([_turns(p, REACH / rows.cutoff) for p in rows.passages]).T
-    still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
-    hardly = (moving & ~turning).double().mean(1) < 0.1
-    return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
-
-
-def _turns(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
-    """Instants within a margin [s] of a reversal of the joint."""
-    sign = torch.sign(p.motion.dq)
-    turns = torch.zeros_like(sign)
-    turns[1:] = (sign[1:] != sign[:-1]).to(sign)
-    width = 2 * round(margin * p.rate) + 1
-    return torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T > 0
 
 
 def _said(still: tuple[int, ...], passages: list[Passage], kept: list[Passage]) -> list[str]:

@@ -116,8 +116,7 @@ class Scanner:
     def _projections(self, q: Float[Tensor, "p nN"], rows: slice) -> Float[Tensor, "S C p"]:
         """Q' X, extended by what joined; made anew where the basis is another one."""
         known = self._held.shape[-1]
-        same = self._basis is not None and known <= len(q) and _begins_with(q, self._basis)
-        if not same:
+        if self._basis is None or not _begins_with(q, self._basis):
             known, self._held = 0, self._held[..., :0]
         if known < len(q):
             self._held = torch.cat([self._held, self.bank.columns @ q[known:, rows].T], -1)
@@ -134,7 +133,7 @@ class Scanner:
 
 
 def _begins_with(q: Tensor, start: Tensor) -> bool:
-    return q is start or (len(start) <= len(q) and torch.equal(q[: len(start), :64], start[:, :64]))
+    return q is start or (len(start) <= len(q) and torch.equal(q[: len(start)], start))
 
 
 def _solve(gram: Tensor, left: Tensor, b: Tensor, signed: Tensor, largest: Tensor) -> Gains:

@@ -38,12 +38,13 @@ PENALTY = 4.0
 """Of each column, in whitened squared units."""
 
 DOMINANT = 0.25
-"""A gain above this share of what is left needs no test on blocks: its energy may sit in few."""
+"""A gain above this share of what is left needs no test on blocks, for its energy may sit in few;
+but only while misfit remains: at the floor everything is dominant."""
 
 SMALL = 0.01
 """A gain below this share of what is left is not worth a name."""
 
-MISFITTED = 2e-3
+MISFITTED = 5e-3
 """Share of an accepted effect's gain that its own misfit can hold: no law of friction fits an arm
 to a few per cent. A smaller gain on the same rows is not told from it."""
 MISFITTED_BY_WINDOW = 0.03
@@ -316,11 +317,17 @@ class Search:
             least = max(SMALL * left, share * self._largest_near(best.term))
             if best.gain < max(self.problem.threshold(best.df), least):
                 continue
-            small = best.gain < DOMINANT * left
-            if (small or not self.problem.whitened) and not self._holds_on_blocks(best.term, model):
+            dominant = best.gain > DOMINANT * left and self._misfits(model.loss)
+            if not (dominant and self.problem.whitened) and not self._holds_on_blocks(
+                best.term, model
+            ):
                 continue
             return self._simplest(best, model)
         return None
+
+    def _misfits(self, loss: float) -> bool:
+        """Whether more than noise is left."""
+        return loss > MISFIT * self.problem.noise
 
     def _largest_near(self, term: Term) -> float:
         """Sum of squares of the largest contribution that was accepted on the same rows."""
@@ -333,8 +340,7 @@ class Search:
     def _simplest(self, best: Candidate, model: Projector) -> Candidate:
         """The simplest candidate that explains it as well: within 1 % while misfit remains, else
         not significantly worse."""
-        after = model.loss - best.gain
-        misfit = after > MISFIT * self.problem.noise
+        misfit = self._misfits(model.loss - best.gain)
         for other in sorted(self.candidates(model), key=lambda c: c.simplicity):
             if other.simplicity >= best.simplicity:
                 return best

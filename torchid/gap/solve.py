@@ -223,7 +223,7 @@ def solve(
 
 def _weakest(found: Solution) -> Term | None:
     """A term that the fit on plain rows does not confirm: no coefficient differs from zero, or one
-    has a sign that physics forbids."""
+    that makes it what it is does not, or has a sign that physics forbids."""
     worst, least = None, SIGNIFICANT
     for term in found.terms:
         if term.is_inertial:
@@ -231,7 +231,9 @@ def _weakest(found: Solution) -> Term | None:
         values, std = found.values_of(term)
         ratio = values.abs() / std.clamp(min=1e-300)
         signed = torch.tensor([c.non_negative for c in term.coefficients])
-        size = float(torch.where(signed & (values < 0), -ratio, ratio).max())
+        ratio = torch.where(signed & (values < 0), -ratio, ratio)
+        needed = [float(ratio[k]) for k in term.effects[0].essential]
+        size = min([float(ratio.max()), *needed])
         if size < least:
             worst, least = term, size
     return worst
