@@ -128,13 +128,15 @@ def test_columns_below_noise_at_their_largest_are_not_seen():
     assert float(found.gain[0]) == 0.0
 
 
-def test_a_sign_is_not_judged_where_it_is_not_determined():
-    """Two positive coefficients on the same column: only their sum is known."""
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sign_is_not_judged_where_it_is_not_determined(sign):
+    """Two coefficients on one column: only their sum, or difference, is known. The least ones that
+    explain it may be negative where others that do are not."""
     mask = keep()
     one = random(ROWS, seed=1)
     y = torch.zeros(N, ROWS, dtype=torch.float64)
     y[0] = one
-    found = Scanner(bank(torch.stack([one, one])[None], 0, coefficient=POSITIVE), mask)
+    found = Scanner(bank(torch.stack([one, sign * one])[None], 0, coefficient=POSITIVE), mask)
     gains = found.gains(Projector(y))
     assert float(gains.gain) == pytest.approx(float(one @ one))
     assert gains.df.tolist() == [1]

@@ -110,6 +110,20 @@ def test_the_simpler_law_is_kept_unless_the_richer_explains_more(extra, kept):
     assert [t.name for t in found] == [kept]
 
 
+def test_the_simpler_law_is_kept_while_something_else_is_left():
+    """The richer one explains 0.1 % more, which is far beyond noise; but so is what joint 1 leaves,
+    and misfit of that kind buys any column."""
+    simple = ar_noise(1, 1, ROWS, pole=0.9, seed=1)
+    rich = torch.cat([simple, ar_noise(1, 1, ROWS, pole=0.9, seed=3)], 1)
+    y = random(N, ROWS, seed=2)
+    y[1] += 10 * rich[0, 0] + 10 * 0.001**0.5 * rich[0, 1]
+    y[0] *= 3
+    made = problem(y, (named(rich, 1, RICHER), named(simple, 1, JUMP)))
+    best = Search(made).candidates(Search(made).model())[0]
+    assert best.term.name == RICHER
+    assert [t.name for t in Search(made).run(5)] == [JUMP]
+
+
 def test_a_composite_enters_as_its_parts():
     """Coulomb and viscous friction of one joint are offered together, and named one by one."""
     case = Case([(CoulombFriction(1), [0.5]), (ViscousFriction(1), [0.4])], tuple(KINDS))
