@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app.options import (
-    Device,
     Json,
     LogArguments,
     Out,
@@ -16,7 +15,6 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
-    device,
     number,
     numbers,
     open_output,
@@ -96,7 +94,6 @@ def gap_command(
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
-    device_name: Device = "cpu",
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -135,7 +132,6 @@ def gap_command(
             log,
             held_out=apart,
             settings=settings,
-            device=device(device_name),
             progress=progress,
         )
     _show(result, output)

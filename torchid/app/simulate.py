@@ -148,6 +148,7 @@ def _under_control(
     frequency: float,
 ) -> "Log":
     """The log of the arm with effects, each trajectory from its own beginning."""
+    from torchid.effects.registry import nominal_effects
     from torchid.excitation.synthetic import PaperNoise
     from torchid.log.model import Log
     from torchid.simulation.closed_loop import closed_loop
@@ -166,8 +167,9 @@ def _under_control(
     )
     true = Log.concatenate(logs).replace(source=logs[0].source)
     if noise is None:
-        return sensed_log(true, effects)
-    return measured_log(robot, true, effects, Sensors(noise), seed)
+        return sensed_log(true, [*nominal_effects(robot), *effects])
+    sensed = [*nominal_effects(robot), *effects]
+    return measured_log(robot, true, sensed, Sensors(noise), seed)
 
 
 def _noise(

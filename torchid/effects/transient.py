@@ -171,7 +171,9 @@ class DroppedSamples(OneJointEffect):
     ) -> Float[Tensor, "*batch n C"]:
         """tau(t - age) - tau(t) of the joint's own torque (T, n, 1)."""
         torque, t = motion.require("torque", self.name), motion.require("t", self.name)
-        age = motion.require("age", self.name)[:, self.joint, None]
+        if motion.age is None:  # nothing was held
+            return torch.zeros(*torque.shape, 1, dtype=torque.dtype, device=torque.device)
+        age = motion.age[:, self.joint, None]
         own = torque[:, self.joint, None]
         return on_joint((shifted(own, t, -age) - own)[:, 0], self.joint, torque.shape[1])
 

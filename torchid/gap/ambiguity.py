@@ -5,7 +5,6 @@ whose blocks are not significantly worse (a model confidence set at 90 %, Hansen
 the ambiguity set, with exact aliases that no data of this kind can separate.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchid.gap.blocks import block_sums, mean_bound
@@ -111,8 +110,3 @@ def separation(search: Search, term: Term, other: Term) -> Float[Tensor, " K"]:
     left = model.r
     model.add(term.columns, term.place)
     return block_sums((left - model.r).square().sum(0), search.problem.block)
-
-
-def names(found: Sequence[Alternative]) -> tuple[str, ...]:
-    """Names of alternatives, in order."""
-    return tuple(dict.fromkeys(a.name for a in found))

@@ -47,7 +47,8 @@ class Bank:
         coefficients: C; signs and sizes that physics allows. Base parameters have none.
         looks: tests this bank counts for: its members, or fewer where they are strongly related.
         extra: penalty beyond that of its columns (see select.PENALTY).
-        vanishing: per column its size before whitening is next to nothing.
+        known: what the model as given has of each coefficient: a correction may be negative down
+            to minus that. Zeros if empty.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Bank:
     coefficients: tuple[Coefficient, ...]
     looks: float
     extra: float = 0.0
+    known: tuple[float, ...] = ()
 
     @property
     def size(self) -> int:
@@ -79,6 +81,7 @@ class Evaluator:
         self.rows = rows
         self.whiten = whiten
         self.effects = tuple(effects)
+        self.given = self.effects
         first, _ = in_rounds(effects)
         loads = [model_torque(robot, first, p.motion) for p in rows.passages]
         self.motions = [
@@ -92,11 +95,14 @@ class Evaluator:
 
     def with_whitener(self, whiten: Whiten) -> "Evaluator":
         """The same model, rows scaled in another way."""
-        return Evaluator(self.robot, self.effects, self.rows, whiten)
+        other = Evaluator(self.robot, self.effects, self.rows, whiten)
+        other.given = self.given
+        return other
 
     def with_model(self, robot: Robot, effects: Sequence[Valued]) -> "Evaluator":
         """The same rows, another model."""
         other = Evaluator(robot, effects, self.rows, self.whiten)
+        other.given = self.given
         if torch.equal(robot.gravity, self.robot.gravity) and robot.before is self.robot.before:
             other.__dict__["regressor"] = self.regressor  # it does not depend on parameters
         return other
@@ -208,7 +214,16 @@ class Evaluator:
             kind.coefficients,
             looks,
             EXTRA.get(kind.name, 0.0),
+            self.known(members[0][0]) if members else (),
         )
+
+    def known(self, effect: Effect) -> tuple[float, ...]:
+        """Coefficients that the model has of an effect already; zeros where it has none."""
+        total = [0.0] * len(effect.coefficients)
+        for other, values in self.given:
+            if other == effect:
+                total = [a + b for a, b in zip(total, values, strict=True)]
+        return tuple(total)
 
     def model_bank(self, kind: type[ModelEffect]) -> list[Bank]:
         """All instances of a model effect."""
@@ -428,6 +443,7 @@ def composite(name: str, banks: Sequence[Bank]) -> Bank:
         torch.cat([bank.columns for bank in banks], 1),
         tuple(c for bank in banks for c in bank.coefficients),
         1.0,
+        known=tuple(v for bank in banks for v in bank.known),
     )
 
 
@@ -443,9 +459,8 @@ def all_banks(
             continue
         if issubclass(kind, JointEffect):
             for joint in range(evaluator.n):
-                bank = evaluator.joint_bank(kind, joint)
-                if bank.members:
-                    yield bank
+                if len(evaluator.grid(kind, joint)):  # none for ripple on a joint that never moves
+                    yield evaluator.joint_bank(kind, joint)
         elif kind is not Contact:
             assert issubclass(kind, ModelEffect)
             yield from evaluator.model_bank(kind)

@@ -35,28 +35,38 @@ class Closing:
 
 
 def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
-    """Squared noise of each joint in the band of the report: the middle of its bracket."""
-    return (0.5 * (floor.low.square() + floor.high.square())).clamp(min=1e-24)
+    """Squared noise of each joint in the band of the report, the unit of losses: the middle of an
+    interval measured on repeats; without repeats the upper end of the bracket."""
+    low, high = floor.low.square(), floor.high.square()
+    return (0.5 * (low + high) if floor.source == "repeats" else high).clamp(min=1e-24)
 
 
 def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
-    """Compare before and after block by block, blocks resampled together."""
+    """Compare before and after block by block, blocks resampled together.
+
+    Without repeats the noise lies anywhere in its bracket: the interval of the closed share holds
+    both ends.
+    """
     blocks = [_blocks(t) for t in traces]
     before, after = (torch.cat([b[k] for b in blocks]) for k in (0, 1))
     counts = torch.cat([b[2] for b in blocks])
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
-    ln = counts * len(unit)
     draws = _draws(len(counts), seed)
-    gap = (l0 - ln)[draws].sum(1) / ln[draws].sum(1)
-    gap_ci = _interval(gap)
     total = counts.sum()
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
+    ends = [counts * len(unit)]
+    if floor.source != "repeats":
+        ends.append(counts * float((floor.low.square() / unit).sum()))
+    gaps = [(l0 - ln)[draws].sum(1) / counts[draws].sum(1) for ln in ends]
+    gap_ci = _interval(gaps[0])
     if not gap_ci[0] > 0:
         return Closing(rms[0], rms[1], gap_ci, None, None)
-    closed = (l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1)
-    value = float((l0 - l1).sum() / (l0 - ln).sum())
-    return Closing(rms[0], rms[1], gap_ci, value, _interval(closed))
+    shares = [(l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1) for ln in ends]
+    intervals = [_interval(x) for x in shares]
+    interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
+    value = float((l0 - l1).sum() / (l0 - ends[0]).sum())
+    return Closing(rms[0], rms[1], gap_ci, value, interval)
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:
@@ -68,8 +78,8 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
     unit = noise_variance(floor)
 
     def loss(parts: Sequence[Trace], which: str) -> float:
-        sums = [(t.measured - getattr(t, which))[t.valid].square().mean(0) / unit for t in parts]
-        return float(torch.stack(sums).mean(0).sum())
+        errors = torch.cat([(t.measured - getattr(t, which))[t.valid] for t in parts])
+        return float((errors.square().mean(0) / unit).sum())
 
     noise = float(len(unit))
     l0, l1, last = loss(traces, "before"), loss(refitted, "after"), loss(traces, "after")

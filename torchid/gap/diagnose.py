@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass, replace
 import torch
 
 from torchid.effects.registry import KINDS, nominal_effects
-from torchid.errors import LogError
+from torchid.errors import LogError, TorchidError
 from torchid.gap.candidates import Bank, Evaluator, rescaled
 from torchid.gap.closing import Closing, budget, closing
 from torchid.gap.detectable import not_testable
-from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Status
+from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Status
 from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise, noise_of
@@ -26,6 +26,7 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.solve import Solution, Task, banks_of, solve
 from torchid.gap.where import where
 from torchid.identification.base_parameters import base_parameters
+from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
@@ -41,6 +42,12 @@ ROUNDS = 3
 SETTLED = 0.9
 """Without repeats: searches after the first at most, each with the noise that the last one left,
 and the ratio of two of them from which it has settled."""
+
+EVENTS = ("contact", "dropped_samples")
+"""Effects of one log, not of the arm."""
+
+SHORTEST = 10.0
+"""Seconds of rows below which `no gap` cannot be said."""
 
 SAME_RATE = 0.02
 """Relative difference of two sampling rates that count as one."""
@@ -85,7 +92,6 @@ def diagnose(
     *,
     held_out: Log | None = None,
     settings: GapSettings | None = None,
-    device: torch.device | str = "cpu",
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
@@ -97,7 +103,6 @@ def diagnose(
         held_out: trajectories that take part in no choice. If None, every trajectory (or stretch)
             is left out in turn.
         settings: how; defaults if None.
-        device: where the dynamics is evaluated.
         progress: called with (stage, done, total).
 
     Raises:
@@ -126,7 +131,7 @@ def diagnose(
     folds, models = _held_out_models(case, whole, settings, say)
     say("judging", 0, 1)
     found = _answer(case, whole, folds, models, settings)
-    if settings.rollout and case.start.robot is not None:
+    if settings.rollout:
         say("simulating forwards", 0, 1)
         found = _with_rollout(found, case, settings)
     say("done", 1, 1)
@@ -138,8 +143,12 @@ def _case(
 ) -> _Case:
     say("reading", 0, 1)
     cutoff = None if settings.cutoff == "auto" else settings.cutoff
+    if log.tau is not None and (held_out is None or held_out.tau is not None):
+        refuse_repeated(log, held_out)
     given = prepare(robot, log, cutoff)
-    checked = None if held_out is None else prepare(robot, held_out, given.rows.cutoff)
+    checked = None
+    if held_out is not None:
+        checked = prepare(robot, held_out, given.rows.cutoff, clock=given.end + 1.0)
     if checked is not None and abs(checked.rows.rate / given.rows.rate - 1) > SAME_RATE:
         raise LogError(
             "the held-out logs have another sampling rate.",
@@ -192,10 +201,16 @@ def _with_noise(case: _Case, found: Solution, settings: GapSettings, say: Progre
 
 def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
     free = settings.parameters == "free" or robot.parameters is None
+    if settings.background and not free:
+        raise TorchidError(
+            "a background is fitted with the base parameters, and this robot's are given.",
+            got=", ".join(settings.background),
+            hint="list them as `effects` of the robot, or refit: --parameters free",
+        )
     return Task(
         base=base_parameters(robot),
         names=tuple(KINDS) if settings.effects is None else settings.effects,
-        background=settings.background if robot.parameters is None else (),
+        background=settings.background,
         free=free,
         inertial=settings.parameters != "trusted",
         own_velocity=given.own_velocity,
@@ -279,13 +294,15 @@ def _answer(
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     far = closing(shown, floor, settings.seed)
+    if case.task.free and not case.fitted:
+        found = _with_refitted(found, closing(refitted, floor, settings.seed))
     excess = _excess(case, folds, models, far, floor)
     search = Search(whole.problem, list(whole.terms))
     torque = _torque_rows(case)
     hidden = not_testable(whole.problem, search.model(), case.start.robot, torque, whole.terms)
     robot = _as_robot(whole, case)
     return Diagnosis(
-        robot=case.start.robot,
+        robot=_described(case.start),
         corrected=robot,
         status=_status(found, far, excess, left, _poor(case, hidden)),
         joints=joints,
@@ -322,7 +339,8 @@ def _excess(
         r = Evaluator(model.robot, model.effects, judged.rows, whiten).residual() * rows
         total += r.square().sum(1)
         count += (keep & rows).sum(1)
-    return total / count.clamp(min=1)
+    # Less three standard deviations of a mean of squares: few rows prove nothing.
+    return total / count.clamp(min=1) / (1 + 3 * (2 / count.clamp(min=1)).sqrt())
 
 
 def _torque_rows(case: _Case) -> Tensor:
@@ -332,46 +350,80 @@ def _torque_rows(case: _Case) -> Tensor:
 
 
 def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bool) -> Status:
-    """The verdict: what is left is unexplained where it exceeds the noise on data
-    used for no choice, or where a flexible predictor still finds structure in it."""
+    """The verdict. What is accepted must shrink the gap on data used for no choice; what is left is
+    unexplained where it exceeds the noise there, or where a flexible predictor finds structure."""
     odd = (excess > EXCESS) & (left.structure > 0)
     unexplained = bool((odd | (excess > CLEAR_EXCESS) | (left.structure > STRUCTURE)).any())
     if not (found.effects or found.parametric):
-        if unexplained and far.closed is not None:
+        if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    if unexplained:
+    shrinks = far.closed_ci95 is not None and far.closed_ci95[0] > 0
+    if unexplained or not shrinks:
         return "detected_unexplained"
     return "explained" if found.effects else "parametric_only"
 
 
+def _with_refitted(found: Findings, far: Closing) -> Findings:
+    """With parameters always refitted: whether that alone closes a part of the gap."""
+    if far.closed is None or far.closed_ci95 is None or far.closed_ci95[0] <= 0:
+        return found
+    return replace(found, parametric=(*found.parametric, Parametric((), far.closed, None)))
+
+
 def _poor(case: _Case, hidden: Sequence[object]) -> bool:
-    """Whether the log could show less than half of all effects and places."""
-    places = len({(b.name, b.place, b.members[0][0].joints if b.members[0] else ())
-                  for b in case.banks})  # fmt: skip
-    return len(hidden) > 0.5 * places
+    """Whether the log could show less than half of all effects and places, or is so short that
+    nothing could be confirmed on other blocks of it."""
+    places = sum(1 for bank in case.banks if bank.members[0])
+    short = len(case.given.rows) * case.given.rows.interval < SHORTEST
+    return len(hidden) > 0.5 * places or short
+
+
+def _described(model: Model) -> Robot:
+    """A model as a robot description."""
+    return replace(model.robot, effects=tuple(e.record(v) for e, v in model.effects))
 
 
 def _as_robot(whole: Solution, case: _Case) -> Robot:
-    """The corrected model as a robot description."""
-    records = tuple(effect.record(values) for effect, values in whole.effects)
-    name = case.start.robot.name
-    return replace(whole.robot, effects=records, name=name)
+    """The corrected model as a robot description, without what happened in this log only."""
+    lasting = tuple(pair for pair in whole.effects if pair[0].name not in EVENTS)
+    return _described(Model(whole.robot, lasting))
 
 
 def _with_rollout(found: Diagnosis, case: _Case, settings: GapSettings) -> Diagnosis:
     from torchid.gap.rollout import rollouts
 
-    before = replace(case.start.robot, effects=tuple(e.record(v) for e, v in case.start.effects))
     judged = case.given if case.checked is None else case.checked
-    result = rollouts(before, found.corrected, judged.rows.passages, seed=settings.seed)
+    result = rollouts(found.robot, found.corrected, judged.rows.passages, seed=settings.seed)
+    result["fitted_on_these_data"] = case.checked is None
+    if case.checked is None:
+        result["sentences"] = [
+            *result["sentences"],
+            "The corrected model was fitted on these trajectories; the one before was not.",
+        ]
     return replace(found, how_far=replace(found.how_far, rollout=result))
 
 
 def _warnings(
     case: _Case, folds: Folds | None, found: Findings, whole: Solution, settings: GapSettings
 ) -> list[str]:
-    out = [*case.given.warnings, *case.noise.notes]
+    checked = () if case.checked is None else case.checked.warnings
+    out = [*case.given.warnings, *checked, *case.noise.notes]
+    if not case.noise.repeated:
+        out.append(
+            "no motion is repeated, so the noise is known only between bounds: drive one "
+            "trajectory twice to know it"
+        )
+    if len(whole.terms) >= settings.max_effects:
+        out.append(f"the search ended at {settings.max_effects} effects: --max-effects")
+    events = sorted({e.name for e, _ in whole.effects if e.name in EVENTS})
+    if events:
+        out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
+    if bool((whole.robot.require_parameters("a check").consistency_margin() < 0).any()):
+        out.append(
+            "the corrected inertial parameters give the right torque but belong to no body: "
+            "`torchid extract` finds feasible ones"
+        )
     if case.fitted:
         out.append(
             "the robot has no inertial parameters: base parameters were fitted first, so the gap "

@@ -100,15 +100,15 @@ class Finding:
     """An accepted effect.
 
     Attributes:
-        effect, values: which, and its coefficients. For several columns of one joint that are one
-            law (Coulomb + offset is asymmetric friction), already merged.
+        effect, values: which, and its coefficients; of an effect common to all joints, that of the
+            first.
         joints: from 0; of a global effect those whose torque it changes beyond noise.
         ambiguous_with: names of effects the data do not separate it from.
         std: block-robust standard deviations of the coefficients.
-        p_value: family-wise.
+        p_value: family-wise, by the test that judged it.
         share: of the closable gap that is lost without it, the others refitted.
         first: of the closable gap that it closes alone.
-        notes: sentences, e.g. a coefficient that moves with the cut-off.
+        notes: sentences, e.g. a coefficient that is not determined.
     """
 
     effect: Effect
@@ -133,13 +133,13 @@ class Parametric:
 
     Attributes:
         links: from 0; empty for all base parameters.
-        share, p_value: as Finding's.
+        share, p_value: as Finding's; None where the parameters are always refitted.
         ambiguous_with: names of effects.
     """
 
     links: tuple[int, ...]
     share: float
-    p_value: float
+    p_value: float | None
     ambiguous_with: tuple[str, ...] = ()
 
 

@@ -35,4 +35,5 @@ APART = {
 def experiment(one: str, two: str) -> str:
     """Both experiments in one sentence: each effect shows itself in its own."""
     told = dict.fromkeys(APART[name] for name in (one, two) if name in APART)
-    return "; and ".join(told).capitalize() + "."
+    both = "; and ".join(told)
+    return both[:1].upper() + both[1:] + "."

@@ -15,6 +15,9 @@ from torchid.typing import Tensor
 FELT = 25.0
 """Whitened sum of squares above which a joint feels a global effect."""
 
+SEPARABLE = 0.1
+"""Whitened sum of squares by which two explanations must differ for an experiment to help; less
+is an exact alias."""
 HOPELESS = 3600.0
 """Seconds of the same motion beyond which only another motion can help."""
 
@@ -54,7 +57,7 @@ def findings(solution: Solution) -> Findings:
         names = tuple(dict.fromkeys([*(a.name for a in others), *aliases(term, n)]))
         gain = search.model(without=[term]).loss - last
         share = gain / closable
-        p = problem.p_value(gain, len(term.columns))
+        p = search.p_value(term, gain)
         if term.is_inertial:
             links = term.effects[0].joints if term.name == LINK else ()
             inertial.append(Parametric(links, share, p, names))
@@ -71,11 +74,12 @@ def findings(solution: Solution) -> Findings:
                 p_value=p,
                 share=share,
                 first=first,
-                notes=_notes(term.effects[0], values, std),
+                notes=_notes(term, values, std),
             )
         )
-        if others:
-            unresolved.append((term, others[0]))
+        apart = [a for a in others if float(separation(search, term, a.term).sum()) > SEPARABLE]
+        if apart:
+            unresolved.append((term, apart[0]))
     found.sort(key=lambda f: -f.share)
     return Findings(tuple(found), tuple(inertial), tuple(unresolved))
 
@@ -87,20 +91,24 @@ def _alone(problem: Any, term: Term) -> float:
 def _joints(term: Term, values: Tensor, n: int) -> tuple[int, ...]:
     """The effect's joint; of a global one those whose torque it changes beyond noise."""
     effect: Effect = term.effects[0]
-    if effect.joints or term.name == BASE:
+    if (effect.joints and len(term.effects) == 1) or term.name == BASE:
         return effect.joints
     share = (values @ term.columns).reshape(n, -1).square().sum(1)
     felt = (share > FELT) & (share > FELT_SHARE * share.sum())
     return tuple(felt.nonzero().flatten().tolist())
 
 
-def _notes(effect: Effect, values: Tensor, std: Tensor) -> tuple[str, ...]:
-    """Coefficients that the data leave open."""
-    return tuple(
-        f"{c.name} is not determined: {v:.3g} +- {s:.2g}"
-        for c, v, s in zip(effect.coefficients, values.tolist(), std.tolist(), strict=True)
-        if s > abs(v)
-    )
+def _notes(term: Term, values: Tensor, std: Tensor) -> tuple[str, ...]:
+    """Coefficients that the data leave open, and those that correct one of the model's own."""
+    out = []
+    known = term.known or (0.0,) * len(values)
+    columns = zip(term.coefficients, values.tolist(), std.tolist(), known, strict=True)
+    for c, v, s, own in columns:
+        if s > abs(v):
+            out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
+        if own:
+            out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")
+    return tuple(out)
 
 
 def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str, Any] | None:
@@ -109,9 +117,7 @@ def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str
         return None
     problem = solution.problem
     search = Search(problem, list(solution.terms))
-    term, other = max(
-        found.unresolved, key=lambda pair: float(search.block_losses(pair[0], search.model()).sum())
-    )
+    term, other = max(found.unresolved, key=lambda pair: search.model(without=[pair[0]]).loss)
     left = separation(search, term, other.term)
     best = int(left.argmax())
     instants = (problem.block == best).nonzero().flatten()

@@ -16,8 +16,9 @@ from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Int, Tensor
 
-GAP = 2.0
-"""Rows next to a held-out stretch that are not fitted, in periods of the cut-off."""
+GAP = 4.0
+"""Rows next to a held-out stretch that are not fitted, in periods of the cut-off: as far as the
+filter and the whitener reach."""
 
 FEW = 3
 """Trajectories below which a fold is a stretch of each of them."""

@@ -14,6 +14,9 @@ import torch
 from torchid.gap.whitener import Whitener
 from torchid.typing import Bool, Float, Tensor
 
+LONGEST = 64
+"""Missing rows in a row beyond which the earlier ones are forgotten."""
+
 
 @dataclass(frozen=True)
 class Cluster:
@@ -29,26 +32,53 @@ class WhiteRows:
     Args:
         whitener: of the noise.
         keep: (n, N) rows that count.
+        size: (n, N) of the noise at each row, relative to the whitener's.
     """
 
-    def __init__(self, whitener: Whitener, keep: Bool[Tensor, "n N"]):
+    def __init__(
+        self,
+        whitener: Whitener,
+        keep: Bool[Tensor, "n N"],
+        size: Float[Tensor, "n N"] | None = None,
+    ):
         self._whitener = whitener
+        self._size = size
+        self._keep = keep
         self._clusters = [_clusters(whitener, j, own) for j, own in enumerate(keep)]
 
     def __call__(self, x: Float[Tensor, "*batch N"], joint: int) -> Float[Tensor, "*batch N"]:
         """Whitened rows of a joint, orthogonal to any impulse at a row that does not count."""
         out = self._whitener.apply(x, joint)
-        for cluster in self._clusters[joint]:
+        if self._size is not None:
+            out /= self._size[joint]
+        for rows in self._clusters[joint].silent:
+            out[..., rows] = 0.0
+        for cluster in self._clusters[joint].clusters:
             part = out[..., cluster.rows]
             out[..., cluster.rows] = part - (part @ cluster.basis) @ cluster.basis.T
         return out
 
 
-def _clusters(whitener: Whitener, joint: int, keep: Bool[Tensor, " N"]) -> list[Cluster]:
-    """Clusters of the missing rows of one joint, trajectory by trajectory."""
-    out = []
+@dataclass(frozen=True)
+class Missing:
+    """What is missing of one joint: clusters, and the insides of long rests, which are zero."""
+
+    clusters: tuple[Cluster, ...]
+    silent: tuple[slice, ...]
+
+
+def _clusters(whitener: Whitener, joint: int, keep: Bool[Tensor, " N"]) -> Missing:
+    """Clusters of the missing rows of one joint, trajectory by trajectory.
+
+    Of a long rest only the last rows matter for what follows: the whitener's memory fades.
+    """
+    out, silent = [], []
     for bounds in whitener.bounds:
-        missing = (torch.nonzero(~keep[bounds]).flatten() + bounds.start).tolist()
+        missing = []
+        for run in _runs((torch.nonzero(~keep[bounds]).flatten() + bounds.start).tolist()):
+            if len(run) > LONGEST:
+                silent.append(slice(run[0], run[-LONGEST]))
+            missing += run[-LONGEST:]
         group: list[int] = []
         for row in [*missing, None]:
             if group and (row is None or row > group[-1] + whitener.order):
@@ -56,6 +86,17 @@ def _clusters(whitener: Whitener, joint: int, keep: Bool[Tensor, " N"]) -> list[
                 group = []
             if row is not None:
                 group.append(row)
+    return Missing(tuple(out), tuple(silent))
+
+
+def _runs(rows: list[int]) -> list[list[int]]:
+    """Contiguous stretches."""
+    out: list[list[int]] = []
+    for row in rows:
+        if out and row == out[-1][-1] + 1:
+            out[-1].append(row)
+        else:
+            out.append([row])
     return out
 
 

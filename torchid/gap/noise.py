@@ -13,6 +13,7 @@ from torchid.gap.floor import Floor, NoFloorError, noise_floor
 from torchid.gap.missing import WhiteRows
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.repeats import Repeats, find_repeats
+from torchid.gap.spectrum import white_level
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -29,11 +30,14 @@ class Noise:
         groups: per passage the motion it belongs to; repeats share one.
         structure: (n,) share of the noise's variance by which a flexible predictor lowers the
             residual, where that is significant; else 0. Zero where none was asked.
+        level: (n,) noise density of the measured torque, above the rows' cut-off, where the floor
+            was measured; trajectories with more of it have that much larger noise.
     """
 
     floor: Floor
     groups: tuple[int, ...]
     structure: Float[Tensor, " n"]
+    level: Float[Tensor, " n"]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -54,7 +58,10 @@ class Noise:
         """How rows are whitened, those that do not count left out. Without repeats nobody knows
         which part of the spectrum is noise, and rows are only scaled."""
         if self.repeated:
-            return WhiteRows(self.floor.whitener.on(rows.bounds), keep)
+            level = white_levels(rows) / self.level.unsqueeze(1)
+            counts = torch.tensor([own.stop - own.start for own in rows.bounds])
+            size = level.clamp(min=1.0).sqrt().repeat_interleave(counts, 1)
+            return WhiteRows(self.floor.whitener.on(rows.bounds), keep, size)
         return self.scaling(keep)
 
     def scaling(self, keep: Bool[Tensor, "n N"]) -> Whiten:
@@ -103,8 +110,16 @@ def noise_of(
     else:
         looked = rows_of_residual * keep
         found = predict_out_of_fold(loaded, rows, looked, seed)
-        structure = _structure(found, looked, floor)
-    return Noise(floor, _groups(len(passages), repeats), structure)
+        structure = _structure(found, looked, floor) / keep.double().mean(1).clamp(min=0.05)
+    groups = _groups(len(passages), repeats)
+    again = [k for k, g in enumerate(groups) if groups.count(g) > 1] or list(range(len(groups)))
+    return Noise(floor, groups, structure, white_levels(rows)[:, again].mean(1).clamp(min=1e-300))
+
+
+def white_levels(rows: Rows) -> Float[Tensor, "n K"]:
+    """Density (n, K) of the measured torque of each passage above the rows' cut-off."""
+    levels = [white_level([p], [p.tau], rows.cutoff) for p in rows.passages]
+    return torch.stack(levels, 1)
 
 
 def _residuals(

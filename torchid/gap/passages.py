@@ -36,6 +36,9 @@ REACH = 0.75
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
 
+STOP = 0.1
+"""Time at less than half the resting speed that makes a dwell [s]."""
+
 RESTING = 0.02
 """|dq| below which a joint's friction is undetermined [rad/s or m/s]."""
 
@@ -108,7 +111,7 @@ class Rows:
     def __len__(self) -> int:
         return self.bounds[-1].stop
 
-    def apply(self, signals: Sequence[Signals]) -> Float[Tensor, "*batch N"]:
+    def apply(self, signals: Sequence[Float[Tensor, "..."]]) -> Float[Tensor, "..."]:
         """Rows (..., N) of signals (..., T_p), one tensor a passage."""
         return torch.cat([self._one(x) for x in signals], -1)
 
@@ -133,7 +136,7 @@ class Rows:
         return finer[..., :: self.step // half]
 
 
-def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
+def passages_of(measured: Sequence[Measurement], band: float, clock: float = 0.0) -> list[Passage]:
     """Passages of trajectories differentiated in the wide band (see `measurements`).
 
     Their time runs on from one to the next where the log's does not.
@@ -141,9 +144,9 @@ def passages_of(measured: Sequence[Measurement], band: float) -> list[Passage]:
     Args:
         measured: with the wide band as their cut-off.
         band: the wide band's edge [Hz].
+        clock: time at which they begin [s], at the earliest.
     """
     out = []
-    clock = 0.0
     for k, m in enumerate(measured):
         step = max(1, int(m.rate / (GRID * band)))
         tau = m.tau
@@ -178,16 +181,25 @@ def row_masks(
     """
     q = torch.cat([p.motion.q for p in rows.passages])
     moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > RESTING
-    turning = rows.pick([_turns(p, REACH / rows.cutoff) for p in rows.passages]).T
+    turning = rows.pick([_turns(p, rows.cutoff) for p in rows.passages]).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
     hardly = (moving & ~turning).double().mean(1) < 0.1
     return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
-def _turns(p: Passage, margin: float) -> Bool[Tensor, "T n"]:
-    """Instants within a margin [s] of a reversal of the joint."""
+def _turns(p: Passage, cutoff: float) -> Bool[Tensor, "T n"]:
+    """Instants that a reversal of the joint reaches through the filter, and twice as far around a
+    dwell, during which friction can be far from any law."""
     sign = torch.sign(p.motion.dq)
     turns = torch.zeros_like(sign)
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
-    width = 2 * round(margin * p.rate) + 1
-    return torch.nn.functional.max_pool1d(turns.T.unsqueeze(1), width, 1, width // 2)[:, 0].T > 0
+    slow = (p.motion.dq.abs() < 0.5 * RESTING).to(sign)
+    dwells = 1 - widened(1 - slow, 0.5 * STOP * p.rate)
+    near = widened(turns, REACH / cutoff * p.rate)
+    return (near + widened(dwells, 2 * REACH / cutoff * p.rate)) > 0
+
+
+def widened(mask: Float[Tensor, "T n"], samples: float) -> Float[Tensor, "T n"]:
+    """1 wherever the mask is 1 within so many samples."""
+    width = 2 * round(samples) + 1
+    return torch.nn.functional.max_pool1d(mask.T.unsqueeze(1), width, 1, width // 2)[:, 0].T

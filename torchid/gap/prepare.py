@@ -7,7 +7,7 @@ import torch
 
 from torchid.errors import LogError
 from torchid.gap.held import passage_ages
-from torchid.gap.passages import Passage, Rows, passages_of, row_masks
+from torchid.gap.passages import Passage, Rows, passages_of, row_masks, widened
 from torchid.identification.identify import prepared
 from torchid.identification.motion import Measurement, direction, fast_speed, measurements
 from torchid.log.model import Log
@@ -54,6 +54,13 @@ class Prepared:
     still: tuple[int, ...]
     warnings: tuple[str, ...]
 
+    @property
+    def end(self) -> float:
+        """Time at which the last passage ends [s]."""
+        t = self.rows.passages[-1].motion.t
+        assert t is not None
+        return float(t[-1])
+
     def counting(self, noise_is_known: bool) -> Bool[Tensor, "n N"]:
         """Rows (n, N) that count.
 
@@ -90,13 +97,14 @@ def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
     return chosen, min(max(WIDE_BAND / CUTOFF * chosen, 20.0), 0.4 * rate)
 
 
-def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
+def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) -> Prepared:
     """Check, resample, differentiate and filter logs.
 
     Args:
         robot: the logs' arm.
         log: one or several trajectories.
         cutoff: [Hz]; None for the default.
+        clock: time at which the log begins [s], at the earliest: held-out logs come afterwards.
 
     Raises:
         LogError: what `torchid.identification.identify.prepared` refuses; different rates.
@@ -104,7 +112,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None) -> Prepared:
     even, warnings = prepared(log, robot)
     narrow, wide = bands(even, cutoff)
     measured = measurements(even, wide)
-    passages = _with_ages(passages_of(measured, wide), even)
+    passages = _with_ages(passages_of(measured, wide, clock), even)
     threshold = reversal_speed(measured)
     passages = [
         replace(p, motion=p.motion._replace(direction=sharp_direction(p, threshold)))
@@ -148,10 +156,9 @@ def sharp_direction(p: Passage, threshold: Float[Tensor, " n"]) -> Float[Tensor,
     """
     dq, ddq = p.motion.dq, p.motion.ddq
     turning = (dq / (ddq.abs() * 0.5 / p.rate).clamp(min=1e-12)).clamp(-1, 1)
-    slow = (dq.abs() < threshold).double().T.unsqueeze(1)
-    width = 2 * round(0.5 * DWELL * p.rate) + 1
-    inner = -torch.nn.functional.max_pool1d(-slow, width, 1, width // 2)
-    dwells = torch.nn.functional.max_pool1d(inner, width, 1, width // 2)[:, 0].T > 0.5
+    slow = (dq.abs() < threshold).double()
+    inner = 1 - widened(1 - slow, 0.5 * DWELL * p.rate)
+    dwells = widened(inner, 0.5 * DWELL * p.rate) > 0.5
     return torch.where(dwells, direction(dq, threshold).to(dq), turning)
 
 

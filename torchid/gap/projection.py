@@ -109,6 +109,8 @@ class Scanner:
         rows = keep.flatten() if bank.place is None else keep[bank.place]
         self.gram = (bank.columns * rows) @ bank.columns.transpose(1, 2)
         self._signed = torch.tensor([c.non_negative for c in bank.coefficients])
+        known = bank.known or (0.0,) * len(bank.coefficients)
+        self._known = self.gram.new_tensor(known)
         self._largest = self.gram.new_tensor([c.largest for c in bank.coefficients])
         self._held = bank.columns.new_zeros(*bank.columns.shape[:2], 0)
         self._basis: Tensor | None = None
@@ -129,14 +131,16 @@ class Scanner:
         b = self.bank.columns @ model.r.flatten()[rows]
         held = self._projections(model.q, rows)
         left = self.gram - held @ held.transpose(1, 2)
-        return _solve(self.gram, left, b, self._signed, self._largest)
+        return _solve(self.gram, left, b, self._signed, self._known, self._largest)
 
 
 def _begins_with(q: Tensor, start: Tensor) -> bool:
     return q is start or (len(start) <= len(q) and torch.equal(q[: len(start)], start))
 
 
-def _solve(gram: Tensor, left: Tensor, b: Tensor, signed: Tensor, largest: Tensor) -> Gains:
+def _solve(
+    gram: Tensor, left: Tensor, b: Tensor, signed: Tensor, known: Tensor, largest: Tensor
+) -> Gains:
     """Gains from what is left of the Gram matrices (S, C, C), in units where columns have length
     one. Columns that are below noise at their largest plausible size are none."""
     square = gram.diagonal(dim1=1, dim2=2)
@@ -151,6 +155,6 @@ def _solve(gram: Tensor, left: Tensor, b: Tensor, signed: Tensor, largest: Tenso
     gain = (along.square() / safe).sum(-1)
     x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
     # A sign counts only where the coefficient is determined: not along invisible directions.
-    known = (vectors.square() * seen.unsqueeze(-2)).sum(-1) > DETERMINED
-    wrong = (known & (((x < 0) & signed) | (x.abs() > largest))).any(-1)
+    sure = (vectors.square() * seen.unsqueeze(-2)).sum(-1) > DETERMINED
+    wrong = (sure & (((x < -known) & signed) | (x.abs() > largest))).any(-1)
     return Gains(torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x)

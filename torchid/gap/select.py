@@ -44,17 +44,17 @@ but only while misfit remains: at the floor everything is dominant."""
 SMALL = 0.01
 """A gain below this share of what is left is not worth a name."""
 
-MISFITTED = 5e-3
+MISFITTED = 0.01
 """Share of an accepted effect's gain that its own misfit can hold: no law of friction fits an arm
 to a few per cent. A smaller gain on the same rows is not told from it."""
 MISFITTED_BY_WINDOW = 0.03
 """The same for a contact: of hundreds of windows one is where the misfit is largest."""
 WINDOWED = "contact"
-MISFITTED_UNKNOWN = 0.01
-"""The same where the noise is not known from repeats."""
 
 BLOCK_SECONDS = 2.0
 FEWEST_BLOCKS = 20
+FEW_COLUMNS = 4
+"""Blocks a column that a Wald test needs: with fewer it finds too much."""
 FLIP_LEVEL = 0.02
 SIMPLER = 0.01
 """While misfit remains a simpler law is kept if it loses less than this share of the gain."""
@@ -94,7 +94,8 @@ class Term:
     """What is in the model: effects that entered together.
 
     Attributes:
-        name, place, effects, columns, coefficients, extra: as a Bank's, of the member that won.
+        name, place, effects, columns, coefficients, extra, known: as a Bank's, of the member that
+            won.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Term:
     columns: Float[Tensor, "C R"]
     coefficients: tuple[Coefficient, ...]
     extra: float = 0.0
+    known: tuple[float, ...] = ()
 
     @property
     def is_inertial(self) -> bool:
@@ -139,6 +141,7 @@ def term_of(bank: Bank, member: int = 0) -> Term:
         columns if bool(felt.all()) else columns * felt.unsqueeze(1),
         bank.coefficients,
         bank.extra,
+        bank.known,
     )
 
 
@@ -304,6 +307,8 @@ class Search:
                     (effect,),
                     term.columns[own],
                     term.coefficients[own],
+                    0.0,
+                    term.known[own],
                 )
             )
         return parts
@@ -312,8 +317,7 @@ class Search:
         """The candidate to add, or None."""
         left = max(0.0, model.loss - self.problem.noise)
         for best in self.candidates(model)[:TRIED]:
-            share = MISFITTED if self.problem.whitened else MISFITTED_UNKNOWN
-            share = max(share, MISFITTED_BY_WINDOW if best.term.name == WINDOWED else 0.0)
+            share = MISFITTED_BY_WINDOW if best.term.name == WINDOWED else MISFITTED
             least = max(SMALL * left, share * self._largest_near(best.term))
             if best.gain < max(self.problem.threshold(best.df), least):
                 continue
@@ -371,19 +375,35 @@ class Search:
     def _holds_on_blocks(self, term: Term, model: Projector) -> bool:
         """Where rows are whitened: random signs of blocks, or coefficients from other folds,
         confirm the gain. Else both coefficients from other folds and a Wald test whose covariance
-        is the spread between blocks, at the level shared by all looks."""
-        columns = model.full(term.columns, term.place)
-        columns = columns - (columns @ model.q.T) @ model.q
-        rows = model.rows_of(term.place)
-        columns, r = columns[:, rows], model.r.flatten()[rows]
-        block = self.problem.blocks_of(term.place)
+        is the spread between blocks, at the level shared by all looks (it has no power, and no
+        validity, for groups of almost as many columns as there are blocks)."""
+        columns, r, block = self._projected(term, model)
         scores = block_sums(columns * r, block).T
         if self.problem.whitened:
             if sign_flip_p(scores, self.problem.seed) < FLIP_LEVEL:
                 return True
-        elif wald_p(columns, r, block) * self.problem.looks > self.problem.alpha:
-            return False
+        else:
+            few = FEW_COLUMNS * len(columns) <= len(scores)
+            if few and wald_p(columns, r, block) * self.problem.looks > self.problem.alpha:
+                return False
         return mean_bound(held_out_gain(columns, r, block), 0.95) > 0
+
+    def p_value(self, term: Term, gain: float) -> float:
+        """Family-wise p-value of an accepted term, by the test that judged it: of its gain where
+        rows are white, else of the spread between blocks."""
+        if self.problem.whitened:
+            return self.problem.p_value(gain, len(term.columns))
+        model = self.model(without=[term])
+        columns, r, block = self._projected(term, model)
+        return min(1.0, self.problem.looks * wald_p(columns, r, block))
+
+    def _projected(self, term: Term, model: Projector) -> tuple[Tensor, Tensor, Tensor]:
+        """A term's columns beside a model, the residual, and the block of each row."""
+        columns = model.full(term.columns, term.place)
+        rows = model.rows_of(term.place)
+        columns = (columns - (columns @ model.q.T) @ model.q)[:, rows]
+        columns = columns / columns.norm(dim=1, keepdim=True).clamp(min=1e-300)
+        return columns, model.r.flatten()[rows], self.problem.blocks_of(term.place)
 
     def _refined(self, term: Term) -> Term:
         """The same term with its shape searched around the grid's best, until it gains no more."""
@@ -437,6 +457,7 @@ def _bank_of(term: Term) -> Bank:
         term.coefficients,
         1.0,
         term.extra,
+        term.known,
     )
 
 

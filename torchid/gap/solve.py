@@ -47,11 +47,11 @@ class Fit:
     Attributes:
         values: per term (C,).
         std: per term (C,), from the spread of block scores.
-        loss: sum of squares left.
+        loss: sum of squares left, weighted as the fit was.
     """
 
-    values: tuple[Float[Tensor, " C"], ...]
-    std: tuple[Float[Tensor, " C"], ...]
+    values: tuple[Float[Tensor, " _"], ...]
+    std: tuple[Float[Tensor, " _"], ...]
     loss: float
 
 
@@ -231,8 +231,11 @@ def _weakest(found: Solution) -> Term | None:
         values, std = found.values_of(term)
         ratio = values.abs() / std.clamp(min=1e-300)
         signed = torch.tensor([c.non_negative for c in term.coefficients])
-        ratio = torch.where(signed & (values < 0), -ratio, ratio)
+        known = values.new_tensor(term.known or (0.0,) * len(values))
+        ratio = torch.where(signed & (values < -known), -ratio, ratio)
         needed = [float(ratio[k]) for k in term.effects[0].essential]
+        if bool((ratio < -SIGNIFICANT).any()):
+            needed.append(-torch.inf)
         size = min([float(ratio.max()), *needed])
         if size < least:
             worst, least = term, size

@@ -63,7 +63,7 @@ def identify(
     if kept_back is not None:
         kept_back, more = prepared(kept_back, robot)
         noticed = (*noticed, *more)
-    _refuse_repeated(log, kept_back)
+    refuse_repeated(log, kept_back)
     effects = on_every_joint(settings.effects, robot.n)
     base = base_parameters(robot, effects)
     columns = layout(robot, base, effects)
@@ -167,7 +167,7 @@ def _split(log: Log, held_out: Log | None, settings: Settings) -> tuple[Log, Log
     return log.split(1 - settings.held_out_fraction, gap_s=0.0)
 
 
-def _refuse_repeated(log: Log, held_out: Log | None) -> None:
+def refuse_repeated(log: Log, held_out: Log | None) -> None:
     """Raise if a trajectory is there twice: fitted twice, it would look twice as certain; fitted
     and held out, its errors would mean nothing."""
     parts = [(part, "is given twice") for part in log.trajectories()]

@@ -260,5 +260,7 @@ def _others(names: tuple[str, ...]) -> str:
     return "\n".join(effect_words(name) for name in names) or "-"
 
 
-def _p(value: float) -> str:
+def _p(value: float | None) -> str:
+    if value is None:
+        return "-"
     return "< 0.001" if value < 1e-3 else f"{value:.3f}"
