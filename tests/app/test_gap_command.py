@@ -143,7 +143,6 @@ def test_a_log_of_another_arm(command, runs):
     assert "expected: 7" in done.err
 
 
-@pytest.mark.xfail(strict=True, reason="the difference of two equal logs is taken for the noise")
 def test_the_same_log_twice(command, runs, types_unchecked):
     """It says nothing about the noise: refused, or used once."""
     done = command("gap", "3r", runs / "a.csv", runs / "a.csv", *FEW)

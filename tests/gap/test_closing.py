@@ -1,5 +1,7 @@
 """The closed share on traces whose gap and noise are known."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -91,10 +93,13 @@ def test_joints_count_in_units_of_their_noise():
     assert torch.allclose(two.rms_before, one.rms_before * factor)
 
 
-def test_the_noise_is_the_middle_of_the_bracket_of_squares():
+def test_the_noise_is_the_middle_of_an_interval_and_the_top_of_a_bracket():
     assert torch.allclose(noise_variance(exact()), torch.full((3,), NOISE**2))
-    variance = noise_variance(floor())
-    assert bool((variance > (0.8 * NOISE) ** 2).all() & (variance < (1.2 * NOISE) ** 2).all())
+    known = replace(floor(), source="repeats")
+    middle = 0.5 * (known.low.square() + known.high.square())
+    assert torch.allclose(noise_variance(known), middle)
+    bracket = replace(floor(), source="bracket")
+    assert torch.allclose(noise_variance(bracket), bracket.high.square())
 
 
 @pytest.mark.parametrize(("refitted", "final"), [(0.4, 0.1), (1.0, 0.2), (0.1, 0.1)])

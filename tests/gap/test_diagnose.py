@@ -202,7 +202,6 @@ def test_a_robot_without_parameters_is_fitted_first():
     assert max(abs(left["viscous_friction", j]) for j in range(3)) < 0.02
 
 
-@pytest.mark.xfail(strict=True, reason="the background that was fitted is not in its effects")
 def test_the_model_that_was_fitted_has_its_background():
     fitted = {(e.name, e.joints[0]) for e, _ in nominal_effects(case("unknown").robot)}
     assert fitted == {("viscous_friction", j) for j in range(3)}
@@ -286,7 +285,6 @@ def test_nothing_is_left_to_chance():
     assert json.dumps(record(again)) == json.dumps(record(case("coulomb")))
 
 
-@pytest.mark.xfail(raises=ValueError, strict=True, reason="no shape at all is not evaluated")
 def test_a_joint_that_never_moves_is_no_reason_to_stop():
     still = torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64)
     moved = Log.concatenate(
