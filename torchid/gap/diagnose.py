@@ -46,7 +46,7 @@ and the ratio of two of them from which it has settled."""
 EVENTS = ("contact", "dropped_samples")
 """Effects of one log, not of the arm."""
 
-SHORTEST = 10.0
+SHORTEST = 8.0
 """Seconds of rows below which `no gap` cannot be said."""
 
 SAME_RATE = 0.02

@@ -55,6 +55,8 @@ BLOCK_SECONDS = 2.0
 FEWEST_BLOCKS = 20
 FEW_COLUMNS = 4
 """Blocks a column that a Wald test needs: with fewer it finds too much."""
+DOUBTFUL = 0.2
+"""Family-wise p-value above which an accepted effect leaves again where the noise is not known."""
 FLIP_LEVEL = 0.02
 SIMPLER = 0.01
 """While misfit remains a simpler law is kept if it loses less than this share of the gain."""
@@ -289,7 +291,22 @@ class Search:
             self._look_back(newest=self.terms[-1])
             model = self.model()
         self._look_back(newest=None)
+        self._drop_doubtful()
         return self.terms
+
+    def _drop_doubtful(self) -> None:
+        """Without a known noise, terms that others have made doubtful leave, the weakest first."""
+        while not self.problem.whitened and self.terms:
+            model = self.model()
+            left = {
+                id(t): self.p_value(t, self.model(without=[t]).loss - model.loss)
+                for t in self.terms
+                if not t.is_inertial and FEW_COLUMNS * len(t.columns) <= len(self.problem.block)
+            }
+            worst = max(self.terms, key=lambda t: left.get(id(t), 0.0))
+            if left.get(id(worst), 0.0) <= DOUBTFUL:
+                return
+            self.terms = [t for t in self.terms if t is not worst]
 
     def _parts(self, chosen: Candidate) -> list[Term]:
         """A composite enters as its parts."""
