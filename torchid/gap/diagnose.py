@@ -419,7 +419,8 @@ def _warnings(
     events = sorted({e.name for e, _ in whole.effects if e.name in EVENTS})
     if events:
         out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
-    if bool((whole.robot.require_parameters("a check").consistency_margin() < 0).any()):
+    changed = bool(found.parametric) or case.task.free
+    if changed and bool((_margins(whole.robot) < 0).any()):
         out.append(
             "the corrected inertial parameters give the right torque but belong to no body: "
             "`torchid extract` finds feasible ones"
@@ -437,6 +438,10 @@ def _warnings(
     if settings.parameters == "auto" and not case.task.free:
         out += _modes(case, whole)
     return out
+
+
+def _margins(robot: Robot) -> Tensor:
+    return robot.require_parameters("a check").consistency_margin()
 
 
 def _modes(case: _Case, whole: Solution) -> list[str]:

@@ -171,7 +171,7 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
         f"How far: on data used for no choice, below {diagnosis.band:g} Hz; the fit is below "
         f"{diagnosis.cutoff:g} Hz; noise from {known}."
     ]
-    return [*out, *diagnosis.floor.notes, *(diagnosis.how_far.rollout or {}).get("sentences", ())]
+    return [*out, *(diagnosis.how_far.rollout or {}).get("sentences", ())]
 
 
 def not_testable_table(diagnosis: Diagnosis) -> Table:
