@@ -8,8 +8,8 @@ from torchid.effects.registry import KINDS, Valued, model_torque
 from torchid.gap.candidates import Bank, Evaluator
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.prepare import sharp_direction
-from torchid.gap.select import Problem
-from torchid.gap.solve import Task, banks_of
+from torchid.gap.problem import Problem
+from torchid.gap.task import Task, banks_of
 from torchid.identification.base_parameters import base_parameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

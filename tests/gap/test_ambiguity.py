@@ -10,7 +10,8 @@ from tests.gap.test_select import named
 from torchid.effects.gravity import BaseTilt, KinematicError
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.gap.ambiguity import aliases, alternatives, separation
-from torchid.gap.select import Search, Term, term_of
+from torchid.gap.problem import Term, term_of
+from torchid.gap.select import Search
 
 N, ROWS = 3, 1000
 

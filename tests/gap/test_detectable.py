@@ -8,8 +8,9 @@ from tests.gap.test_select import named
 from torchid.effects.friction import TorqueOffset, ViscousFriction
 from torchid.gap.detectable import not_testable
 from torchid.gap.diagnosis import NotTestable
+from torchid.gap.problem import Problem
 from torchid.gap.projection import Projector
-from torchid.gap.select import Problem, Search
+from torchid.gap.select import Search
 from torchid.robot.library import load_robot
 from torchid.typing import Tensor
 
@@ -123,7 +124,7 @@ def test_refitted_parameters_hide_what_trusted_ones_show():
         made = problem(case.evaluator.residual(), tuple(case.banks))
         model = Projector(made.y)
         if free:
-            from torchid.gap.solve import fixed_terms
+            from torchid.gap.task import fixed_terms
 
             for term in fixed_terms(case.evaluator, case.task):
                 model.add(term.columns, term.place)

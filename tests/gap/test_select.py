@@ -10,7 +10,8 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.registry import KINDS
 from torchid.gap.candidates import Bank
-from torchid.gap.select import Problem, Search, Term, term_of
+from torchid.gap.problem import Problem, Term, term_of
+from torchid.gap.select import Search
 from torchid.typing import Tensor
 
 N, ROWS = 3, 1000

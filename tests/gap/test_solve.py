@@ -10,8 +10,9 @@ from tests.gap.problems import Case, motions, problem, random
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.registry import model_torque
-from torchid.gap.select import BASE, Term
-from torchid.gap.solve import Fit, Solution, corrected, fitted, solve
+from torchid.gap.fit import Fit, fitted
+from torchid.gap.problem import BASE, Term
+from torchid.gap.solve import Solution, corrected, solve
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Tensor

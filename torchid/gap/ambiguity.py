@@ -8,8 +8,9 @@ the ambiguity set, with exact aliases that no data of this kind can separate.
 from dataclasses import dataclass
 
 from torchid.gap.blocks import block_sums, mean_bound
+from torchid.gap.problem import BASE, FRICTION, LINK, PENALTY, Candidate, Term
 from torchid.gap.projection import Projector
-from torchid.gap.select import BASE, FRICTION, LINK, PENALTY, Candidate, Search, Term
+from torchid.gap.select import Search
 from torchid.typing import Float, Tensor
 
 CONFIDENCE = 0.9

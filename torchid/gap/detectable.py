@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from torchid.effects.base import Effect
 from torchid.gap.diagnosis import NotTestable
+from torchid.gap.problem import BASE, FRICTION, LINK, Problem, Term, term_of
 from torchid.gap.projection import Projector
-from torchid.gap.select import BASE, FRICTION, LINK, Problem, Term, term_of
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 

@@ -23,7 +23,8 @@ from torchid.gap.passages import Rows
 from torchid.gap.prepare import Prepared, prepare, report_band
 from torchid.gap.select import Search
 from torchid.gap.settings import GapSettings
-from torchid.gap.solve import Solution, Task, banks_of, solve
+from torchid.gap.solve import Solution, solve
+from torchid.gap.task import Task, banks_of
 from torchid.gap.where import where
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated

@@ -8,7 +8,8 @@ from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
 from torchid.gap.diagnosis import Finding, Parametric
 from torchid.gap.experiments import experiment
 from torchid.gap.passages import Rows
-from torchid.gap.select import BASE, LINK, Search, Term
+from torchid.gap.problem import BASE, LINK, Term
+from torchid.gap.select import Search
 from torchid.gap.solve import Solution
 from torchid.typing import Tensor
 

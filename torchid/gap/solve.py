@@ -12,15 +12,16 @@ from itertools import pairwise
 import torch
 
 from torchid.effects.base import Effect, JointEffect
-from torchid.effects.registry import KINDS, Valued
+from torchid.effects.registry import Valued
 from torchid.effects.transient import Contact
-from torchid.gap.candidates import Bank, Evaluator, all_banks, composite
-from torchid.gap.projection import VISIBLE
-from torchid.gap.select import BASE, FRICTION, LINK, Problem, Search, Term, term_of
-from torchid.identification.base_parameters import BaseParameters
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
+from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.fit import Fit, fitted, huber_weights, rows_of_all
+from torchid.gap.problem import BASE, FRICTION, LINK, Problem, Term, term_of
+from torchid.gap.select import Search
+from torchid.gap.task import Task, fixed_terms
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Tensor
 
 PASSES = 2
 """Times the columns are taken anew and the search goes on."""
@@ -34,25 +35,6 @@ SIGNIFICANT = 2.5
 SETTLING = 4
 SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain."""
-
-DETERMINED = 1e-7
-"""Eigenvalue of the scaled Gram matrix, relative to the largest, below which a direction is left
-at zero."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Coefficients of terms, fitted together.
-
-    Attributes:
-        values: per term (C,).
-        std: per term (C,), from the spread of block scores.
-        loss: sum of squares left, weighted as the fit was.
-    """
-
-    values: tuple[Float[Tensor, " _"], ...]
-    std: tuple[Float[Tensor, " _"], ...]
-    loss: float
 
 
 @dataclass(frozen=True)
@@ -78,83 +60,6 @@ class Solution:
             k for k, other in enumerate(self.terms) if other is term
         )
         return self.fit.values[position], self.fit.std[position]
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a search is about; everything but the model.
-
-    Attributes:
-        base: rigid base parameters of the robot.
-        names: effects to look for.
-        background: effects that are always fitted, on every joint, with the base parameters.
-        free: whether base parameters are always fitted.
-        inertial: whether corrections of the links' parameters compete.
-        own_velocity, age: what the log holds.
-        whitened: as Problem's.
-        most: effects at most.
-        alpha, seed: as Problem's.
-    """
-
-    base: BaseParameters
-    names: tuple[str, ...]
-    background: tuple[str, ...]
-    free: bool
-    inertial: bool
-    own_velocity: bool
-    age: bool
-    whitened: bool
-    most: int
-    alpha: float
-    seed: int
-
-    @property
-    def independent(self) -> list[int]:
-        """Numbers, link by link, of the parameters that stand for the base parameters."""
-        order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
-        return order[list(self.base.independent[: self.base.n_rigid])].tolist()
-
-
-def banks_of(evaluator: Evaluator, task: Task) -> list[Bank]:
-    """All candidates at a model."""
-    names = [n for n in task.names if n not in (LINK, "payload")]
-    banks = list(all_banks(evaluator, names, own_velocity=task.own_velocity, age=task.age))
-    plain = {(b.name, b.place): b for b in banks}
-    for j in range(evaluator.n):
-        pair = [plain.get((name, j)) for name in FRICTION.split("+")]
-        if all(pair):
-            banks.append(composite(FRICTION, pair))  # type: ignore[arg-type]
-    if Contact.name in task.names:
-        banks.append(evaluator.contact_bank(evaluator.residual()))
-    return banks + rigid_banks(evaluator, task)
-
-
-def rigid_banks(evaluator: Evaluator, task: Task) -> list[Bank]:
-    """Payload, links and all base parameters, from one regressor."""
-    n, k = evaluator.n, PARAMETERS_PER_LINK
-    links = [list(range(link * k, (link + 1) * k)) for link in range(n)]
-    banks = []
-    if "payload" in task.names:
-        banks.append(evaluator.rigid_bank("payload", (KINDS["payload"](),), links[-1]))
-    if task.inertial and not task.free:
-        if LINK in task.names:
-            banks += [
-                evaluator.rigid_bank(LINK, (KINDS[LINK](link),), links[link])  # type: ignore[call-arg]
-                for link in range(n)
-            ]
-        banks.append(evaluator.rigid_bank(BASE, (), task.independent))
-    return banks
-
-
-def fixed_terms(evaluator: Evaluator, task: Task) -> tuple[Term, ...]:
-    """Terms that are always in the model."""
-    if not task.free:
-        return ()
-    terms = [term_of(evaluator.rigid_bank(BASE, (), task.independent))]
-    for name in task.background:
-        for j in range(evaluator.n):
-            terms.append(term_of(evaluator.joint_bank(KINDS[name], j)))  # type: ignore[arg-type]
-    return tuple(terms)
 
 
 def solve(
@@ -272,14 +177,6 @@ def _settled(
         taken = _all_retaken(taken, evaluator, values[len(fixed) :], problem.keep)
     assert best is not None
     return best
-
-
-def huber_weights(r: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
-    """Square roots of Huber's weights: rows far out, at reversals or in a collision, count as much
-    as one at 1.345 robust standard deviations does (Huber 1981, section 7.8)."""
-    size = torch.where(r == 0, torch.nan, r.abs()).nanmedian(1, keepdim=True).values
-    limit = 1.345 * 1.4826 * torch.nan_to_num(size, nan=1.0).clamp(min=1e-12)
-    return (limit / r.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
 
 
 def _weighted(problem: Problem, r: Tensor, weight: Tensor) -> Problem:
@@ -436,74 +333,6 @@ def _refiner(evaluator: Evaluator) -> Callable[[Effect, int], Bank | None]:
 
 def _largest_ratio(grid: Sequence[float]) -> float:
     return max((b / a for a, b in pairwise(grid)), default=2.0)
-
-
-def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
-    """Least squares of all terms together, with block-robust standard deviations.
-
-    Columns are scaled to length one; directions that the rows do not determine stay at zero. The
-    covariance is G^-1 (sum_b s_b s_b') G^-1 over block scores s_b = sum_t x_t r_t (White 1980;
-    blocks as clusters).
-    """
-    both = (*problem.fixed, *terms)
-    n, count = problem.y.shape
-    if not both:
-        return Fit((), (), float(problem.y.square().sum()))
-    frame = rows_of_all(n, count)
-    bases = [_strong_directions(t) for t in both]
-    a = torch.cat([basis @ frame(t) for t, basis in zip(both, bases, strict=True)])
-    size = a.norm(dim=1).clamp(min=1e-300)
-    a = a / size.unsqueeze(1)
-    values, vectors = torch.linalg.eigh(a @ a.T)
-    kept = values > DETERMINED * values[-1]
-    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    y = problem.y.flatten()
-    x = inverse @ (a @ y)
-    r = y - x @ a
-    block = problem.block.repeat(n)
-    k = int(block.max()) + 1
-    scores = a.new_zeros(len(a), k).index_add_(1, block, a * r)
-    spread = inverse @ (scores @ scores.T) @ inverse * (k / max(1, k - 1))
-    lengths = [len(basis) for basis in bases]
-    values = [v @ basis for v, basis in zip((x / size).split(lengths), bases, strict=True)]
-    spread = spread / size / size.unsqueeze(1)
-    stds = []
-    for own, basis in zip(_diagonal_blocks(spread, lengths), bases, strict=True):
-        stds.append((basis.T @ own @ basis).diagonal().clamp(min=0).sqrt())
-    return Fit(tuple(values), tuple(stds), float(r.square().sum()))
-
-
-def _strong_directions(term: Term) -> Float[Tensor, "D C"]:
-    """Combinations (rows) of a term's coefficients that its own columns determine: a force at the
-    tool has none along an axis that no joint feels. All of them for base parameters, which are
-    independent by construction, and for one column."""
-    c = len(term.columns)
-    if c == 1 or term.name == BASE:
-        return torch.eye(c, dtype=term.columns.dtype)
-    size = term.columns.norm(dim=1).clamp(min=1e-300)
-    scaled = term.columns / size.unsqueeze(1)
-    values, vectors = torch.linalg.eigh(scaled @ scaled.T)
-    return (vectors[:, values > VISIBLE].T) / size
-
-
-def _diagonal_blocks(matrix: Tensor, lengths: Sequence[int]) -> list[Tensor]:
-    starts = [sum(lengths[:k]) for k in range(len(lengths))]
-    return [
-        matrix[a : a + length, a : a + length] for a, length in zip(starts, lengths, strict=True)
-    ]
-
-
-def rows_of_all(n: int, count: int) -> Callable[[Term], Tensor]:
-    """From a term to its columns in the rows of all joints."""
-
-    def full(term: Term) -> Tensor:
-        if term.place is None:
-            return term.columns
-        out = term.columns.new_zeros(len(term.columns), n, count)
-        out[:, term.place] = term.columns
-        return out.flatten(1)
-
-    return full
 
 
 def corrected(

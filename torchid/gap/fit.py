@@ -1,0 +1,105 @@
+"""Least squares of accepted terms together, with standard deviations from the spread of blocks."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.gap.problem import BASE, Problem, Term
+from torchid.gap.projection import VISIBLE
+from torchid.typing import Float, Tensor
+
+DETERMINED = 1e-7
+"""Eigenvalue of the scaled Gram matrix, relative to the largest, below which a direction is left
+at zero."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients of terms, fitted together.
+
+    Attributes:
+        values: per term (C,).
+        std: per term (C,), from the spread of block scores.
+        loss: sum of squares left, weighted as the fit was.
+    """
+
+    values: tuple[Float[Tensor, " _"], ...]
+    std: tuple[Float[Tensor, " _"], ...]
+    loss: float
+
+
+def huber_weights(r: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+    """Square roots of Huber's weights: rows far out, at reversals or in a collision, count as much
+    as one at 1.345 robust standard deviations does (Huber 1981, section 7.8)."""
+    size = torch.where(r == 0, torch.nan, r.abs()).nanmedian(1, keepdim=True).values
+    limit = 1.345 * 1.4826 * torch.nan_to_num(size, nan=1.0).clamp(min=1e-12)
+    return (limit / r.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
+
+
+def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
+    """Least squares of all terms together, with block-robust standard deviations.
+
+    Columns are scaled to length one; directions that the rows do not determine stay at zero. The
+    covariance is G^-1 (sum_b s_b s_b') G^-1 over block scores s_b = sum_t x_t r_t (White 1980;
+    blocks as clusters).
+    """
+    both = (*problem.fixed, *terms)
+    n, count = problem.y.shape
+    if not both:
+        return Fit((), (), float(problem.y.square().sum()))
+    frame = rows_of_all(n, count)
+    bases = [_strong_directions(t) for t in both]
+    a = torch.cat([basis @ frame(t) for t, basis in zip(both, bases, strict=True)])
+    size = a.norm(dim=1).clamp(min=1e-300)
+    a = a / size.unsqueeze(1)
+    values, vectors = torch.linalg.eigh(a @ a.T)
+    kept = values > DETERMINED * values[-1]
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    y = problem.y.flatten()
+    x = inverse @ (a @ y)
+    r = y - x @ a
+    block = problem.block.repeat(n)
+    k = int(block.max()) + 1
+    scores = a.new_zeros(len(a), k).index_add_(1, block, a * r)
+    spread = inverse @ (scores @ scores.T) @ inverse * (k / max(1, k - 1))
+    lengths = [len(basis) for basis in bases]
+    values = [v @ basis for v, basis in zip((x / size).split(lengths), bases, strict=True)]
+    spread = spread / size / size.unsqueeze(1)
+    stds = []
+    for own, basis in zip(_diagonal_blocks(spread, lengths), bases, strict=True):
+        stds.append((basis.T @ own @ basis).diagonal().clamp(min=0).sqrt())
+    return Fit(tuple(values), tuple(stds), float(r.square().sum()))
+
+
+def _strong_directions(term: Term) -> Float[Tensor, "D C"]:
+    """Combinations (rows) of a term's coefficients that its own columns determine: a force at the
+    tool has none along an axis that no joint feels. All of them for base parameters, which are
+    independent by construction, and for one column."""
+    c = len(term.columns)
+    if c == 1 or term.name == BASE:
+        return torch.eye(c, dtype=term.columns.dtype)
+    size = term.columns.norm(dim=1).clamp(min=1e-300)
+    scaled = term.columns / size.unsqueeze(1)
+    values, vectors = torch.linalg.eigh(scaled @ scaled.T)
+    return (vectors[:, values > VISIBLE].T) / size
+
+
+def _diagonal_blocks(matrix: Tensor, lengths: Sequence[int]) -> list[Tensor]:
+    starts = [sum(lengths[:k]) for k in range(len(lengths))]
+    return [
+        matrix[a : a + length, a : a + length] for a, length in zip(starts, lengths, strict=True)
+    ]
+
+
+def rows_of_all(n: int, count: int) -> Callable[[Term], Tensor]:
+    """From a term to its columns in the rows of all joints."""
+
+    def full(term: Term) -> Tensor:
+        if term.place is None:
+            return term.columns
+        out = term.columns.new_zeros(len(term.columns), n, count)
+        out[:, term.place] = term.columns
+        return out.flatten(1)
+
+    return full
