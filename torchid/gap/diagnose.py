@@ -21,9 +21,10 @@ from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise, noise_of
 from torchid.gap.passages import Rows
 from torchid.gap.prepare import Prepared, prepare, report_band
+from torchid.gap.problem import Term
 from torchid.gap.select import Search
 from torchid.gap.settings import GapSettings
-from torchid.gap.solve import Solution, solve
+from torchid.gap.solve import Solution, settled, solve
 from torchid.gap.task import Task, banks_of
 from torchid.gap.where import where
 from torchid.identification.base_parameters import base_parameters
@@ -258,9 +259,9 @@ def _held_out_models(
     if case.checked is not None:
         refitted = _refitted(case.plain, keep, case.task)
         before = refitted if case.fitted else case.start
-        return None, _Models([before], [refitted], [Model(whole.robot, whole.effects)])
+        return None, _Models([before], [refitted], [Model(whole.robot, whole.effects)], [])
     folds = make_folds(case.given.rows, settings.folds, case.noise.groups)
-    out = _Models([], [], [])
+    out = _Models([], [], [], [])
     for k in range(folds.count):
         say("leaving data out", k, folds.count)
         rows = folds.fitted(k)
@@ -269,17 +270,19 @@ def _held_out_models(
         out.before.append(refitted if case.fitted else case.start)
         out.refitted.append(refitted)
         out.after.append(Model(found.robot, found.effects))
+        out.terms.append(found.terms)
     say("leaving data out", folds.count, folds.count)
     return folds, out
 
 
 @dataclass(frozen=True)
 class _Models:
-    """One model a fold."""
+    """One model a fold, and what the fold's search accepted; nothing with a held-out log."""
 
     before: list[Model]
     refitted: list[Model]
     after: list[Model]
+    terms: list[tuple[Term, ...]]
 
 
 def _answer(
@@ -294,7 +297,13 @@ def _answer(
     refitted = traces(rows, folds, models.before, models.refitted, band)
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
+    whole, found, doubts = _stable(case, whole, found, models)
     far = closing(shown, floor, settings.seed)
+    if case.noise.repeated and not _shrinks(far):
+        lasting = [t for t in whole.terms if t.name in EVENTS]
+        doubts += [f"{w}: not accepted" for w in _unconfirmed(whole)]
+        whole = settled(case.plain, whole.problem, lasting, case.task)
+        found = findings(whole)
     if case.task.free and not case.fitted:
         found = _with_refitted(found, closing(refitted, floor, settings.seed))
     excess = _excess(case, folds, models, far, floor)
@@ -319,8 +328,59 @@ def _answer(
         band=band,
         cutoff=rows.cutoff,
         settings=asdict(settings),
-        warnings=tuple(dict.fromkeys(_warnings(case, folds, found, whole, settings))),
+        warnings=tuple(dict.fromkeys([*_warnings(case, folds, found, whole, settings), *doubts])),
     )
+
+
+def _stable(
+    case: _Case, whole: Solution, found: Findings, models: _Models
+) -> tuple[Solution, Findings, list[str]]:
+    """What searches on parts of the data find too (Meinshausen and Buehlmann 2010, stability
+    selection): an effect accepted on all data stays if it, or one that cannot be told from it, was
+    accepted at the same place in at least half of the folds. The others leave, and that is said."""
+    if not models.terms or not whole.terms:
+        return whole, found, []
+    names = {
+        id(term): {term.name, *accepted.ambiguous_with}
+        for term, accepted in zip(found.terms, found.of_terms, strict=True)
+    }
+    kept, doubts = [], []
+    for term in whole.terms:
+        hits = sum(any(_alike(t, term, names[id(term)]) for t in fold) for fold in models.terms)
+        if 2 * hits >= len(models.terms):
+            kept.append(term)
+            continue
+        joints = term.effects[0].joints if term.effects else ()
+        place = f" of joint {joints[0] + 1}" if joints else ""
+        doubts.append(
+            f"{term.name}{place} was found on all data, but only in {hits} of {len(models.terms)} "
+            "searches on parts of it: not accepted"
+        )
+    if not doubts:
+        return whole, found, []
+    whole = settled(case.plain, whole.problem, kept, case.task)
+    return whole, findings(whole), doubts
+
+
+def _shrinks(far: Closing) -> bool:
+    """Whether the gap is there and becomes smaller, on data used for no choice."""
+    return far.closed_ci95 is not None and far.closed_ci95[0] > 0
+
+
+def _unconfirmed(whole: Solution) -> list[str]:
+    """What stood out on the data fitted and closes nothing on others."""
+    return [
+        f"{t.name} stands out on the data fitted, but the gap does not shrink on others"
+        for t in whole.terms
+        if t.name not in EVENTS
+    ]
+
+
+def _alike(one: Term, two: Term, names: set[str]) -> bool:
+    """Whether a fold's term is the same as `two`, or one of its alternatives at the same place."""
+    if one.name not in names:
+        return False
+    return one.place == two.place or one.place is None or two.place is None
 
 
 def _excess(
@@ -359,8 +419,7 @@ def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bo
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    shrinks = far.closed_ci95 is not None and far.closed_ci95[0] > 0
-    if unexplained or not shrinks:
+    if unexplained or not _shrinks(far):
         return "detected_unexplained"
     return "explained" if found.effects else "parametric_only"
 

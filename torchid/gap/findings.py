@@ -1,5 +1,6 @@
 """Accepted terms as a person and a file can use them: effects, joints, alternatives, shares."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,54 +36,65 @@ class Findings:
         parametric: corrections of inertial parameters.
         unresolved: (finding's term, best alternative) of those with a runner-up that is not an
             exact alias.
+        terms, of_terms: the solution's terms, and the entry of each.
     """
 
     effects: tuple[Finding, ...]
     parametric: tuple[Parametric, ...]
     unresolved: tuple[tuple[Term, Alternative], ...]
+    terms: tuple[Term, ...]
+    of_terms: tuple[Finding | Parametric, ...]
 
 
 def findings(solution: Solution) -> Findings:
     """Findings of a solution, each with what it cannot be told from."""
     problem = solution.problem
     search = Search(problem, list(solution.terms))
-    n = problem.y.shape[0]
     start = Search(problem, []).model().loss
-    last = search.model().loss
-    closable = max(start - problem.noise, start - last, 1e-12)
-    found: list[Finding] = []
-    inertial: list[Parametric] = []
+    entries: list[Finding | Parametric] = []
     unresolved = []
     for term in solution.terms:
         others = alternatives(search, term)
-        names = tuple(dict.fromkeys([*(a.name for a in others), *aliases(term, n)]))
-        gain = search.model(without=[term]).loss - last
-        share = gain / closable
-        p = search.p_value(term, gain)
-        if term.is_inertial:
-            links = term.effects[0].joints if term.name == LINK else ()
-            inertial.append(Parametric(links, share, p, names))
-            continue
-        values, std = solution.values_of(term)
-        first = (start - _alone(problem, term)) / closable
-        found.append(
-            Finding(
-                effect=term.effects[0],
-                values=tuple(values.tolist()),
-                joints=_joints(term, values, n),
-                ambiguous_with=names,
-                std=tuple(std.tolist()),
-                p_value=p,
-                share=share,
-                first=first,
-                notes=_notes(term, values, std),
-            )
-        )
+        entries.append(_entry(solution, search, term, others, start))
         apart = [a for a in others if float(separation(search, term, a.term).sum()) > SEPARABLE]
-        if apart:
+        if apart and not term.is_inertial:
             unresolved.append((term, apart[0]))
-    found.sort(key=lambda f: -f.share)
-    return Findings(tuple(found), tuple(inertial), tuple(unresolved))
+    found = [e for e in entries if isinstance(e, Finding)]
+    inertial = [e for e in entries if isinstance(e, Parametric)]
+    return Findings(
+        tuple(sorted(found, key=lambda f: -f.share)),
+        tuple(inertial),
+        tuple(unresolved),
+        solution.terms,
+        tuple(entries),
+    )
+
+
+def _entry(
+    solution: Solution, search: Search, term: Term, others: Sequence[Alternative], start: float
+) -> Finding | Parametric:
+    """What is told of one term; `start`: loss of the model as given."""
+    problem, n = solution.problem, solution.problem.y.shape[0]
+    last = search.model().loss
+    closable = max(start - problem.noise, start - last, 1e-12)
+    names = tuple(dict.fromkeys([*(a.name for a in others), *aliases(term, n)]))
+    gain = search.model(without=[term]).loss - last
+    p = search.p_value(term, gain)
+    if term.is_inertial:
+        links = term.effects[0].joints if term.name == LINK else ()
+        return Parametric(links, gain / closable, p, names)
+    values, std = solution.values_of(term)
+    return Finding(
+        effect=term.effects[0],
+        values=tuple(values.tolist()),
+        joints=_joints(term, values, n),
+        ambiguous_with=names,
+        std=tuple(std.tolist()),
+        p_value=p,
+        share=gain / closable,
+        first=(start - _alone(problem, term)) / closable,
+        notes=_notes(term, values, std),
+    )
 
 
 def _alone(problem: Any, term: Term) -> float:

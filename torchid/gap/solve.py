@@ -117,13 +117,18 @@ def solve(
         evaluator = latest
         terms = _all_retaken(terms, evaluator, fit.values[len(fixed) :], keep)
         banks = _renewed(banks, evaluator, change)
+    return settled(plain, problem, terms, task)
+
+
+def settled(plain: Evaluator, problem: Problem, terms: list[Term], task: Task) -> Solution:
+    """The corrected model of given terms, fitted on plain rows; terms that this fit does not
+    confirm leave, the weakest first."""
     while True:
-        found = _settled(plain, problem, terms, fit, task)
+        found = _settled(plain, problem, terms, fitted(problem, terms), task)
         weak = _weakest(found)
         if weak is None:
             return found
         terms = [t for t in terms if t is not weak]
-        fit = fitted(problem, terms)
 
 
 def _weakest(found: Solution) -> Term | None:
