@@ -153,7 +153,7 @@ def test_rollouts_are_told():
 def test_remarks_say_where_the_noise_is_from():
     said = remarks(diagnosis())
     assert "below 20 Hz" in said[0]
-    assert "no repeats of a trajectory" in said
+    assert "noise from the residual" in said[0]
 
 
 @pytest.mark.parametrize(
