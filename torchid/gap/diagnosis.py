@@ -109,6 +109,7 @@ class Finding:
         share: of the closable gap that is lost without it, the others refitted.
         first: of the closable gap that it closes alone.
         notes: sentences, e.g. a coefficient that is not determined.
+        common: whether one coefficient is common to all joints.
     """
 
     effect: Effect
@@ -120,6 +121,12 @@ class Finding:
     share: float
     first: float
     notes: tuple[str, ...] = ()
+    common: bool = False
+
+    @property
+    def located(self) -> tuple[int, ...]:
+        """Joints that the effect is at, from 0; none where it belongs to the whole arm."""
+        return () if self.common else self.effect.joints
 
     @property
     def valued(self) -> Valued:

@@ -94,6 +94,7 @@ def _entry(
         share=gain / closable,
         first=(start - _alone(problem, term)) / closable,
         notes=_notes(term, values, std),
+        common=len(term.effects) > 1,
     )
 
 

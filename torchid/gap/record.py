@@ -94,13 +94,14 @@ def finding_record(finding: Finding, robot: Robot) -> dict[str, Any]:
     own = {
         k: v for k, v in written.items() if k not in ("effect", "joint", "joints") and k[0] != "_"
     }
-    located = effect.joints or finding.joints
+    located = finding.located or finding.joints
     units = {c.name: unit_of(c.unit, located, robot) for c in effect.coefficients}
     units |= {s.name: unit_of(s.unit, located, robot) for s in effect.shapes}
     return {
         "effect": effect.name,
         "family": effect.family,
         "joints": [j + 1 for j in finding.joints],
+        "common": finding.common,
         "ambiguous_with": finding.ambiguous_with,
         "parameters": own,
         "p_value": finding.p_value,

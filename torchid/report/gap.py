@@ -110,7 +110,7 @@ def meaning_table(diagnosis: Diagnosis) -> Table:
     for name in dict.fromkeys(f.effect.name for f in diagnosis.findings):
         same = [f for f in diagnosis.findings if f.effect.name == name]
         kind = same[0].effect
-        notes = [f"{joints_words(f.effect.joints)}: {note}" for f in same for note in f.notes]
+        notes = [f"{joints_words(f.located)}: {note}" for f in same for note in f.notes]
         meaning = "\n".join([kind.meaning, *notes])
         table.add_row(effect_words(name), escape(meaning), escape(kind.remedy))
     if diagnosis.parametric:

@@ -67,7 +67,7 @@ def measure(value: float, std: float | None, unit: str) -> str:
 
 def coefficients(finding: Finding, robot: Robot) -> list[str]:
     """Every coefficient as `Fc = 0.61 ± 0.02 N m`."""
-    located = finding.effect.joints or finding.joints
+    located = finding.located or finding.joints
     spread = [*finding.std, *[None] * len(finding.values)]
     return [
         f"{c.name} = {measure(value, std, unit_of(c.unit, located, robot))}"
@@ -77,7 +77,7 @@ def coefficients(finding: Finding, robot: Robot) -> list[str]:
 
 def shapes(finding: Finding, robot: Robot) -> list[str]:
     """Every shape parameter as `vs = 0.1 rad/s`."""
-    located = finding.effect.joints or finding.joints
+    located = finding.located or finding.joints
     pairs = zip(finding.effect.shapes, finding.effect.shape_values, strict=True)
     return [f"{s.name} = {v:.4g} {unit_of(s.unit, located, robot)}".rstrip() for s, v in pairs]
 
@@ -118,7 +118,7 @@ def verdict(diagnosis: Diagnosis) -> str:
 
 def finding_words(finding: Finding, robot: Robot) -> str:
     """`joint 2 has Coulomb friction that the model lacks (0.61 ± 0.02 N m)`."""
-    place, name = joints_words(finding.effect.joints), with_article(finding.effect.name)
+    place, name = joints_words(finding.located), with_article(finding.effect.name)
     inner = _inner([finding], robot)
     if _known(finding, robot):
         return f"the model's {effect_words(finding.effect.name)} of {place} is off{inner}"
@@ -127,7 +127,7 @@ def finding_words(finding: Finding, robot: Robot) -> str:
 
 def group_words(findings: Sequence[Finding], robot: Robot) -> str:
     """One effect on several joints: `Coulomb friction on joints 1 and 2 (0.61 ± 0.02 N m, ...)`."""
-    joints = [j for f in findings for j in f.effect.joints]
+    joints = [j for f in findings for j in f.located]
     name = with_article(findings[0].effect.name)
     place = f" on {joints_words(joints)}" if joints else ""
     return f"{name}{place}{_inner(findings, robot)}"
@@ -153,7 +153,7 @@ def _inner(findings: Sequence[Finding], robot: Robot) -> str:
 
 def _known(finding: Finding, robot: Robot) -> bool:
     """Whether the model has this effect at this place already."""
-    places = [j + 1 for j in finding.effect.joints]
+    places = [j + 1 for j in finding.located]
     return any(
         r.get("effect") == finding.effect.name and (not places or r.get("joint") in places)
         for r in robot.effects
@@ -206,7 +206,7 @@ def _not_testable(d: Diagnosis) -> str:
 def _causes(d: Diagnosis) -> str:
     """All causes, one effect on several joints together, the largest first."""
     names = list(dict.fromkeys(f.effect.name for f in sorted(d.findings, key=lambda f: -f.share)))
-    by_joint = sorted(d.findings, key=lambda f: f.effect.joints)
+    by_joint = sorted(d.findings, key=lambda f: f.located)
     groups = [[f for f in by_joint if f.effect.name == name] for name in names]
     inertia = [_inertia(d.parametric)] if d.parametric else []
     if len(d.findings) == 1:
