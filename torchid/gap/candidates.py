@@ -17,7 +17,7 @@ from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect, Motion, Shape
 from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
 from torchid.effects.transient import Contact
-from torchid.gap.passages import Rows
+from torchid.gap.passages import Passage, Rows
 from torchid.gap.windows import best_windows
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -110,9 +110,9 @@ class Evaluator:
 
     def residual(self) -> Float[Tensor, "n N"]:
         """Whitened rows of the measured torque minus the model's."""
-        predicted = (model_torque(self.robot, self.effects, p.motion) for p in self.rows.passages)
-        pairs = zip(self.rows.passages, predicted, strict=True)
-        return self.on_all([(p.tau - tau).T for p, tau in pairs])
+        passages = self.rows.passages
+        predicted = (predicted_torque(self.robot, self.effects, p, self.rows) for p in passages)
+        return self.on_all([(p.tau - tau).T for p, tau in zip(passages, predicted, strict=True)])
 
     def on_joint(self, signals: Sequence[Tensor], joint: int) -> Float[Tensor, "*batch N"]:
         """Whitened rows (..., N) of signals (..., T_p) of a joint's torque, a few at a time."""
@@ -151,10 +151,7 @@ class Evaluator:
     def _smooth(self) -> list[Motion]:
         """Motion and torque low-passed like the rows: columns that differentiate the model's torque
         would otherwise be full of the encoder's noise, which the residual shares."""
-        return [
-            m._replace(**{k: self.rows.low_passed(getattr(m, k)) for k in SMOOTHED})
-            for m in self.motions
-        ]
+        return [smoothed(m, self.rows) for m in self.motions]
 
     @cached_property
     def _together(self) -> Motion:
@@ -374,6 +371,28 @@ SMOOTHED = ("q", "dq", "ddq", "torque")
 
 SHARED = ("time_delay", "torque_gain")
 """Effects of one joint that may be common to all: one cause explains them better than many."""
+
+
+def smoothed(motion: Motion, rows: Rows) -> Motion:
+    """A motion low-passed like the rows."""
+    return motion._replace(**{k: rows.low_passed(getattr(motion, k)) for k in SMOOTHED})
+
+
+def predicted_torque(
+    robot: Robot, effects: Sequence[Valued], passage: Passage, rows: Rows
+) -> Float[Tensor, "T n"]:
+    """Torque of a model along a passage. Effects that differentiate the model's torque see the
+    motion low-passed like the rows, as their columns do: twice differentiated, the encoder's noise
+    would be all that is left of them."""
+    rough = [p for p in effects if p[0].family in DIFFERENTIATING and "t" in p[0].needs]
+    others = [p for p in effects if not any(p is r for r in rough)]
+    tau = model_torque(robot, others, passage.motion)
+    if rough:
+        first, _ = in_rounds(effects)
+        load = model_torque(robot, first, passage.motion)
+        smooth = smoothed(passage.motion._replace(torque=load), rows)
+        tau = tau + sum(effect.all_torques(smooth, values, robot) for effect, values in rough)
+    return tau
 
 
 def _only(motion: Motion, own: slice) -> Motion:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.gap.blocks import mean_bound
 from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
 from torchid.typing import Float, Tensor
 
@@ -24,12 +25,14 @@ class Closing:
     Attributes:
         rms_before, rms_after: (n,) [N m; N].
         gap_ci95: of (L0 - Ln) / Ln.
+        improves: whether blocks after are better than before, beyond chance (one-sided 95 %).
         closed, closed_ci95: (L0 - L*) / (L0 - Ln); None where the gap's interval holds zero.
     """
 
     rms_before: Float[Tensor, " n"]
     rms_after: Float[Tensor, " n"]
     gap_ci95: Interval
+    improves: bool
     closed: float | None
     closed_ci95: Interval | None
 
@@ -53,6 +56,7 @@ def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
     draws = _draws(len(counts), seed)
+    improves = mean_bound(l0 - l1, 0.95) > 0
     total = counts.sum()
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
     ends = [counts * len(unit)]
@@ -61,12 +65,12 @@ def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
     gaps = [(l0 - ln)[draws].sum(1) / counts[draws].sum(1) for ln in ends]
     gap_ci = _interval(gaps[0])
     if not gap_ci[0] > 0:
-        return Closing(rms[0], rms[1], gap_ci, None, None)
+        return Closing(rms[0], rms[1], gap_ci, improves, None, None)
     shares = [(l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1) for ln in ends]
     intervals = [_interval(x) for x in shares]
     interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
     value = float((l0 - l1).sum() / (l0 - ends[0]).sum())
-    return Closing(rms[0], rms[1], gap_ci, value, interval)
+    return Closing(rms[0], rms[1], gap_ci, improves, value, interval)
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:

@@ -299,7 +299,7 @@ def _answer(
     found = findings(whole)
     whole, found, doubts = _stable(case, whole, found, models)
     far = closing(shown, floor, settings.seed)
-    if case.noise.repeated and not _shrinks(far):
+    if case.noise.repeated and not far.improves:
         lasting = [t for t in whole.terms if t.name in EVENTS]
         doubts += [f"{w}: not accepted" for w in _unconfirmed(whole)]
         whole = settled(case.plain, whole.problem, lasting, case.task)
@@ -362,11 +362,6 @@ def _stable(
     return whole, findings(whole), doubts
 
 
-def _shrinks(far: Closing) -> bool:
-    """Whether the gap is there and becomes smaller, on data used for no choice."""
-    return far.closed_ci95 is not None and far.closed_ci95[0] > 0
-
-
 def _unconfirmed(whole: Solution) -> list[str]:
     """What stood out on the data fitted and closes nothing on others."""
     return [
@@ -419,7 +414,7 @@ def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bo
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    if unexplained or not _shrinks(far):
+    if unexplained or not far.improves:
         return "detected_unexplained"
     return "explained" if found.effects else "parametric_only"
 

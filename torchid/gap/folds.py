@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.effects.registry import Valued, model_torque
+from torchid.effects.registry import Valued
+from torchid.gap.candidates import predicted_torque
 from torchid.gap.diagnosis import Trace
 from torchid.gap.passages import Rows
 from torchid.log.filtering import ZeroPhaseFilter
@@ -81,7 +82,7 @@ class Model:
 
     def torque(self, rows: Rows, k: int) -> Float[Tensor, "T n"]:
         """Torque along passage k."""
-        return model_torque(self.robot, self.effects, rows.passages[k].motion)
+        return predicted_torque(self.robot, self.effects, rows.passages[k], rows)
 
 
 def traces(

@@ -41,6 +41,8 @@ MISFITTED = 0.01
 to a few per cent. A smaller gain on the same rows is not told from it."""
 MISFITTED_BY_WINDOW = 0.03
 """The same for a contact: of hundreds of windows one is where the misfit is largest."""
+CLEAR_WINDOW = 150.0
+"""Whitened sum of squares beyond noise that a contact must explain."""
 WINDOWED = "contact"
 
 FEW_COLUMNS = 4
@@ -161,13 +163,23 @@ class Search:
             least = max(SMALL * left, share * self._largest_near(best.term))
             if best.gain < max(self.problem.threshold(best.df), least):
                 continue
-            dominant = best.gain > DOMINANT * left and self._misfits(model.loss)
+            dominant = best.gain > DOMINANT * left and self._misfits_at(best.term, model)
             if not (dominant and self.problem.whitened) and not self._holds_on_blocks(
                 best.term, model
             ):
                 continue
             return self._simplest(best, model)
         return None
+
+    def _misfits_at(self, term: Term, model: Projector) -> bool:
+        """Whether more than noise is left where a term acts; a contact, which is there for a moment
+        only, is clear by its gain."""
+        if term.name == WINDOWED:
+            return self._misfits(model.loss) or model.loss > self.problem.noise + CLEAR_WINDOW
+        if term.place is None:
+            return self._misfits(model.loss)
+        own = float(model.r[term.place].square().sum())
+        return own > MISFIT * self.problem.noise / self.problem.y.shape[0]
 
     def _misfits(self, loss: float) -> bool:
         """Whether more than noise is left."""
