@@ -45,25 +45,24 @@ def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
 
 
 def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
-    """Compare before and after block by block, blocks resampled together.
+    """Compare before and after block by block, blocks resampled together, while joints move.
 
     Without repeats the noise lies anywhere in its bracket: the interval of the closed share holds
     both ends.
     """
     blocks = [_blocks(t) for t in traces]
-    before, after = (torch.cat([b[k] for b in blocks]) for k in (0, 1))
-    counts = torch.cat([b[2] for b in blocks])
+    before, after, counts = (torch.cat([b[k] for b in blocks]) for k in (0, 1, 2))
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
     draws = _draws(len(counts), seed)
     improves = mean_bound(l0 - l1, 0.95) > 0
-    total = counts.sum()
+    total = counts.sum(0).clamp(min=1)
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
-    ends = [counts * len(unit)]
+    ends = [counts.sum(1)]
     if floor.source != "repeats":
-        ends.append(counts * float((floor.low.square() / unit).sum()))
-    gaps = [(l0 - ln)[draws].sum(1) / counts[draws].sum(1) for ln in ends]
-    gap_ci = _interval(gaps[0])
+        ends.append((counts * (floor.low.square() / unit)).sum(1))
+    rows = counts.sum(1)[draws].sum(1).clamp(min=1)
+    gap_ci = _interval((l0 - ends[0])[draws].sum(1) / rows)
     if not gap_ci[0] > 0:
         return Closing(rms[0], rms[1], gap_ci, improves, None, None)
     shares = [(l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1) for ln in ends]
@@ -81,12 +80,12 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
     """
     unit = noise_variance(floor)
 
-    def loss(parts: Sequence[Trace], which: str) -> float:
-        errors = torch.cat([(t.measured - getattr(t, which))[t.valid] for t in parts])
-        return float((errors.square().mean(0) / unit).sum())
+    def loss(parts: Sequence[Trace], which: int) -> float:
+        blocks = [_blocks(t) for t in parts]
+        return float(sum((b[which] / unit).sum() for b in blocks))
 
-    noise = float(len(unit))
-    l0, l1, last = loss(traces, "before"), loss(refitted, "after"), loss(traces, "after")
+    noise = float(sum(_blocks(t)[2].sum() for t in traces))
+    l0, l1, last = loss(traces, 0), loss(refitted, 1), loss(traces, 1)
     gap = l0 - noise
     if gap <= 0:
         return Budget(0.0, 0.0, 0.0)
@@ -95,17 +94,16 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
 
 
 def _blocks(trace: Trace) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums of squares (K, n) before and after, and counts (K,), of blocks of valid instants."""
+    """Sums of squares (K, n) before and after, and counts (K, n), of blocks of instants that
+    count."""
     length = max(1, round(BLOCK_SECONDS * trace.rate))
     count = max(1, round(len(trace.valid) / length))
     block = torch.arange(len(trace.valid)) * count // len(trace.valid)
-    out = []
-    for predicted in (trace.before, trace.after):
-        squared = (trace.measured - predicted).square() * trace.valid.unsqueeze(1)
-        sums = squared.new_zeros(count, squared.shape[1]).index_add_(0, block, squared)
-        out.append(sums)
-    counts = torch.zeros(count, dtype=torch.float64).index_add_(0, block, trace.valid.double())
-    return out[0], out[1], counts
+    mask = trace.counting.double()
+    squares = [(trace.measured - x).square() * mask for x in (trace.before, trace.after)]
+    zero = mask.new_zeros(count, mask.shape[1])
+    before, after, counts = (zero.index_add(0, block, x) for x in (*squares, mask))
+    return before, after, counts
 
 
 def _draws(count: int, seed: int) -> Tensor:

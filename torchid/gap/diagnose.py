@@ -293,8 +293,9 @@ def _answer(
     band = report_band(rows, settings.report_band)
     left = _noise(Model(whole.robot, whole.effects), case.given, settings, keep=case.keep)
     floor = left.report
-    shown = traces(rows, folds, models.before, models.after, band)
-    refitted = traces(rows, folds, models.before, models.refitted, band)
+    reversals = not case.noise.repeated
+    shown = traces(rows, folds, models.before, models.after, band, reversals=reversals)
+    refitted = traces(rows, folds, models.before, models.refitted, band, reversals=reversals)
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     whole, found, doubts = _stable(case, whole, found, models)

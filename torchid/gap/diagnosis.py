@@ -37,6 +37,8 @@ class Trace:
         measured, before, after: (T, n) torque [N m; N]: measured; of the model as given; of the
             model with the accepted effects, selected and fitted on other trajectories or blocks.
         valid: (T,) instants that count (edges and gaps between blocks do not).
+        moving: (T, n) instants at which each joint moves, and does not reverse where the noise is
+            known: only those count for how far the gap closes. None: all.
     """
 
     name: str
@@ -46,6 +48,13 @@ class Trace:
     before: Float[Tensor, "T n"]
     after: Float[Tensor, "T n"]
     valid: Bool[Tensor, " T"]
+    moving: Bool[Tensor, "T n"] | None = None
+
+    @property
+    def counting(self) -> Bool[Tensor, "T n"]:
+        """Instants of each joint that count for how far the gap closes."""
+        every = self.valid.unsqueeze(1).expand_as(self.measured)
+        return every if self.moving is None else every & self.moving
 
 
 @dataclass(frozen=True)
@@ -155,7 +164,8 @@ class HowFar:
     """RMS over all joints in the band of the report, each joint divided by nothing: N m (or N).
 
     Attributes:
-        rms_before, rms_after: (n,) on data used for no choice.
+        rms_before, rms_after: (n,) on data used for no choice, while the joint moves: at rest, and
+            where it may stick, friction can be anything.
         closed: closed fraction of the closable gap, (L0 - L*) / (L0 - Ln), joints weighted by
             their noise; None where the gap's interval holds zero.
         closed_ci95: over blocks of whole trajectories or contiguous stretches.

@@ -12,7 +12,7 @@ import torch
 from torchid.effects.registry import Valued
 from torchid.gap.candidates import predicted_torque
 from torchid.gap.diagnosis import Trace
-from torchid.gap.passages import Rows
+from torchid.gap.passages import Rows, moving_instants
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Int, Tensor
@@ -86,7 +86,13 @@ class Model:
 
 
 def traces(
-    rows: Rows, folds: Folds | None, before: Sequence[Model], after: Sequence[Model], band: float
+    rows: Rows,
+    folds: Folds | None,
+    before: Sequence[Model],
+    after: Sequence[Model],
+    band: float,
+    *,
+    reversals: bool = True,
 ) -> list[Trace]:
     """Torque before and after along every passage, each instant by the models of its own fold.
 
@@ -95,6 +101,7 @@ def traces(
         folds: None where all passages are held out from one pair of models.
         before, after: one model a fold.
         band: low-pass of what is reported [Hz].
+        reversals: whether reversals count for how far the gap closes.
     """
     out = []
     for k, passage in enumerate(rows.passages):
@@ -114,8 +121,18 @@ def traces(
         valid = torch.zeros(passage.samples, dtype=torch.bool)
         valid[edge : passage.samples - edge] = True
         measured, *both = (_low(x, passage.rate, band) for x in (passage.tau, *predicted))
+        moving = moving_instants(passage, rows.cutoff, reversals=reversals)
         out.append(
-            Trace(passage.name, passage.rate, passage.motion, measured, both[0], both[1], valid)
+            Trace(
+                passage.name,
+                passage.rate,
+                passage.motion,
+                measured,
+                both[0],
+                both[1],
+                valid,
+                moving,
+            )
         )
     return out
 

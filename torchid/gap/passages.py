@@ -187,6 +187,15 @@ def row_masks(
     return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
+def moving_instants(p: Passage, cutoff: float, *, reversals: bool) -> Bool[Tensor, "T n"]:
+    """Instants (T, n) at which a joint moves, without those that a reversal reaches where these do
+    not count. All of a joint's, if it hardly moves."""
+    moving = p.motion.dq.abs() > RESTING
+    if not reversals:
+        moving = moving & ~_turns(p, cutoff)
+    return moving | (moving.double().mean(0) < 0.1)
+
+
 def _turns(p: Passage, cutoff: float) -> Bool[Tensor, "T n"]:
     """Instants that a reversal of the joint reaches through the filter, and twice as far around a
     dwell, during which friction can be far from any law."""

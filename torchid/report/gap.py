@@ -168,8 +168,8 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
     """What to know about the tables, one sentence each."""
     known = "repeats of a trajectory" if diagnosis.floor.source == "repeats" else "the residual"
     out = [
-        f"How far: on data used for no choice, below {diagnosis.band:g} Hz; the fit is below "
-        f"{diagnosis.cutoff:g} Hz; noise from {known}."
+        f"How far: on data used for no choice, while each joint moves, below {diagnosis.band:g} "
+        f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}."
     ]
     return [*out, *(diagnosis.how_far.rollout or {}).get("sentences", ())]
 
