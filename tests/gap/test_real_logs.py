@@ -1,0 +1,63 @@
+"""The diagnosis on logs of real arms, which are not part of the project."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from torchid.gap.diagnose import diagnose
+from torchid.gap.settings import GapSettings
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+
+UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+
+
+def _folder() -> Path:
+    named = os.environ.get("TORCHID_REAL_DATA")
+    return Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+FOLDER = _folder()
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.usefixtures("types_unchecked"),
+    pytest.mark.skipif(not FOLDER.exists(), reason=f"no real logs in {FOLDER}"),
+]
+
+
+def test_a_pandas_wrist_slides_before_it_moves():
+    """Its last 40 % take part in no choice; the effect on joint 7 is most of the gap."""
+    found = diagnose(
+        load_robot(str(FOLDER / "panda_gaz" / "robot.yaml")),
+        read_log(FOLDER / "panda_gaz" / "log_exciting_traj1.parquet"),
+        settings=GapSettings(background=FRICTION, held_out_fraction=0.4, rollout=False),
+    )
+    best = found.findings[0]
+    assert (best.effect.name, best.joints) == ("presliding_hysteresis", (6,))
+    assert float(found.how_far.rms_after[6]) < 0.6 * float(found.how_far.rms_before[6])
+    assert any("no inertial parameters" in w for w in found.warnings)
+
+
+def test_a_payload_is_named_and_weighed():
+    """The UR10e without and with 2.6 kg, three weeks apart."""
+
+    def log(name: str) -> Log:
+        gains = torch.tensor(UR10E_GAINS, dtype=torch.float64)
+        return read_log(FOLDER / "ur10e" / f"log_{name}.parquet").with_torque(gains)
+
+    settings = GapSettings(parameters="free", background=FRICTION, rollout=False)
+    empty = diagnose(
+        load_robot(str(FOLDER / "ur10e" / "robot.urdf")), log("unloaded_dec23"), settings=settings
+    )
+    loaded = diagnose(
+        empty.corrected, log("loaded_2p6kg_jan13"), settings=GapSettings(rollout=False)
+    )
+    best = max(loaded.findings, key=lambda f: f.first)
+    assert best.effect.name == "payload"
+    mass, std = best.values[0], best.std[0]
+    assert abs(mass / 2.6 - 1) < 0.1
+    assert 0 < std < 0.2
