@@ -73,7 +73,7 @@ def gap_command(
     ] = None,
     max_effects: Annotated[
         int, typer.Option(min=1, help="Number of effects accepted at most.")
-    ] = 40,
+    ] = 20,
     rollout: Annotated[
         bool,
         typer.Option(

@@ -68,6 +68,7 @@ class Search:
     terms: list[Term] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self._left: set[tuple[str, Place, tuple[str, ...]]] = set()
         self._accepted: dict[tuple[str, Place, tuple[str, ...]], float] = {}
         self.scanners = [Scanner(bank, self.problem.keep) for bank in self.problem.banks]
 
@@ -98,6 +99,8 @@ class Search:
             found = _best_member(scanner, model)
             if found is None or (found.term.key in present and found.term.effects):
                 continue
+            if found.term.key in self._left:  # or the search would go round in circles
+                continue
             if found.gain > 0.5 * self.problem.threshold(found.df):
                 found = replace(found, term=self.problem.masked(found.term))
             out.append(found)
@@ -119,6 +122,11 @@ class Search:
         self._drop_doubtful()
         return self.terms
 
+    def _leave(self, term: Term) -> None:
+        """A term leaves for good."""
+        self.terms = [t for t in self.terms if t is not term]
+        self._left.add(term.key)
+
     def _drop_doubtful(self) -> None:
         """Without a known noise, terms that others have made doubtful leave, the weakest first."""
         while not self.problem.whitened and self.terms:
@@ -131,7 +139,7 @@ class Search:
             worst = max(self.terms, key=lambda t: left.get(id(t), 0.0))
             if left.get(id(worst), 0.0) <= DOUBTFUL:
                 return
-            self.terms = [t for t in self.terms if t is not worst]
+            self._leave(worst)
 
     def _parts(self, chosen: Candidate) -> list[Term]:
         """A composite enters as its parts."""
@@ -282,7 +290,7 @@ class Search:
             without = self.model(without=[term])
             own = _best_member(Scanner(_bank_of(term), self.problem.keep), without)
             if own is None or own.gain < self.problem.threshold(own.df):
-                self.terms = [t for t in self.terms if t is not term]
+                self._leave(term)
                 continue
             self._swap(term, own, without)
 
@@ -295,6 +303,7 @@ class Search:
         if better and self.significantly_better(better[0].term, term, without):
             chosen = self._simplest(better[0], without)
             if chosen.term.key != term.key and chosen.term.name != FRICTION:
+                self._left.add(term.key)
                 self.terms.append(self._refined(chosen.term))
                 return
         self.terms = kept

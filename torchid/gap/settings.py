@@ -37,7 +37,7 @@ class GapSettings:
     report_band: float = 20.0
     alpha: float = 0.01
     folds: int = 5
-    max_effects: int = 40
+    max_effects: int = 20
     held_out_fraction: float = 0.0
     rollout: bool = True
     seed: int = 0

@@ -122,34 +122,31 @@ def solve(
 
 def settled(plain: Evaluator, problem: Problem, terms: list[Term], task: Task) -> Solution:
     """The corrected model of given terms, fitted on plain rows; terms that this fit does not
-    confirm leave, the weakest first."""
+    confirm leave: hopeless ones together, then the weakest one at a time."""
     while True:
         found = _settled(plain, problem, terms, fitted(problem, terms), task)
-        weak = _weakest(found)
-        if weak is None:
+        sizes = {id(t): _significance(found, t) for t in found.terms}
+        weakest = min(sizes.values(), default=torch.inf)
+        if weakest >= SIGNIFICANT:
             return found
-        terms = [t for t in terms if t is not weak]
+        limit = max(weakest, 0.5 * SIGNIFICANT)
+        terms = [t for t in terms if sizes[id(t)] > limit]
 
 
-def _weakest(found: Solution) -> Term | None:
-    """A term that the fit on plain rows does not confirm: no coefficient differs from zero, or one
-    that makes it what it is does not, or has a sign that physics forbids."""
-    worst, least = None, SIGNIFICANT
-    for term in found.terms:
-        if term.is_inertial:
-            continue
-        values, std = found.values_of(term)
-        ratio = values.abs() / std.clamp(min=1e-300)
-        signed = torch.tensor([c.non_negative for c in term.coefficients])
-        known = values.new_tensor(term.known or (0.0,) * len(values))
-        ratio = torch.where(signed & (values < -known), -ratio, ratio)
-        needed = [float(ratio[k]) for k in term.effects[0].essential]
-        if bool((ratio < -SIGNIFICANT).any()):
-            needed.append(-torch.inf)
-        size = min([float(ratio.max()), *needed])
-        if size < least:
-            worst, least = term, size
-    return worst
+def _significance(found: Solution, term: Term) -> float:
+    """Standard deviations by which a term's coefficients differ from zero: of the clearest one, or
+    of the one that makes the effect what it is; none where a sign is forbidden by physics."""
+    if term.is_inertial:
+        return torch.inf
+    values, std = found.values_of(term)
+    ratio = values.abs() / std.clamp(min=1e-300)
+    signed = torch.tensor([c.non_negative for c in term.coefficients])
+    known = values.new_tensor(term.known or (0.0,) * len(values))
+    ratio = torch.where(signed & (values < -known), -ratio, ratio)
+    needed = [float(ratio[k]) for k in term.effects[0].essential]
+    if bool((ratio < -SIGNIFICANT).any()):
+        needed.append(-torch.inf)
+    return min([float(ratio.max()), *needed])
 
 
 def _settled(
