@@ -300,7 +300,8 @@ def _answer(
     found = findings(whole)
     whole, found, doubts = _stable(case, whole, found, models)
     far = closing(shown, floor, settings.seed)
-    if case.noise.repeated and not far.improves:
+    # A held-out log takes part in no choice, this one neither.
+    if folds is not None and case.noise.repeated and not far.improves:
         lasting = [t for t in whole.terms if t.name in EVENTS]
         doubts += [f"{w}: not accepted" for w in _unconfirmed(whole)]
         whole = settled(case.plain, whole.problem, lasting, case.task)
