@@ -303,6 +303,11 @@ class ModelEffect(Effect):
 
     needs: ClassVar[frozenset[str]] = frozenset({"robot"})
 
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """None: it belongs to the whole arm, unless it says where it is."""
+        return ()
+
     @classmethod
     def candidates(cls, robot: "Robot") -> "list[ModelEffect]":
         """One instance a place of the arm where it can be, with the first shapes of the grid."""

@@ -50,11 +50,6 @@ class BaseTilt(ModelEffect):
         "eq. 2.11, linear in gravity; Featherstone 2008, Rigid Body Dynamics Algorithms, 5.3"
     )
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """None: it belongs to the whole arm."""
-        return ()
-
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
         """One, where there is gravity."""

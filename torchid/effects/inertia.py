@@ -63,11 +63,6 @@ class Payload(ModelEffect):
         "parameters of industrial manipulators, ICRA"
     )
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """None: it belongs to the whole arm."""
-        return ()
-
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
     ) -> Float[Tensor, "*batch n C"]:

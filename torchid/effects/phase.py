@@ -89,11 +89,6 @@ class FilterLag(ModelEffect):
         "power model, ICRA, on zero-phase filtering of dq and ddq"
     )
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """None: it belongs to the whole arm."""
-        return ()
-
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
     ) -> Float[Tensor, "*batch n C"]:

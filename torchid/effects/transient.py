@@ -96,11 +96,6 @@ class Contact(ModelEffect):
         "isolation, and identification, IEEE Trans. Robotics 33(6), eq. 5"
     )
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """None: it belongs to the whole arm."""
-        return ()
-
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
     ) -> Float[Tensor, "*batch n C"]:

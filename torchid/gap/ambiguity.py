@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from torchid.gap.blocks import block_sums, mean_bound
 from torchid.gap.problem import BASE, FRICTION, LINK, PENALTY, Candidate, Term
-from torchid.gap.projection import Projector
 from torchid.gap.select import Search
 from torchid.typing import Float, Tensor
 
@@ -46,7 +45,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
     search.terms = [t for t in kept if t is not term]
     candidates = search.candidates(without)
     search.terms = kept
-    own = _losses(search, term, without)
+    own = search.block_losses(term, without)
     gain = float((block_sums(without.r.square().sum(0), search.problem.block) - own).sum())
     most = len(term.columns) + MORE_COLUMNS
     out: dict[str, Alternative] = {}
@@ -54,7 +53,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
         name = other.term.name
         if name == BASE and not term.is_inertial:
             # Refitted parameters would do as well: the effect stands only if they are trusted.
-            worse = _losses(search, other.term, without) - own
+            worse = search.block_losses(other.term, without) - own
             if mean_bound(worse, CONFIDENCE) <= 0 or float(worse.sum()) < NEGLIGIBLE * gain:
                 out.setdefault(LINK, Alternative(LINK, other.term, other.gain, float(worse.mean())))
             continue
@@ -64,7 +63,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
             continue
         if name != LINK and len(other.term.columns) > most:
             continue
-        worse = _losses(search, other.term, without) - own
+        worse = search.block_losses(other.term, without) - own
         found = _not_worse(worse, gain, other, term)
         if found:
             out[name] = Alternative(name, other.term, other.gain, float(worse.mean()))
@@ -83,10 +82,6 @@ def _not_worse(worse: Float[Tensor, " K"], gain: float, other: Candidate, term: 
 def _same_place(term: Term, other: Term) -> bool:
     """Alternatives act where the accepted effect does: on its joint, or on several."""
     return term.place is None or other.place is None or term.place == other.place
-
-
-def _losses(search: Search, term: Term, without: Projector) -> Float[Tensor, " K"]:
-    return search.block_losses(term, without)
 
 
 def aliases(term: Term, n: int) -> tuple[str, ...]:

@@ -311,6 +311,12 @@ class Evaluator:
             EXTRA.get(name, 0.0),
         )
 
+    def link_bank(self, effect: Effect, link: int) -> Bank:
+        """An effect that is a change of one link's ten parameters."""
+        first = link * PARAMETERS_PER_LINK
+        numbers = range(first, first + PARAMETERS_PER_LINK)
+        return self.rigid_bank(effect.name, (effect,), numbers)
+
     def grid(self, kind: type[JointEffect], joint: int) -> Float[Tensor, "S P"]:
         """Values of the shape parameters tried at first, one combination a row."""
         if kind.name == "cogging":

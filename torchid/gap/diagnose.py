@@ -20,7 +20,7 @@ from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise, noise_of
 from torchid.gap.passages import Rows
-from torchid.gap.prepare import Prepared, prepare, report_band
+from torchid.gap.prepare import SAME_RATE, Prepared, prepare, report_band
 from torchid.gap.problem import Term
 from torchid.gap.select import Search
 from torchid.gap.settings import GapSettings
@@ -50,9 +50,6 @@ EVENTS = ("contact", "dropped_samples")
 
 SHORTEST = 8.0
 """Seconds of rows below which `no gap` cannot be said."""
-
-SAME_RATE = 0.02
-"""Relative difference of two sampling rates that count as one."""
 
 Progress = Callable[[str, int, int], None]
 

@@ -1,12 +1,12 @@
 """Least squares of accepted terms together, with standard deviations from the spread of blocks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 
 from torchid.gap.problem import BASE, Problem, Term
-from torchid.gap.projection import VISIBLE
+from torchid.gap.projection import VISIBLE, in_all_rows
 from torchid.typing import Float, Tensor
 
 DETERMINED = 1e-7
@@ -45,12 +45,13 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     blocks as clusters).
     """
     both = (*problem.fixed, *terms)
-    n, count = problem.y.shape
+    n = problem.y.shape[0]
     if not both:
         return Fit((), (), float(problem.y.square().sum()))
-    frame = rows_of_all(n, count)
     bases = [_strong_directions(t) for t in both]
-    a = torch.cat([basis @ frame(t) for t, basis in zip(both, bases, strict=True)])
+    a = torch.cat(
+        [basis @ in_all_rows(t.columns, t.place, n) for t, basis in zip(both, bases, strict=True)]
+    )
     size = a.norm(dim=1).clamp(min=1e-300)
     a = a / size.unsqueeze(1)
     values, vectors = torch.linalg.eigh(a @ a.T)
@@ -90,16 +91,3 @@ def _diagonal_blocks(matrix: Tensor, lengths: Sequence[int]) -> list[Tensor]:
     return [
         matrix[a : a + length, a : a + length] for a, length in zip(starts, lengths, strict=True)
     ]
-
-
-def rows_of_all(n: int, count: int) -> Callable[[Term], Tensor]:
-    """From a term to its columns in the rows of all joints."""
-
-    def full(term: Term) -> Tensor:
-        if term.place is None:
-            return term.columns
-        out = term.columns.new_zeros(len(term.columns), n, count)
-        out[:, term.place] = term.columns
-        return out.flatten(1)
-
-    return full

@@ -21,7 +21,8 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from torchid.gap.blocks import block_numbers, block_sums
-from torchid.gap.passages import RESTING, Passage, Rows
+from torchid.gap.passages import Passage, Rows
+from torchid.identification.motion import MOVING
 from torchid.typing import Bool, Float, Int, Signals, Tensor
 
 FOLDS = 5
@@ -149,7 +150,7 @@ def _since_reversal(p: Passage, joint: int) -> tuple[Tensor, Tensor]:
     """Time [s] and displacement since the joint last turned, or since the beginning."""
     q, dq = p.motion.q[:, joint], p.motion.dq[:, joint]
     index = torch.arange(len(q))
-    last = torch.cummax(torch.where(dq.abs() > RESTING, index, 0), 0).values
+    last = torch.cummax(torch.where(dq.abs() > MOVING, index, 0), 0).values
     direction = torch.sign(dq)[last]
     turned = torch.nn.functional.pad(direction.diff() != 0, (1, 0))
     since = torch.cummax(torch.where(turned, index, 0), 0).values

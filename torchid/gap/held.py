@@ -12,7 +12,8 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
-from torchid.gap.passages import RESTING, Passage
+from torchid.gap.passages import Passage
+from torchid.identification.motion import MOVING
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
@@ -112,7 +113,7 @@ def _held(
     # The last run has no end.
     jumps = torch.nn.functional.pad(steps > JUMP * quantum, (0, 1), value=False)
     extreme = (values == tau.max()) | (values == tau.min())
-    total = torch.nn.functional.pad((speed > RESTING).cumsum(0), (1, 0))
+    total = torch.nn.functional.pad((speed > MOVING).cumsum(0), (1, 0))
     moving = 2 * (total[starts + lengths] - total[starts]) > lengths
     candidate = (lengths >= FEWEST) & jumps & ~extreme & moving
     probability = _equal_by_chance(tau, starts, lengths, candidate)

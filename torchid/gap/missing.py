@@ -43,7 +43,6 @@ class WhiteRows:
     ):
         self._whitener = whitener
         self._size = size
-        self._keep = keep
         self._clusters = [_clusters(whitener, j, own) for j, own in enumerate(keep)]
 
     def __call__(self, x: Float[Tensor, "*batch N"], joint: int) -> Float[Tensor, "*batch N"]:

@@ -15,7 +15,7 @@ from functools import cached_property
 import torch
 
 from torchid.effects.base import Motion
-from torchid.identification.motion import Measurement
+from torchid.identification.motion import MOVING, Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.typing import Bool, Float, Signals, Tensor
 
@@ -38,9 +38,6 @@ NEVER = 1e-3
 
 STOP = 0.1
 """Time at less than half the resting speed that makes a dwell [s]."""
-
-RESTING = 0.02
-"""|dq| below which a joint's friction is undetermined [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +177,7 @@ def row_masks(
     keeps them all: what holds it is then most of what is known about it.
     """
     q = torch.cat([p.motion.q for p in rows.passages])
-    moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > RESTING
+    moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > MOVING
     turning = rows.pick([_turns(p, rows.cutoff) for p in rows.passages]).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
     hardly = (moving & ~turning).double().mean(1) < 0.1
@@ -190,7 +187,7 @@ def row_masks(
 def moving_instants(p: Passage, cutoff: float, *, reversals: bool) -> Bool[Tensor, "T n"]:
     """Instants (T, n) at which a joint moves, without those that a reversal reaches where these do
     not count. All of a joint's, if it hardly moves."""
-    moving = p.motion.dq.abs() > RESTING
+    moving = p.motion.dq.abs() > MOVING
     if not reversals:
         moving = moving & ~_turns(p, cutoff)
     return moving | (moving.double().mean(0) < 0.1)
@@ -202,7 +199,7 @@ def _turns(p: Passage, cutoff: float) -> Bool[Tensor, "T n"]:
     sign = torch.sign(p.motion.dq)
     turns = torch.zeros_like(sign)
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
-    slow = (p.motion.dq.abs() < 0.5 * RESTING).to(sign)
+    slow = (p.motion.dq.abs() < 0.5 * MOVING).to(sign)
     dwells = 1 - widened(1 - slow, 0.5 * STOP * p.rate)
     near = widened(turns, REACH / cutoff * p.rate)
     return (near + widened(dwells, 2 * REACH / cutoff * p.rate)) > 0

@@ -25,6 +25,9 @@ WIDE_BAND = 40.0
 REVERSAL = 0.004
 """Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
 
+SAME_RATE = 0.02
+"""Relative difference of two sampling rates that count as one."""
+
 SHORTEST = 12.0
 """Length of the shortest passage, in periods of the cut-off."""
 
@@ -79,7 +82,7 @@ def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
     """
     rates = sampling_rate(log)
     rate = min(rates)
-    if max(rates) > 1.02 * rate:
+    if max(rates) > (1 + SAME_RATE) * rate:
         listed = ", ".join(f"{n} {r:.4g} Hz" for n, r in zip(log.names, rates, strict=True))
         raise LogError(
             "the logs have different sampling rates.",

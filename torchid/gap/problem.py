@@ -7,9 +7,7 @@ from functools import cached_property
 from scipy.stats import chi2
 
 from torchid.effects.base import Coefficient, Effect
-from torchid.gap.blocks import (
-    block_numbers,
-)
+from torchid.gap.blocks import block_numbers
 from torchid.gap.candidates import Bank, Place
 from torchid.gap.projection import NOISE
 from torchid.typing import Bool, Float, Int, Tensor
@@ -17,25 +15,15 @@ from torchid.typing import Bool, Float, Int, Tensor
 PHI = 1.3
 """Factor on chi^2: the whitener is estimated, and noise is not exactly Gaussian."""
 
-
 PENALTY = 4.0
 """Of each column, in whitened squared units."""
 
-
 BLOCK_SECONDS = 2.0
-
-
 FEWEST_BLOCKS = 20
 
-
 BASE = "all_base"
-
-
 LINK = "link_inertia"
-
-
 FRICTION = "coulomb_friction+viscous_friction"
-
 
 RANK = {
     name: k
@@ -82,6 +70,11 @@ class Term:
     def is_inertial(self) -> bool:
         """Whether it corrects the model's own parameters."""
         return self.name in (BASE, LINK)
+
+    def scaled(self, rows: Tensor) -> "Term":
+        """The term with every row times that of (n, N) `rows`: weights, or a mask."""
+        own = rows.flatten() if self.place is None else rows[self.place]
+        return replace(self, columns=self.columns * own)
 
     @property
     def key(self) -> tuple[str, Place, tuple[str, ...]]:
@@ -190,11 +183,6 @@ class Problem:
         return block_numbers(
             self.bounds, round(max(2, min(BLOCK_SECONDS / self.interval, longest)))
         )
-
-    def masked(self, term: Term) -> Term:
-        """The term with the rows that do not count at zero."""
-        rows = self.keep.flatten() if term.place is None else self.keep[term.place]
-        return replace(term, columns=term.columns * rows)
 
     def blocks_of(self, place: Place) -> Int[Tensor, " R"]:
         """Block of each row of a place."""

@@ -68,7 +68,7 @@ class Projector:
         self, columns: Float[Tensor, "C R"], place: int | None, visible: float = VISIBLE
     ) -> None:
         """Columns join the model: the directions of which at least `visible` is not yet in it."""
-        full = self.full(columns, place)
+        full = in_all_rows(columns, place, self.n)
         size = full.norm(dim=1, keepdim=True)
         full = full[(size > 0).flatten()] / size[size > 0].unsqueeze(-1)
         for _ in range(2):  # once more: classical Gram-Schmidt loses digits
@@ -80,14 +80,6 @@ class Projector:
         flat = self.r.flatten()
         self.r = (flat - (flat @ self.q.T) @ self.q).reshape(self.n, self.count)
 
-    def full(self, columns: Float[Tensor, "C R"], place: int | None) -> Float[Tensor, "C nN"]:
-        """Columns with zeros in the rows of other joints."""
-        if place is None:
-            return columns
-        out = columns.new_zeros(columns.shape[0], self.n, self.count)
-        out[:, place] = columns
-        return out.flatten(1)
-
     @property
     def loss(self) -> float:
         """Sum of squares."""
@@ -98,6 +90,15 @@ class Projector:
         if place is None:
             return slice(0, self.n * self.count)
         return slice(place * self.count, (place + 1) * self.count)
+
+
+def in_all_rows(columns: Float[Tensor, "C R"], place: int | None, n: int) -> Float[Tensor, "C nN"]:
+    """Columns of one joint's rows with zeros in those of the other n - 1."""
+    if place is None:
+        return columns
+    out = columns.new_zeros(columns.shape[0], n, columns.shape[1])
+    out[:, place] = columns
+    return out.flatten(1)
 
 
 class Scanner:

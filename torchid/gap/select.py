@@ -19,7 +19,7 @@ from torchid.gap.blocks import (
 )
 from torchid.gap.candidates import Bank, Place
 from torchid.gap.problem import FRICTION, PENALTY, Candidate, Problem, Term, term_of
-from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner
+from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner, in_all_rows
 from torchid.typing import Float, Tensor
 
 TRIED = 30
@@ -27,7 +27,6 @@ TRIED = 30
 
 FINEST = 7
 """Times a shape is searched around the best one, each time more closely."""
-
 
 DOMINANT = 0.25
 """A gain above this share of what is left needs no test on blocks, for its energy may sit in few;
@@ -102,7 +101,7 @@ class Search:
             if found.term.key in self._left:  # or the search would go round in circles
                 continue
             if found.gain > 0.5 * self.problem.threshold(found.df):
-                found = replace(found, term=self.problem.masked(found.term))
+                found = replace(found, term=found.term.scaled(self.problem.keep))
             out.append(found)
         return sorted(out, key=lambda c: -c.score)
 
@@ -259,7 +258,7 @@ class Search:
 
     def _projected(self, term: Term, model: Projector) -> tuple[Tensor, Tensor, Tensor]:
         """A term's columns beside a model, the residual, and the block of each row."""
-        columns = model.full(term.columns, term.place)
+        columns = in_all_rows(term.columns, term.place, model.n)
         rows = model.rows_of(term.place)
         columns = (columns - (columns @ model.q.T) @ model.q)[:, rows]
         columns = columns / columns.norm(dim=1, keepdim=True).clamp(min=1e-300)
@@ -276,7 +275,7 @@ class Search:
             found = None if bank is None else _best_member(Scanner(bank, self.problem.keep), model)
             if found is None:
                 break
-            term, last, gain = self.problem.masked(found.term), gain, found.gain
+            term, last, gain = found.term.scaled(self.problem.keep), gain, found.gain
             if level > 1 and gain - last < 1.0:
                 break
         return term

@@ -15,11 +15,12 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import Valued
 from torchid.effects.transient import Contact
 from torchid.gap.candidates import Bank, Evaluator
-from torchid.gap.fit import Fit, fitted, huber_weights, rows_of_all
+from torchid.gap.fit import Fit, fitted, huber_weights
 from torchid.gap.problem import BASE, FRICTION, LINK, Problem, Term, term_of
+from torchid.gap.projection import in_all_rows
 from torchid.gap.select import Search
 from torchid.gap.task import Task, fixed_terms
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Tensor
 
@@ -88,7 +89,7 @@ def solve(
     keep = (torch.ones_like(keep[0]) if folds is None else folds).expand_as(keep)
     y = start.residual() * keep
     evaluator = start
-    fixed = tuple(_mask(t, keep) for t in fixed_terms(start, task))
+    fixed = tuple(t.scaled(keep) for t in fixed_terms(start, task))
     terms: list[Term] = []
     for attempt in range(PASSES + 1):
         problem = Problem(
@@ -104,13 +105,11 @@ def solve(
             task.alpha,
             task.seed,
         )
-        search = Search(problem, terms)
-        terms = search.run(task.most)
-        fit = fitted(problem, terms)
-        robot, effects = corrected(start, problem.fixed, terms, fit, task)
+        terms = Search(problem, terms).run(task.most)
         if attempt == PASSES or not terms:
             break
-        latest = start.with_model(robot, effects)
+        fit = fitted(problem, terms)
+        latest = start.with_model(*corrected(start, problem.fixed, terms, fit, task))
         change = _change(evaluator, latest, len(start.effects))
         if not change and attempt > 0:
             break
@@ -155,7 +154,7 @@ def _settled(
     """Coefficients fitted on plain rows, by Gauss-Newton steps on the residual of the corrected
     model itself: what is nonlinear in several coefficients at once (a gain on refitted parameters)
     settles."""
-    fixed = tuple(_mask(t, problem.keep) for t in fixed_terms(plain, task))
+    fixed = tuple(t.scaled(problem.keep) for t in fixed_terms(plain, task))
     own = replace(problem, fixed=fixed)
     evaluator = plain.with_model(*corrected(plain, fixed, terms, fit, task))
     taken = [_plain(t, evaluator, problem.keep, task) for t in terms]
@@ -164,7 +163,7 @@ def _settled(
     values = tuple(torch.zeros_like(v) for v in fit.values)
     best: Solution | None = None
     for k in range(SETTLING):
-        step = fitted(_weighted(own, r, weight), [_scaled(t, weight) for t in taken])
+        step = fitted(_weighted(own, r, weight), [t.scaled(weight) for t in taken])
         values = tuple(v + d for v, d in zip(values, step.values, strict=True))
         moved = Fit(values, step.std, step.loss)
         robot, effects = corrected(plain, fixed, taken, moved, task)
@@ -182,46 +181,31 @@ def _settled(
 
 
 def _weighted(problem: Problem, r: Tensor, weight: Tensor) -> Problem:
-    fixed = tuple(_scaled(t, weight) for t in problem.fixed)
+    fixed = tuple(t.scaled(weight) for t in problem.fixed)
     return replace(problem, y=weight * r, fixed=fixed)
-
-
-def _scaled(term: Term, weight: Tensor) -> Term:
-    rows = weight.flatten() if term.place is None else weight[term.place]
-    return replace(term, columns=term.columns * rows)
 
 
 def _plain(term: Term, evaluator: Evaluator, keep: Tensor, task: Task) -> Term:
     """A term's columns in rows that are not whitened."""
     if term.name == BASE:
-        other = term_of(evaluator.rigid_bank(BASE, (), task.independent))
+        columns = term_of(evaluator.rigid_bank(BASE, (), task.independent)).columns
     elif term.name in (LINK, "payload"):
-        n, k = evaluator.n, PARAMETERS_PER_LINK
-        link = term.effects[0].joints[0] if term.name == LINK else n - 1
-        numbers = range(link * k, (link + 1) * k)
-        other = term_of(evaluator.rigid_bank(term.name, term.effects, list(numbers)))
+        link = term.effects[0].joints[0] if term.name == LINK else evaluator.n - 1
+        columns = term_of(evaluator.link_bank(term.effects[0], link)).columns
     elif len(term.effects) > 1:
-        other = term_of(evaluator.shared_bank(type(term.effects[0]), term.effects))  # type: ignore[arg-type]
+        columns = term_of(evaluator.shared_bank(type(term.effects[0]), term.effects)).columns  # type: ignore[arg-type]
     else:
         place, columns = evaluator.columns(term.effects[0])
         if place != term.place:
-            columns = rows_of_all(evaluator.n, len(evaluator.rows))(
-                replace(term, place=place, columns=columns)
-            )
-        other = replace(term, columns=columns)
-    return _mask(replace(term, columns=other.columns), keep)
+            columns = in_all_rows(columns, place, evaluator.n)
+    return replace(term, columns=columns).scaled(keep)
 
 
 def _all_retaken(
     terms: Sequence[Term], evaluator: Evaluator, values: Sequence[Tensor], keep: Tensor
 ) -> list[Term]:
     pairs = zip(terms, values, strict=True)
-    return [_mask(_retaken(term, evaluator, v), keep) for term, v in pairs]
-
-
-def _mask(term: Term, keep: Tensor) -> Term:
-    rows = keep.flatten() if term.place is None else keep[term.place]
-    return replace(term, columns=term.columns * rows)
+    return [_retaken(term, evaluator, v).scaled(keep) for term, v in pairs]
 
 
 @dataclass(frozen=True)
@@ -325,10 +309,8 @@ def _refiner(evaluator: Evaluator) -> Callable[[Effect, int], Bank | None]:
             axes.append(tried.clamp(shape.low * scale, shape.high * scale))
         if not axes:
             return None
-        bank = evaluator.joint_bank(
-            kind, effect.joint, torch.cartesian_prod(*axes).reshape(-1, len(axes))
-        )
-        return bank
+        shapes = torch.cartesian_prod(*axes).reshape(-1, len(axes))
+        return evaluator.joint_bank(kind, effect.joint, shapes)
 
     return refine
 

@@ -61,17 +61,13 @@ def banks_of(evaluator: Evaluator, task: Task) -> list[Bank]:
 
 def rigid_banks(evaluator: Evaluator, task: Task) -> list[Bank]:
     """Payload, links and all base parameters, from one regressor."""
-    n, k = evaluator.n, PARAMETERS_PER_LINK
-    links = [list(range(link * k, (link + 1) * k)) for link in range(n)]
+    n = evaluator.n
     banks = []
     if "payload" in task.names:
-        banks.append(evaluator.rigid_bank("payload", (KINDS["payload"](),), links[-1]))
+        banks.append(evaluator.link_bank(KINDS["payload"](), n - 1))
     if task.inertial and not task.free:
         if LINK in task.names:
-            banks += [
-                evaluator.rigid_bank(LINK, (KINDS[LINK](link),), links[link])  # type: ignore[call-arg]
-                for link in range(n)
-            ]
+            banks += [evaluator.link_bank(KINDS[LINK](link), link) for link in range(n)]  # type: ignore[call-arg]
         banks.append(evaluator.rigid_bank(BASE, (), task.independent))
     return banks
 

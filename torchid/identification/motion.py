@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.effects.base import Motion
+from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
 from torchid.typing import Bool, Float, Int, Signals, Tensor
 
-MOVING = 0.02
+MOVING = RESTING
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
 any torque and the sign of dq is noise."""
 
