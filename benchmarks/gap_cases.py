@@ -71,7 +71,7 @@ SIMULATED_AS = {"leave_one_out": "single", "closing": "single"}
 ARMS = 64
 """Simulated together."""
 
-RECIPE = 3
+RECIPE = 4
 """Counts up when cases of the same id change, so that simulated ones are not mixed."""
 
 

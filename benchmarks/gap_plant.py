@@ -15,8 +15,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.dynamics.forward import mass_matrix
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS, Valued, effect_torque, model_torque, nominal_effects
 from torchid.effects.thermal import ThermalFrictionDrift
@@ -44,8 +46,8 @@ COARSE = 4
 TRIES = 12
 """Places and shapes drawn until one reaches the size asked for; else the one that came closest."""
 
-NEEDS_FRICTION = ("thermal_friction_drift", "asymmetric_friction")
-"""They take away from friction that must be there first."""
+NEEDS_FRICTION = ("thermal_friction_drift", "asymmetric_friction", "gear_coupling")
+"""They take away from friction that must be there first, or share it with another joint."""
 
 NEEDS_SMOOTH = ("joint_elasticity",)
 """The deflection is in proportion to the torque at every instant, so that dry friction, which
@@ -401,6 +403,30 @@ def _asymmetric(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:
     return _times(effect, values, 0.9 / max(shares)) if coulomb > 0 else None
 
 
+def _coupled(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:
+    """A motor that turns with two joints has no more friction than either joint's own, which the
+    nominal model knows, and half of the inertia with which the arm's would not be positive."""
+    places = [c for c in GearCoupling.candidates(scene.robot) if c.joints[0] == joint]
+    effect = places[pick(g, len(places))]
+    own = [_friction_of(scene, j) for j in effect.joints]
+    viscous, coulomb = (min(x) for x in zip(*own, strict=True))
+    if min(viscous, coulomb) <= 0:
+        return None
+    per_unit = torch.zeros(scene.robot.n, scene.robot.n, dtype=torch.float64)
+    i, j = effect.joints
+    per_unit[i, j] = per_unit[j, i] = effect.ratio  # type: ignore[attr-defined]
+    mass = mass_matrix(scene.robot, scene.together.q[::COARSE])
+    half, info = torch.linalg.cholesky_ex(mass)
+    if bool(info.any()):
+        return None
+    seen = torch.linalg.solve_triangular(half, per_unit.expand_as(mass), upper=False)
+    seen = torch.linalg.solve_triangular(half, seen.mT, upper=False)
+    inertia = 0.5 / float(-torch.linalg.eigvalsh(seen).min())
+    shares = [uniform(g, 0.3, 1.0) for _ in range(3)]
+    values = [a * b for a, b in zip(shares, (viscous, inertia, coulomb), strict=True)]
+    return _times(effect, values, 1 / max(shares))
+
+
 def _kinematic(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:
     """Millimetres and milliradians; joint 1's translations make no torque."""
     shift = [0.0 if joint == 0 else sign(g) * uniform(g, 0.3, 1.0) * 5e-3 for _ in range(3)]
@@ -493,6 +519,7 @@ _SPECIAL: dict[str, Callable[[Scene, torch.Generator, int], Sized | None]] = {
     "power_law_friction": _power_law,
     "thermal_friction_drift": _thermal,
     "asymmetric_friction": _asymmetric,
+    "gear_coupling": _coupled,
     "kinematic_error": _kinematic,
     "joint_elasticity": _elastic,
     "payload": _payload,

@@ -231,3 +231,12 @@ def test_errors() -> None:
         closed_loop(robot, [log], [[]], controller=Controller(torque_limit=(1.0,)))
     with pytest.raises(TorchidError, match="runs away"):
         closed_loop(robot, [log], [[effect(robot, "torque_offset", joint=3, F0=1e9)]])
+
+
+def test_a_coupled_motor_without_inertia_of_its_own_joint_is_refused() -> None:
+    robot = bare("3r")
+    coupled = effect(robot, "gear_coupling", joint=2, source_joint=1, Fvm=0.0, Iam=2.0, Fcm=0.0)
+    whole = [effect(robot, "rotor_inertia", joint=j, Ia=2.0) for j in (1, 2)]
+    closed_loop(robot, [reference(robot, 0.1)], [[coupled, *whole]])
+    with pytest.raises(TorchidError, match="not positive definite"):
+        closed_loop(robot, [reference(robot, 0.1)], [[coupled]])

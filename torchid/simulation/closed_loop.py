@@ -19,6 +19,9 @@ from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant, State
 from torchid.simulation.loads import BatchEffects
 from torchid.typing import Float
 
+INERTIA_CHECKS = 50
+"""Instants of a reference at which the arm's inertia is looked at."""
+
 
 def closed_loop(
     robot: Robot,
@@ -53,7 +56,8 @@ def closed_loop(
     Raises:
         RobotError: the robot has no nominal parameters.
         LogError: a reference has several trajectories, no dq or ddq, or other joints.
-        TorchidError: another number of lists than references, or an arm diverges.
+        TorchidError: another number of lists than references, effects with which an arm's inertia
+            is not positive definite, or an arm diverges.
     """
     controller = controller or Controller()
     _check(robot, references, effects)
@@ -68,6 +72,7 @@ def closed_loop(
     firsts = zip(*([x[0] for x in m.state] for m in targets), strict=True)
     begin = Motion(*(torch.stack(first) for first in firsts))
     plant = plant_of(robot, effects, begin.q)
+    _check_inertia(plant, _padded([m.q for m in targets]), references)
     h = 1 / (steps * rate)
     lengths = [-(-len(m.q) // steps) for m in targets]
     signals, state = _run(plant, begin, feed, gains, controller.limit(robot.n), h, steps)
@@ -204,6 +209,22 @@ def _check(robot: Robot, references: Sequence[Log], effects: Sequence[Sequence[V
                 got=f"{log.n} joints, signals {', '.join(log.signals)}",
                 expected=f"{robot.n} joints, signals q, dq, ddq",
                 hint="`torchid excite` writes all three",
+            )
+
+
+def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence[Log]) -> None:
+    """Effects may take inertia away, or couple joints by more than both have (the inertia of a
+    coupled motor without that of its own joint): no body moves like that."""
+    if not bool(plant.effects.inertia.any()):
+        return
+    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS).long().tolist():
+        mass = plant.arms.at(q[:, k]).mass_matrix() + plant.effects.inertia
+        bad = torch.linalg.cholesky_ex(mass)[1] > 0
+        if bool(bad.any()):
+            raise TorchidError(
+                "with these effects the inertia of the arm is not positive definite.",
+                got=references[int(bad.nonzero()[0])].names[0],
+                hint="a coupled motor's Iam beside a rotor_inertia of at least that on both joints",
             )
 
 
