@@ -1,7 +1,6 @@
 """`torchid check` as a user calls it."""
 
 import json
-import os
 from pathlib import Path
 
 import pytest
@@ -9,6 +8,7 @@ import torch
 import typer
 from typer.testing import CliRunner
 
+from tests.real_logs import FOLDER, NO_LOGS
 from torchid.app.check import check_command
 from torchid.errors import TorchidError
 from torchid.feasibility.conditions import physics_only
@@ -16,10 +16,6 @@ from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import joined, nominal_set, read_sets, to_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
-
-DATA = Path(
-    os.environ.get("TORCHID_REAL_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
-)
 
 
 def call(*arguments: object):
@@ -288,12 +284,10 @@ def test_bad_input_is_one_error(tmp_path, arguments, words):
 
 
 @pytest.mark.real
-@pytest.mark.skipif(
-    not DATA.is_dir(), reason=f"no folder of real logs: {DATA} (TORCHID_REAL_DATA names one)"
-)
+@pytest.mark.skipif(not FOLDER.is_dir(), reason=NO_LOGS)
 @pytest.mark.parametrize(("folder", "n"), [("ur10e", 6), ("xmate7p", 7)])
 def test_real_urdfs_are_feasible_and_plausible(tmp_path, folder, n):
-    got = call(DATA / folder / "robot.urdf", "--json", tmp_path / "f.json")
+    got = call(FOLDER / folder / "robot.urdf", "--json", tmp_path / "f.json")
     assert got.exit_code == 0, got.output
     data = json.loads((tmp_path / "f.json").read_text())
     (entry,) = data["sets"]

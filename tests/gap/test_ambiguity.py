@@ -8,6 +8,7 @@ import torch
 from tests.gap.problems import ar_noise, problem, random
 from tests.gap.test_select import named
 from torchid.effects.gravity import BaseTilt, KinematicError
+from torchid.effects.hysteresis import PreslidingHysteresis
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.gap.ambiguity import aliases, alternatives, separation
 from torchid.gap.problem import Term, term_of
@@ -102,6 +103,8 @@ def test_what_is_the_same_by_physics():
     assert all(aliases(term(e), N) == ("base_tilt",) for e in first)
     own = replace(term(BaseTilt()), name="torque_offset")
     assert aliases(own, N) == ()
+    assert aliases(term(PreslidingHysteresis(1, 0.002)), N) == ("coulomb_friction",)
+    assert aliases(term(PreslidingHysteresis(1, 0.02)), N) == ()
 
 
 def _robot():

@@ -1,11 +1,9 @@
 """The diagnosis on logs of real arms, which are not part of the project."""
 
-import os
-from pathlib import Path
-
 import pytest
 import torch
 
+from tests.real_logs import FOLDER, NEEDS_LOGS
 from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
@@ -16,17 +14,7 @@ UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
 FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 
 
-def _folder() -> Path:
-    named = os.environ.get("TORCHID_REAL_DATA")
-    return Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
-
-
-FOLDER = _folder()
-pytestmark = [
-    pytest.mark.real,
-    pytest.mark.usefixtures("types_unchecked"),
-    pytest.mark.skipif(not FOLDER.exists(), reason=f"no real logs in {FOLDER}"),
-]
+pytestmark = [*NEEDS_LOGS, pytest.mark.usefixtures("types_unchecked")]
 
 
 def test_a_pandas_wrist_slides_before_it_moves():

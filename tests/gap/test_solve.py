@@ -9,6 +9,7 @@ from tests.gap.motions import ROBOT
 from tests.gap.problems import Case, motions, problem, random
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
+from torchid.effects.hysteresis import PreslidingHysteresis
 from torchid.effects.registry import model_torque
 from torchid.gap.fit import Fit, fitted
 from torchid.gap.problem import BASE, Term
@@ -194,3 +195,14 @@ def test_an_effect_that_is_there_already_grows():
     step = Fit((torch.tensor([0.2]),), (torch.tensor([0.1]),), 0.0)
     _, effects = corrected(start, (), [term], step, case.task)
     assert [(e, pytest.approx(v)) for e, v in effects] == [(ViscousFriction(0), [0.5])]
+
+
+def test_what_one_shape_imitates_is_divided_again():
+    """Coulomb friction and a longer presliding look like a shorter presliding at first."""
+    both = [(CoulombFriction(0), [1.0]), (PreslidingHysteresis(0, 0.05), [1.0])]
+    found = solved(Case(both, ("coulomb_friction", "viscous_friction", "presliding_hysteresis")))
+    assert {t.name for t in found.terms} == {"coulomb_friction", "presliding_hysteresis"}
+    for effect, values in found.effects:
+        assert values[0] == pytest.approx(1.0, abs=0.1)
+        if isinstance(effect, PreslidingHysteresis):
+            assert effect.length == pytest.approx(0.05, rel=0.2)

@@ -1,29 +1,19 @@
 """Held-out errors on logs of real arms, which are not part of the project (issue 2, figure 3)."""
 
-import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import pytest
 import torch
 
+from tests.real_logs import FOLDER, NEEDS_LOGS
 from torchid.identification.identify import Identification, Settings, identify
 from torchid.identification.payload import estimate_payload
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 
-DATA = Path(
-    os.environ.get("TORCHID_REAL_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
-)
-
-pytestmark = [
-    pytest.mark.real,
-    pytest.mark.skipif(
-        not DATA.is_dir(), reason=f"no folder of real logs: {DATA} (TORCHID_REAL_DATA names one)"
-    ),
-]
+pytestmark = NEEDS_LOGS
 
 
 @dataclass(frozen=True)
@@ -77,7 +67,7 @@ LINES = {
 
 
 def read(line: Line, names: tuple[str, ...]) -> Log:
-    log = read_log([DATA / line.folder / f"log_{name}.parquet" for name in names])
+    log = read_log([FOLDER / line.folder / f"log_{name}.parquet" for name in names])
     return log.with_torque(torch.tensor(line.gains, dtype=torch.float64)) if line.gains else log
 
 
@@ -85,7 +75,7 @@ def read(line: Line, names: tuple[str, ...]) -> Log:
 def identified(name: str, settings: Settings) -> Identification:
     line = LINES[name]
     held_out = read(line, line.test) if line.test else None
-    robot = load_robot(DATA / line.folder / line.robot)
+    robot = load_robot(FOLDER / line.folder / line.robot)
     return identify(robot, read(line, line.train), held_out=held_out, settings=settings)
 
 
@@ -149,7 +139,7 @@ def test_standstill_is_said():
 def test_the_ur10e_load_of_2p6_kg_lies_in_its_interval(empty):
     """The same reference motion without and with a known load; and two other motions without."""
     line = LINES["ur10e_ptp"]
-    robot = load_robot(DATA / line.folder / line.robot)
+    robot = load_robot(FOLDER / line.folder / line.robot)
     settings = Settings(cutoff=7.0, rows="moving")
     without, carrying = (
         identify(robot, read(line, names), settings=settings)

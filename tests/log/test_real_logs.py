@@ -1,11 +1,11 @@
 """The readers, checks and resampling on logs of real arms, which are not part of the project."""
 
-import os
 from pathlib import Path
 
 import pytest
 import torch
 
+from tests.real_logs import FOLDER, NO_LOGS
 from torchid.errors import LogError
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log
@@ -29,16 +29,8 @@ RATE_HZ = {
 }
 
 
-def _folder() -> Path:
-    named = os.environ.get("TORCHID_REAL_DATA")
-    return Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
-
-
-FOLDER = _folder()
 PATHS = sorted(FOLDER.glob("*/*.parquet"))
-ABSENT = pytest.param(
-    None, marks=pytest.mark.skip(reason=f"no real logs in {FOLDER}; see TORCHID_REAL_DATA")
-)
+ABSENT = pytest.param(None, marks=pytest.mark.skip(reason=NO_LOGS))
 pytestmark = pytest.mark.real
 
 

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app.options import (
+    Gain,
+    HeldOut,
+    HeldOutFraction,
     Json,
     LogArguments,
     Out,
@@ -16,7 +19,6 @@ from torchid.app.options import (
     Threads,
     Tip,
     number,
-    numbers,
     open_output,
     progress_bar,
     read_logs,
@@ -53,24 +55,9 @@ def gap_command(
     cutoff: Annotated[
         str, typer.Option(metavar="HZ|auto", help="Cut-off of the fit's zero-phase filter.")
     ] = "auto",
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--held-out",
-            metavar="LOG",
-            help="Whole trajectories that take part in no choice. May be given several times.",
-        ),
-    ] = None,
-    held_out_fraction: Annotated[
-        float,
-        typer.Option(
-            help="Without --held-out: the last part of each trajectory kept for validation."
-        ),
-    ] = 0.0,
-    gain: Annotated[
-        str | None,
-        typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
-    ] = None,
+    held_out: HeldOut = None,
+    held_out_fraction: HeldOutFraction = 0.0,
+    gain: Gain = None,
     max_effects: Annotated[
         int, typer.Option(min=1, help="Number of effects accepted at most.")
     ] = 20,
@@ -120,9 +107,8 @@ def gap_command(
     if held_out and held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     found = load_robot(robot, tip=tip)
-    gains = None if gain is None else numbers("--gain", gain, found.n)
-    log = read_logs(logs, gains)
-    apart = None if not held_out else read_logs(held_out, gains)
+    log = read_logs(logs, gain, found.n)
+    apart = None if not held_out else read_logs(held_out, gain, found.n)
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
 

@@ -1,12 +1,14 @@
 """`torchid identify`: base parameters from logs."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from torchid.app.options import (
     Device,
+    Gain,
+    HeldOut,
+    HeldOutFraction,
     Json,
     LogArguments,
     Out,
@@ -20,7 +22,6 @@ from torchid.app.options import (
     device,
     effect_names,
     number,
-    numbers,
     open_output,
     progress_bar,
     read_logs,
@@ -40,20 +41,8 @@ def identify_command(
         str,
         typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
     ] = EFFECTS,
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--held-out",
-            metavar="LOG",
-            help="Whole trajectories that take part in no choice. May be given several times.",
-        ),
-    ] = None,
-    held_out_fraction: Annotated[
-        float,
-        typer.Option(
-            help="Without --held-out: the last part of each trajectory kept for validation."
-        ),
-    ] = 0.0,
+    held_out: HeldOut = None,
+    held_out_fraction: HeldOutFraction = 0.0,
     cutoff: Annotated[
         str, typer.Option(metavar="HZ|auto|none", help="Cut-off of the zero-phase filter.")
     ] = "auto",
@@ -69,10 +58,7 @@ def identify_command(
         Literal["all", "moving"],
         typer.Option(help="Rows fitted: all, or while the own joint moves."),
     ] = "all",
-    gain: Annotated[
-        str | None,
-        typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
-    ] = None,
+    gain: Gain = None,
     method: Annotated[
         Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
     ] = "huber",
@@ -132,9 +118,8 @@ def identify_command(
         compiled=compiled,
     )
     found = load_robot(robot, tip=tip)
-    gains = None if gain is None else numbers("--gain", gain, found.n)
-    log = read_logs(logs, gains)
-    apart = None if not held_out else read_logs(held_out, gains)
+    log = read_logs(logs, gain, found.n)
+    apart = None if not held_out else read_logs(held_out, gain, found.n)
     with progress_bar(output) as progress:
         result = identify(
             found,

@@ -34,6 +34,25 @@ LogArguments = Annotated[
         "Several files are several trajectories.",
     ),
 ]
+HeldOut = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--held-out",
+        metavar="LOG",
+        help="Whole trajectories that take part in no choice. May be given several times.",
+    ),
+]
+HeldOutFraction = Annotated[
+    float,
+    typer.Option(
+        "--held-out-fraction",
+        help="Without --held-out: the last part of each trajectory kept for validation.",
+    ),
+]
+Gain = Annotated[
+    str | None,
+    typer.Option("--gain", metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
+]
 Tip = Annotated[
     str | None,
     typer.Option("--tip", metavar="LINK", help="URDF, MJCF: last link of the chain."),
@@ -242,12 +261,13 @@ def effect_names(text: str) -> tuple[str, ...]:
     return tuple(column_kind(name.strip()).name for name in text.split(","))
 
 
-def read_logs(paths: list[Path], gains: list[float] | None) -> "Log":
+def read_logs(paths: list[Path], gain: str | None, n: int) -> "Log":
     """Several files as the trajectories of one log; currents times the drive gains, if given."""
     import torch
 
     from torchid.log.readers import read_log
 
+    gains = None if gain is None else numbers("--gain", gain, n)
     log = read_log(paths)
     return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
 

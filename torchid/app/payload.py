@@ -9,6 +9,7 @@ import typer
 from torchid.app.identify import EFFECTS
 from torchid.app.options import (
     Device,
+    Gain,
     Json,
     LogArguments,
     Out,
@@ -21,7 +22,6 @@ from torchid.app.options import (
     cutoff_hz,
     device,
     effect_names,
-    numbers,
     open_output,
     progress_bar,
     read_logs,
@@ -55,10 +55,7 @@ def payload_command(
             help="Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.",
         ),
     ] = "auto",
-    gain: Annotated[
-        str | None,
-        typer.Option(metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
-    ] = None,
+    gain: Gain = None,
     rows: Annotated[
         Literal["all", "moving"],
         typer.Option(
@@ -100,8 +97,7 @@ def payload_command(
         signs=signs,
     )
     found = load_robot(robot, tip=tip)
-    gains = None if gain is None else numbers("--gain", gain, found.n)
-    empty, full = read_logs(logs, gains), read_logs(loaded, gains)
+    empty, full = read_logs(logs, gain, found.n), read_logs(loaded, gain, found.n)
     where = device(device_name)
     with progress_bar(output) as progress:
         without = identify(found, empty, settings=settings, device=where, progress=progress)

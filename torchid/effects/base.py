@@ -202,6 +202,12 @@ class Effect(ABC):
         """Values of the shape parameters, in the order of `shapes`."""
         return tuple(getattr(self, s.name) for s in self.shapes)
 
+    @property
+    def becomes(self) -> str | None:
+        """Name of the simpler effect that this one has become, its shape near an end of its range;
+        None elsewhere."""
+        return None
+
     def all_torques(
         self, motion: Motion, values: Sequence[float], robot: "Robot | None" = None
     ) -> Float[Tensor, "*batch n"]:

@@ -57,6 +57,11 @@ class PreslidingHysteresis(JointEffect):
         if not self.length > 0:
             raise ValueError(f"the length must be positive, not {self.length}.")
 
+    @property
+    def becomes(self) -> str | None:
+        """Coulomb friction, where torque builds up over less than a log usually resolves."""
+        return "coulomb_friction" if self.length < 0.5 * self.shapes[0].grid[0] else None
+
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
         """z along the trajectory (..., T, n, 1), 0 at its first instant; shapes: length."""

@@ -85,7 +85,10 @@ def _same_place(term: Term, other: Term) -> bool:
 
 
 def aliases(term: Term, n: int) -> tuple[str, ...]:
-    """Names that are the same by physics on an arm of n joints, whatever the motion."""
+    """Names that are the same by physics on an arm of n joints, whatever the motion, or that an
+    effect has become."""
+    if len(term.effects) == 1 and term.effects[0].becomes is not None:
+        return (term.effects[0].becomes,)
     joints = term.effects[0].joints if term.effects else ()
     if term.name == LINK and joints == (n - 1,):
         return ("payload",)

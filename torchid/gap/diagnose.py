@@ -40,6 +40,9 @@ flexible predictor agrees,"""
 CLEAR_EXCESS = 2.0
 """and above which it is, whatever that says: the noise is known to a few ten per cent."""
 
+EXPLAINED = 0.9
+"""Share of the gap that what explains it may close: the interval's upper end, at least."""
+
 ROUNDS = 3
 SETTLED = 0.9
 """Without repeats: searches after the first at most, each with the noise that the last one left,
@@ -413,7 +416,8 @@ def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bo
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    if unexplained or not far.improves:
+    least = far.closed_ci95 is not None and far.closed_ci95[1] < EXPLAINED
+    if unexplained or least or not far.improves:
         return "detected_unexplained"
     return "explained" if found.effects else "parametric_only"
 

@@ -110,11 +110,13 @@ class Search:
         model = self.model()
         while len(self.terms) < most:
             chosen = self._choose(model)
-            if chosen is None:
+            if chosen is not None:
+                for term in self._parts(chosen):
+                    self.terms.append(self._refined(term))
+                    self._accepted[self.terms[-1].key] = chosen.gain
+            elif not self._divided(model):
                 break
-            for term in self._parts(chosen):
-                self.terms.append(self._refined(term))
-                self._accepted[self.terms[-1].key] = chosen.gain
+            self._reshape(self.terms[-1])
             self._look_back(newest=self.terms[-1])
             model = self.model()
         self._look_back(newest=None)
@@ -165,7 +167,9 @@ class Search:
     def _choose(self, model: Projector) -> Candidate | None:
         """The candidate to add, or None."""
         left = max(0.0, model.loss - self.problem.noise)
-        for best in self.candidates(model)[:TRIED]:
+        # What happened once can be anything: what acts all the time is asked first.
+        ranked = sorted(self.candidates(model)[:TRIED], key=lambda c: c.term.name == WINDOWED)
+        for best in ranked:
             share = MISFITTED_BY_WINDOW if best.term.name == WINDOWED else MISFITTED
             least = max(SMALL * left, share * self._largest_near(best.term))
             if best.gain < max(self.problem.threshold(best.df), least):
@@ -177,6 +181,52 @@ class Search:
                 continue
             return self._simplest(best, model)
         return None
+
+    def _divided(self, model: Projector) -> bool:
+        """Take one effect for two, where one with a free shape had to imitate both: another shape
+        of it together with a second effect on the same joint. Returns whether that was found."""
+        for term in self.terms:
+            scanner = self._scanner_of(term)
+            if scanner is None or term.place is None or not self._misfits_at(term, model):
+                continue
+            without = self.model(without=[term])
+            least = max(
+                SMALL * (model.loss - self.problem.noise), MISFITTED * self._largest_near(term)
+            )
+            found = self._best_pair(scanner, without)
+            if found is None:
+                continue
+            first, second, loss = found
+            gain = model.loss - loss
+            if gain < max(self.problem.threshold(len(second.columns)), least):
+                continue
+            beside = without.copy()
+            beside.add(first.columns, first.place, visible=ROUNDING)
+            if not self._holds_on_blocks(second, beside):
+                continue
+            self.terms = [*(first if t is term else t for t in self.terms), second]
+            self._accepted[first.key] = self._accepted[second.key] = gain
+            return True
+        return False
+
+    def _best_pair(self, shapes: Scanner, without: Projector) -> tuple[Term, Term, float] | None:
+        """The shape of an effect, and the effect without a shape on the same joint, that leave
+        least together; and what they leave."""
+        present = {t.key for t in self.terms} | self._left
+        best: tuple[Term, Term, float] | None = None
+        for scanner in self.scanners:
+            bank = scanner.bank
+            if bank.place != shapes.bank.place or len(bank.members) != 1 or bank.name == FRICTION:
+                continue
+            second = term_of(bank, 0).scaled(self.problem.keep)
+            if second.key in present:
+                continue
+            beside = without.copy()
+            beside.add(second.columns, second.place, visible=ROUNDING)
+            first = _best_member(shapes, beside)
+            if first is not None and (best is None or beside.loss - first.gain < best[2]):
+                best = first.term.scaled(self.problem.keep), second, beside.loss - first.gain
+        return best
 
     def _misfits_at(self, term: Term, model: Projector) -> bool:
         """Whether more than noise is left where a term acts; a contact, which is there for a moment
@@ -279,6 +329,28 @@ class Search:
             if level > 1 and gain - last < 1.0:
                 break
         return term
+
+    def _reshape(self, newest: Term) -> None:
+        """Shapes on the same joint that imitated what `newest` explains are searched again."""
+        for term in list(self.terms):
+            if term is newest or term.place is None or term.place != newest.place:
+                continue
+            scanner = self._scanner_of(term)
+            if scanner is None:
+                continue
+            without = self.model(without=[term])
+            best = _best_member(scanner, without)
+            better = best is not None and without.loss - best.gain < self.model().loss
+            start = best.term.scaled(self.problem.keep) if best is not None and better else term
+            refined = self._refined(start)
+            self.terms = [refined if t is term else t for t in self.terms]
+
+    def _scanner_of(self, term: Term) -> Scanner | None:
+        """All shapes of a term's effect on its joint; None where it has none."""
+        if len(term.effects) != 1 or not term.effects[0].shapes:
+            return None
+        own = (s for s in self.scanners if (s.bank.name, s.bank.place) == (term.name, term.place))
+        return next(own, None)
 
     def _look_back(self, newest: Term | None) -> None:
         """Drop terms that others have made superfluous, swap those that another explains better."""
