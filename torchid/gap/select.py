@@ -59,6 +59,23 @@ def _is_secant(term: Term) -> bool:
     return any(hasattr(effect, "at") for effect in term.effects)
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """Two effects on a joint that explain more than the one there.
+
+    Attributes:
+        old: the one.
+        first: the same effect with another shape.
+        second: the other effect.
+        gain: what they explain more.
+    """
+
+    old: Term
+    first: Term
+    second: Term
+    gain: float
+
+
 @dataclass
 class Search:
     """A model that grows and shrinks over a fixed set of candidates."""
@@ -110,12 +127,15 @@ class Search:
         model = self.model()
         while len(self.terms) < most:
             chosen = self._choose(model)
-            if chosen is not None:
+            pair = self._pair(model, chosen)
+            if pair is not None:
+                self._divide(pair)
+            elif chosen is None:
+                break
+            else:
                 for term in self._parts(chosen):
                     self.terms.append(self._refined(term))
                     self._accepted[self.terms[-1].key] = chosen.gain
-            elif not self._divided(model):
-                break
             self._reshape(self.terms[-1])
             self._look_back(newest=self.terms[-1])
             model = self.model()
@@ -182,32 +202,34 @@ class Search:
             return self._simplest(best, model)
         return None
 
-    def _divided(self, model: Projector) -> bool:
-        """Take one effect for two, where one with a free shape had to imitate both: another shape
-        of it together with a second effect on the same joint. Returns whether that was found."""
+    def _pair(self, model: Projector, chosen: Candidate | None) -> "_Pair | None":
+        """Two effects for one, where one with a free shape had to imitate both: another shape of it
+        and a second effect on its joint. Only if they gain as much as the candidate that would be
+        added else; a whole link is blamed only where no two effects on a joint would do."""
+        rival = 0.0 if chosen is None or chosen.term.is_inertial else chosen.gain
+        least = SMALL * (model.loss - self.problem.noise)
         for term in self.terms:
             scanner = self._scanner_of(term)
             if scanner is None or term.place is None or not self._misfits_at(term, model):
                 continue
             without = self.model(without=[term])
-            least = max(
-                SMALL * (model.loss - self.problem.noise), MISFITTED * self._largest_near(term)
-            )
             found = self._best_pair(scanner, without)
             if found is None:
                 continue
             first, second, loss = found
             gain = model.loss - loss
-            if gain < max(self.problem.threshold(len(second.columns)), least):
+            enough = max(self.problem.threshold(len(second.columns)), least, rival)
+            if gain < max(enough, MISFITTED * self._largest_near(term)):
                 continue
-            beside = without.copy()
-            beside.add(first.columns, first.place, visible=ROUNDING)
-            if not self._holds_on_blocks(second, beside):
-                continue
-            self.terms = [*(first if t is term else t for t in self.terms), second]
-            self._accepted[first.key] = self._accepted[second.key] = gain
-            return True
-        return False
+            without.add(first.columns, first.place, visible=ROUNDING)
+            if self._holds_on_blocks(second, without):
+                return _Pair(term, first, second, gain)
+        return None
+
+    def _divide(self, pair: "_Pair") -> None:
+        first, second = pair.first, pair.second
+        self.terms = [*(first if t is pair.old else t for t in self.terms), second]
+        self._accepted[first.key] = self._accepted[second.key] = pair.gain
 
     def _best_pair(self, shapes: Scanner, without: Projector) -> tuple[Term, Term, float] | None:
         """The shape of an effect, and the effect without a shape on the same joint, that leave
