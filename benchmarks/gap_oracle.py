@@ -22,14 +22,13 @@ from gap_cases import Arm, fresh_scene, place_of, true_logs
 from gap_plant import on_clock
 
 import torchid.gap.diagnose as procedure
-from torchid.effects.base import Motion
-from torchid.effects.registry import Valued, effect_from_record, model_torque, nominal_effects
+from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.candidates import Bank
 from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.folds import Model, traces
+from torchid.gap.prepare import prepare
 from torchid.gap.settings import GapSettings
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import sensed_log
@@ -108,25 +107,40 @@ def robot_of(nominal: Robot, model: Mapping[str, Any]) -> tuple[Robot, list[Valu
 def fresh_closed(
     arm: Arm, models: Sequence[Mapping[str, Any]], work: Path, band: float
 ) -> list[float]:
-    """Closed fraction of each corrected model on the fresh log."""
-    place = fresh_scene(arm)
-    nominal = arm.scene.robot
-    logs = true_logs(arm.case, work, fresh=True)
-    both = [(nominal, nominal_effects(nominal)), *(robot_of(nominal, m) for m in models)]
-    loss = torch.zeros(len(both), dtype=torch.float64)
-    for log, start in zip(logs, place.starts, strict=True):
+    """Closed fraction of each corrected model on the fresh log, in the rows that count in a
+    diagnosis."""
+    given = prepare(arm.scene.robot, _fresh_log(arm, work), None, _clock(arm))
+    nominal = Model(arm.scene.robot, tuple(nominal_effects(arm.scene.robot)))
+    out = []
+    for model in models:
+        robot, effects = robot_of(arm.scene.robot, model)
+        after = Model(robot, tuple(effects))
+        shown = traces(given.rows, None, [nominal], [after], band, reversals=not arm.case.repeats)
+        losses = []
+        for predicted in ("before", "after"):
+            left = [
+                (t.measured - getattr(t, predicted))[t.valid] * t.counting[t.valid] for t in shown
+            ]
+            losses.append(float((torch.cat(left) / arm.scene.noise).square().sum()))
+        out.append(1 - losses[1] / losses[0])
+    return out
+
+
+def _clock(arm: Arm) -> float:
+    """When the fresh log begins, from the start of the diagnosed one [s]."""
+    return fresh_scene(arm).starts[0] - arm.scene.starts[0]
+
+
+def _fresh_log(arm: Arm, work: Path) -> Log:
+    """As sensors without noise see it; velocities only where the diagnosed log has them."""
+    own = any("velocity" in KINDS[name].needs for name in arm.case.names)
+    parts = []
+    for log, start in zip(
+        true_logs(arm.case, work, fresh=True), fresh_scene(arm).starts, strict=True
+    ):
         seen = sensed_log(log, on_clock(arm.effects, start))
-        assert seen.dq is not None
-        assert seen.ddq is not None
-        assert seen.tau is not None
-        motion = Motion(seen.q, seen.dq, seen.ddq, t=seen.t - arm.scene.starts[0])
-        low = ZeroPhaseFilter(sampling_rate(seen)[0], band)
-        edge = low.tail
-        for k, (robot, effects) in enumerate(both):
-            left = low.apply((seen.tau - model_torque(robot, effects, motion)).T)
-            left = left[:, edge:-edge] / arm.scene.noise.unsqueeze(1)
-            loss[k] += left.square().sum()
-    return (1 - loss[1:] / loss[0]).tolist()
+        parts.append(seen.replace(dq=seen.dq if own else None, ddq=None))
+    return Log.concatenate(parts)
 
 
 def coverage(row: Mapping[str, Any]) -> list[dict[str, Any]]:

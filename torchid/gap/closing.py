@@ -17,6 +17,10 @@ from torchid.typing import Float, Tensor
 BLOCK_SECONDS = 2.0
 DRAWS = 1000
 
+FLOOR_WIDTH = 1.645
+"""Standard deviations of log variance from the lower to the upper end of a floor's 90 % interval of
+log RMS: twice 1.645, and half as many for the square."""
+
 
 @dataclass(frozen=True)
 class Closing:
@@ -44,11 +48,24 @@ def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:
     return (0.5 * (low + high) if floor.source == "repeats" else high).clamp(min=1e-24)
 
 
-def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
+def closing(
+    traces: Sequence[Trace],
+    floor: NoiseFloor,
+    seed: int,
+    unpredicted: Float[Tensor, " n"] | None = None,
+) -> Closing:
     """Compare before and after block by block, blocks resampled together, while joints move.
 
-    Without repeats the noise lies anywhere in its bracket: the interval of the closed share holds
-    both ends.
+    What repeats tell of the noise has an interval of its own, from which it is drawn beside the
+    blocks. But other motions may be noisier than the repeated one (an encoder's counts weigh more
+    where the inertia is larger), so at most all that cannot be predicted is noise; without repeats
+    it lies anywhere in its bracket. The interval of the closed share holds both ends.
+
+    Args:
+        traces: before and after, on data that took part in no choice.
+        floor: of the noise in the traces' band.
+        seed: of the resampling.
+        unpredicted: (n,) RMS of what a flexible predictor leaves of the gap after, in this band.
     """
     blocks = [_blocks(t) for t in traces]
     before, after, counts = (torch.cat([b[k] for b in blocks]) for k in (0, 1, 2))
@@ -58,18 +75,36 @@ def closing(traces: Sequence[Trace], floor: NoiseFloor, seed: int) -> Closing:
     improves = mean_bound(l0 - l1, 0.95) > 0
     total = counts.sum(0).clamp(min=1)
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
-    ends = [counts.sum(1)]
-    if floor.source != "repeats":
-        ends.append((counts * (floor.low.square() / unit)).sum(1))
+    before_noise, gain = l0[draws].sum(1), (l0 - l1)[draws].sum(1)
+    ends = _noise_draws(counts, floor, unit, draws, seed)
+    if unpredicted is not None and floor.source == "repeats":
+        most = torch.minimum(unpredicted.square(), after.sum(0) / total)
+        ends.append((counts * (most / unit).clamp(min=1.0))[draws].sum(1).sum(1))
     rows = counts.sum(1)[draws].sum(1).clamp(min=1)
-    gap_ci = _interval((l0 - ends[0])[draws].sum(1) / rows)
+    gap_ci = _interval((before_noise - ends[0]) / rows)
     if not gap_ci[0] > 0:
         return Closing(rms[0], rms[1], gap_ci, improves, None, None)
-    shares = [(l0 - l1)[draws].sum(1) / (l0 - ln)[draws].sum(1) for ln in ends]
-    intervals = [_interval(x) for x in shares]
+    intervals = [_interval(gain / (before_noise - noise)) for noise in ends]
     interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
-    value = float((l0 - l1).sum() / (l0 - ends[0]).sum())
+    value = float((l0 - l1).sum() / (l0.sum() - counts.sum()))
     return Closing(rms[0], rms[1], gap_ci, improves, value, interval)
+
+
+def _noise_draws(
+    counts: Float[Tensor, "K n"],
+    floor: NoiseFloor,
+    unit: Float[Tensor, " n"],
+    draws: Tensor,
+    seed: int,
+) -> list[Float[Tensor, " D"]]:
+    """Ln of every draw: from the interval that repeats give; else of both ends of the bracket."""
+    drawn = counts[draws].sum(1)
+    if floor.source != "repeats":
+        return [drawn.sum(1), (drawn * (floor.low.square() / unit)).sum(1)]
+    low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
+    generator = torch.Generator().manual_seed(seed + 1)
+    z = torch.randn(drawn.shape, generator=generator, dtype=drawn.dtype)
+    return [(drawn * torch.exp((high - low) / FLOOR_WIDTH * z)).sum(1)]
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:

@@ -299,7 +299,7 @@ def _answer(
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     whole, found, doubts = _stable(case, whole, found, models)
-    far = closing(shown, floor, settings.seed)
+    far = closing(shown, floor, settings.seed, left.unpredicted)
     # A held-out log takes part in no choice, this one neither.
     if folds is not None and case.noise.repeated and not far.improves:
         lasting = [t for t in whole.terms if t.name in EVENTS]

@@ -21,7 +21,7 @@ import torch
 from torchid.gap.blocks import block_numbers, block_sums
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
-from torchid.gap.passages import Passage, Rows, row_masks
+from torchid.gap.passages import Passage, Rows, sliding
 from torchid.gap.repeats import Repeats
 from torchid.gap.spectrum import bandwidth, white_level
 from torchid.gap.whitener import Whitener, fit_whitener
@@ -38,6 +38,13 @@ SIGNIFICANT = 4.0
 WORST = 3.0
 """A block whose variance exceeds the median by this factor is left out of an uneven noise's
 spectrum, and named."""
+
+CLIPPED = 4.5
+"""Times the median of absolute values: 3 standard deviations of a normal variable."""
+
+FULL = 0.2
+FEWEST_BLOCKS = 5
+"""Share of a block's rows that count, and blocks of which so many do, for a median over blocks."""
 
 ABOVE = 1.15
 """RMS of repeats' difference over what the flexible predictor leaves, above which they disagree."""
@@ -132,13 +139,11 @@ def _from_repeats(
         return None
     own, other = Rows(differences, rows.cutoff), Rows(differences, report.cutoff)
     signals = [p.tau.T for p in differences]
-    x, shown = own.apply(signals), _size(other.apply(signals), other)
+    x, shown = own.apply(signals), _size(other.apply(signals), other, sliding(other))
     white = white_level(differences, [p.tau for p in differences], rows.cutoff)
     noise, predictable = _unpredictable(differences, own, x, white)
-    size = _size(noise, own)
-    # At rest and at reversals the difference is what friction did, not noise.
-    moving, turning, _ = row_masks(own)
-    counting = size.keep & moving & ~turning
+    size = _size(noise, own, sliding(own))
+    counting = size.keep & sliding(own)
     whitener = fit_whitener(noise, own.bounds, counting)
     usual = (noise.square() * counting).sum(-1) / counting.sum(-1).clamp(min=1)
     # Uneven noise is as large as its median block, not as the blocks that were kept.
@@ -184,20 +189,29 @@ def _without(x: Float[Tensor, " n"], size: _Size, removed: Float[Tensor, " n"]) 
     return x * ((variance - removed) / variance.clamp(min=1e-300)).clamp(1e-4, 1).sqrt()
 
 
-def _size(x: Float[Tensor, "n N"], rows: Rows) -> _Size:
+def _size(x: Float[Tensor, "n N"], rows: Rows, counting: Bool[Tensor, "n N"]) -> _Size:
     """Noise from rows that hold nothing else, or that do in a few blocks."""
     length = max(4, round(BLOCK_SECONDS / rows.interval))
     block = block_numbers(rows.bounds, length)
-    counts = block_sums(torch.ones_like(x[0]), block)
-    variance = block_sums(x.square(), block) / counts
-    mean = x.square().mean(-1)
-    freedom = torch.stack([_freedom(r, rows.bounds) for r in x])
-    share = (freedom * length / x.shape[-1]).clamp(min=1.0)
+    squares = x.square() * counting
+    counts = block_sums(counting.to(x), block)
+    total = counts.sum(-1).clamp(min=1)
+    variance = block_sums(squares, block) / counts.clamp(min=1)
+    variance = variance.where(counts > FULL * length, torch.nan)
+    mean = squares.sum(-1) / total
+    # Of the usual rows: what happens once must not make the noise look as slow as itself.
+    top = CLIPPED * x.abs().median(-1, keepdim=True).values
+    usual = x.clamp(-top, top)
+    freedom = torch.stack([_freedom(r, rows.bounds) for r in usual]) * total / x.shape[-1]
+    share = (freedom * length / total).clamp(min=1.0)
     # The median of chi^2 lies below its mean (Wilson and Hilferty 1931).
-    median = variance.median(-1).values / (1 - 2 / (9 * share)) ** 3
+    median = variance.nanmedian(-1).values / (1 - 2 / (9 * share)) ** 3
+    median = median.where(median.isfinite(), mean)
     error = (math.pi / freedom).sqrt() + (2 / freedom).sqrt()
     ratio = mean / median.clamp(min=1e-300)
-    uneven = (ratio > UNEVEN) & (ratio > 1 + SIGNIFICANT * error) & (variance.shape[-1] >= 5)
+    known = variance.isfinite().sum(-1) >= FEWEST_BLOCKS
+    uneven = (ratio > UNEVEN) & (ratio > 1 + SIGNIFICANT * error) & known
+    variance = variance.nan_to_num()
     chosen = torch.where(uneven, median, mean)
     keep = ~((variance > WORST * median.unsqueeze(-1)) & uneven.unsqueeze(-1))[:, block]
     half = _NORMAL / (2 * freedom).sqrt()

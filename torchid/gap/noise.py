@@ -11,7 +11,7 @@ from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
 from torchid.gap.floor import Floor, NoFloorError, noise_floor
 from torchid.gap.missing import WhiteRows
-from torchid.gap.passages import Passage, Rows
+from torchid.gap.passages import Passage, Rows, sliding
 from torchid.gap.repeats import Repeats, find_repeats
 from torchid.gap.spectrum import white_level
 from torchid.robot.model import Robot
@@ -32,12 +32,15 @@ class Noise:
             residual, where that is significant; else 0. Zero where none was asked.
         level: (n,) noise density of the measured torque, above the rows' cut-off, where the floor
             was measured; trajectories with more of it have that much larger noise.
+        unpredicted: (n,) RMS of what a flexible predictor leaves of the residual in the band of the
+            report, where one was asked; else the floor's upper end [N m; N].
     """
 
     floor: Floor
     groups: tuple[int, ...]
     structure: Float[Tensor, " n"]
     level: Float[Tensor, " n"]
+    unpredicted: Float[Tensor, " n"]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -105,15 +108,26 @@ def noise_of(
     except NoFloorError:  # repeats too short for the filter are as good as none
         flexible = predict_out_of_fold(loaded, rows, rows_of_residual, seed)
         floor = noise_floor(loaded, residual, rows, report, flexible, None)
-    if keep is None:
-        structure = torch.zeros(robot.n, dtype=torch.float64)
-    else:
+    structure, unpredicted = torch.zeros(robot.n, dtype=torch.float64), floor.report.high
+    if keep is not None:
         looked = rows_of_residual * keep
         found = predict_out_of_fold(loaded, rows, looked, seed)
-        structure = _structure(found, looked, floor) / keep.double().mean(1).clamp(min=0.05)
+        share = keep.double().mean(1).clamp(min=0.05)
+        structure = _structure(found, looked, floor) / share
+        # Between the fit's cut-off and the report's nothing was predicted.
+        beyond = _variance(report, residual) - _variance(rows, residual)
+        unpredicted = (found.left(looked).square().mean(1) / share + beyond.clamp(min=0)).sqrt()
     groups = _groups(len(passages), repeats)
     again = [k for k, g in enumerate(groups) if groups.count(g) > 1] or list(range(len(groups)))
-    return Noise(floor, groups, structure, white_levels(rows)[:, again].mean(1).clamp(min=1e-300))
+    level = white_levels(rows)[:, again].mean(1).clamp(min=1e-300)
+    return Noise(floor, groups, structure, level, unpredicted)
+
+
+def _variance(rows: Rows, residual: Sequence[Tensor]) -> Float[Tensor, " n"]:
+    """Mean square of a residual in some rows, those that count with repeats."""
+    counting = sliding(rows)
+    squares = rows.apply([r.T for r in residual]).square() * counting
+    return squares.sum(1) / counting.sum(1).clamp(min=1)
 
 
 def white_levels(rows: Rows) -> Float[Tensor, "n K"]:

@@ -184,6 +184,13 @@ def row_masks(
     return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
+def sliding(rows: Rows) -> Bool[Tensor, "n N"]:
+    """Rows away from rest and reversals, where what differs between two runs is what friction did,
+    not noise."""
+    moving, turning, _ = row_masks(rows)
+    return moving & ~turning
+
+
 def moving_instants(p: Passage, cutoff: float, *, reversals: bool) -> Bool[Tensor, "T n"]:
     """Instants (T, n) at which a joint moves, without those that a reversal reaches where these do
     not count. All of a joint's, if it hardly moves."""
