@@ -42,7 +42,8 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
 
     Columns are scaled to length one; directions that the rows do not determine stay at zero. The
     covariance is G^-1 (sum_b s_b s_b') G^-1 over block scores s_b = sum_t x_t r_t (White 1980;
-    blocks as clusters).
+    blocks as clusters). Of what is there in a block or two only, a contact, that says nothing: no
+    standard deviation is smaller than that of independent residuals.
     """
     both = (*problem.fixed, *terms)
     n = problem.y.shape[0]
@@ -64,12 +65,14 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     k = int(block.max()) + 1
     scores = a.new_zeros(len(a), k).index_add_(1, block, a * r)
     spread = inverse @ (scores @ scores.T) @ inverse * (k / max(1, k - 1))
+    usual = inverse * (r.square().sum() / max(1, problem.count - len(a)))
     lengths = [len(basis) for basis in bases]
     values = [v @ basis for v, basis in zip((x / size).split(lengths), bases, strict=True)]
-    spread = spread / size / size.unsqueeze(1)
+    both_ways = [_diagonal_blocks(c / size / size.unsqueeze(1), lengths) for c in (spread, usual)]
     stds = []
-    for own, basis in zip(_diagonal_blocks(spread, lengths), bases, strict=True):
-        stds.append((basis.T @ own @ basis).diagonal().clamp(min=0).sqrt())
+    for *covariances, basis in zip(*both_ways, bases, strict=True):
+        variances = torch.stack([(basis.T @ c @ basis).diagonal() for c in covariances])
+        stds.append(variances.amax(0).clamp(min=0).sqrt())
     return Fit(tuple(values), tuple(stds), float(r.square().sum()))
 
 

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import torch
+
 from torchid.gap.blocks import (
     block_sums,
     held_out_gain,
@@ -40,6 +42,12 @@ MISFITTED = 0.01
 to a few per cent. A smaller gain on the same rows is not told from it."""
 MISFITTED_BY_WINDOW = 0.03
 """The same for a contact: of hundreds of windows one is where the misfit is largest."""
+TAIL = 0.05
+"""Share of a window's largest column below which a row is outside: whitening leaves tails."""
+LONG_WINDOW = 0.4
+CONTRAST = 10.0
+"""Seconds from which a contact outlasts what a wrong law of friction does at a reversal. Then it
+must explain this many times what the accepted effects' misfit elsewhere lets expect there."""
 CLEAR_WINDOW = 150.0
 """Whitened sum of squares beyond noise that a contact must explain."""
 WINDOWED = "contact"
@@ -190,8 +198,7 @@ class Search:
         # What happened once can be anything: what acts all the time is asked first.
         ranked = sorted(self.candidates(model)[:TRIED], key=lambda c: c.term.name == WINDOWED)
         for best in ranked:
-            share = MISFITTED_BY_WINDOW if best.term.name == WINDOWED else MISFITTED
-            least = max(SMALL * left, share * self._largest_near(best.term))
+            least = max(SMALL * left, self._imitated(best.term, model))
             if best.gain < max(self.problem.threshold(best.df), least):
                 continue
             dominant = best.gain > DOMINANT * left and self._misfits_at(best.term, model)
@@ -263,6 +270,23 @@ class Search:
     def _misfits(self, loss: float) -> bool:
         """Whether more than noise is left."""
         return loss > MISFIT * self.problem.noise
+
+    def _imitated(self, term: Term, model: Projector) -> float:
+        """What the misfit of an accepted effect can hold of a candidate."""
+        if term.name != WINDOWED:
+            return MISFITTED * self._largest_near(term)
+        size = term.columns.abs().amax(0).reshape(self.problem.y.shape).amax(0)
+        inside = size > TAIL * size.max()
+        if float(inside.sum()) * self.problem.interval < LONG_WINDOW:
+            return MISFITTED_BY_WINDOW * self._largest_near(term)
+        places = torch.stack([inside, ~inside]).to(model.r)
+        left = (places @ model.r.square().T).sum(1)
+        beyond = float(left[1] - self.problem.noise * places[1].mean())
+        expected = [0.0]
+        for t in self.terms:
+            held = (places @ self.model(without=[t]).r.square().T).sum(1) - left
+            expected.append(float(held[0] / held[1].clamp(min=1e-300)) * max(0.0, beyond))
+        return CONTRAST * max(expected)
 
     def _largest_near(self, term: Term) -> float:
         """Sum of squares of the largest contribution that was accepted on the same rows."""
