@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests.gap.motions import RATE, motion_at, noise, times
-from tests.identification.test_real_logs import DATA
+from tests.real_logs import FOLDER, NO_LOGS
 from torchid.gap.held import held_ages, passage_ages
 from torchid.gap.passages import passages_of
 from torchid.identification.motion import measurements
@@ -79,12 +79,12 @@ def test_ages_follow_resampling_and_the_passages_grid():
 
 
 @pytest.mark.real
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"no folder of real logs: {DATA}")
+@pytest.mark.skipif(not FOLDER.is_dir(), reason=NO_LOGS)
 @pytest.mark.parametrize(
     "name",
     ["xmate7p/log_traj1", "xmate7p/log_traj3", "xmate7p/log_traj1_5periods",
      "panda_unisa/log_exciting", "ur10_unisa/log_exciting", "emps/log_train"],
 )  # fmt: skip
 def test_real_quantised_logs_have_no_holds(name):
-    log = resample(read_log([DATA / f"{name}.parquet"]))
+    log = resample(read_log([FOLDER / f"{name}.parquet"]))
     assert float((held_ages(log) > 0).double().mean()) < 1e-3

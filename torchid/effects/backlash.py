@@ -20,9 +20,8 @@ from torchid.robot.model import Robot
 from torchid.typing import Float
 
 CALM = 4
-"""Crossings over which the torque that drives the play is averaged. The model's torque along the
-motor's motion has a pulse of either sign at a crossing, which must not drive it back: without this
-the columns close 60 % of what plays of 1 mrad do to torques below 8 Hz, with it about 90 %."""
+"""Crossings over which the torque that drives the play is averaged, against its noise, and, where
+only the model's torque is known, against the pulse that this has at a crossing."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,9 @@ class Backlash(OneJointEffect):
     s = 1 or -1 is the flank in contact, a play operator driven by the torque: it flips when the
     torque exceeds a dead band on the other side and holds in between. The link crosses the play in
     a finite time, along a raised cosine. The column is the secant of the model's torque in b.
+
+    When it flips, the measured torque says, its sign alone: the model's torque along the motor's
+    motion has a pulse there that is larger than what it passes through.
 
     Attributes:
         at: width of the play the secant is taken at [rad or m].
@@ -82,10 +84,11 @@ class Backlash(OneJointEffect):
         """The flank in contact, smoothed over the crossing, and its first two derivatives.
 
         Args:
-            motion: with t and torque.
+            motion: with t, and with torque, or torque as sensed.
             calm: crossings over which the torque is averaged first.
         """
-        torque = motion.require("torque", self.name)[:, self.joint].double()
+        drive = motion.require("torque", self.name) if motion.sensed is None else motion.sensed
+        torque = drive[:, self.joint].double()
         t = motion.require("t", self.name)
         if torque.shape[0] == 0:
             return torque, torque, torque

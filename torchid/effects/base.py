@@ -65,6 +65,8 @@ class Motion(NamedTuple):
             where it is known.
         age: (..., n) [s] by which the measured torque is older than its stamp, where samples were
             held; where it is known.
+        sensed: (..., n) measured torque, of which effects may use the sign alone; where there is a
+            log.
     """
 
     q: Tensor
@@ -74,6 +76,7 @@ class Motion(NamedTuple):
     t: Tensor | None = None
     torque: Tensor | None = None
     age: Tensor | None = None
+    sensed: Tensor | None = None
 
     @property
     def state(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -92,6 +95,10 @@ class Motion(NamedTuple):
     def part(self, rows: slice) -> "Motion":
         """The motion at some of the instants (first axis)."""
         return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]
+
+    def every(self, step: int) -> "Motion":
+        """The motion at every so many instants."""
+        return self.part(slice(None, None, step))
 
     def require(self, what: str, effect: str) -> Tensor:
         """`t`, `torque` or `age`, which an effect needs; ValueError (a programmer's) without it."""

@@ -411,6 +411,7 @@ def _only(motion: Motion, own: slice) -> Motion:
         motion.t,
         None if motion.torque is None else motion.torque[..., own],
         None if motion.age is None else motion.age[..., own],
+        None if motion.sensed is None else motion.sensed[..., own],
     )
 
 

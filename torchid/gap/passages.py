@@ -160,7 +160,7 @@ def passages_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
                 trajectory=k,
                 rate=m.rate / step,
                 band=band,
-                motion=Motion(*(None if x is None else x[::step] for x in motion)),  # type: ignore[arg-type]
+                motion=motion.every(step)._replace(sensed=tau[::step].contiguous()),
                 tau=tau[::step].contiguous(),
                 own_velocity=m.own_velocity,
             )
