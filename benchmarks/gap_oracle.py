@@ -21,9 +21,10 @@ import torch
 from gap_cases import Arm, fresh_scene, place_of, true_logs
 from gap_plant import on_clock
 
-import torchid.gap.diagnose as procedure
+import torchid.gap.case as procedure
 from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.candidates import Bank
+from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
@@ -84,7 +85,7 @@ def oracle(robot: Robot, log: Log, planted: Mapping[str, Any], seed: int) -> Dia
         seed=seed,
     )
     with told(planted["name"], planted["place"]):
-        return procedure.diagnose(robot, log, settings=settings)
+        return diagnose(robot, log, settings=settings)
 
 
 def model_of(diagnosed: Diagnosis) -> dict[str, Any]:
