@@ -10,11 +10,15 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.gap.blocks import mean_bound
 from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
 from torchid.typing import Float, Tensor
 
 BLOCK_SECONDS = 2.0
 DRAWS = 1000
+
+CLEAR = 0.02
+"""Share of all that is left by which a gap shrinks that is clear even if few blocks hold it."""
 
 FLOOR_WIDTH = 1.645
 """Standard deviations of log variance from the lower to the upper end of a floor's 90 % interval of
@@ -75,8 +79,9 @@ def closing(
     total = counts.sum(0).clamp(min=1)
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
     before_noise, gain = l0[draws].sum(1), (l0 - l1)[draws].sum(1)
-    # Not mean and deviation: of an effect that shows in a few blocks these say nothing.
-    improves = float(gain.quantile(0.05)) > 0
+    improves = mean_bound(l0 - l1, 0.95) > 0
+    if float(gain.quantile(0.05)) > 0 and float((l0 - l1).sum()) > CLEAR * float(l0.sum()):
+        improves = True  # in a few blocks: of those, mean and deviation say nothing
     ends = _noise_draws(counts, floor, unit, draws, seed)
     if unpredicted is not None and floor.source == "repeats":
         most = torch.minimum(unpredicted.square(), after.sum(0) / total)
