@@ -49,8 +49,6 @@ def leave_out_markdown(result: Mapping[str, Any]) -> str:
         if cases
         else "None.",
     ]
-    if result["never_planted"]:
-        parts.append("Never planted alone: " + ", ".join(result["never_planted"]) + ".")
     return "\n\n".join(parts) + "\n"
 
 

@@ -6,7 +6,7 @@ their folder holds keys, for a diagnosis that is told what to leave out is not a
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -16,8 +16,8 @@ from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
-from torchid.withheld.case_set import ANSWER, LOG, ROBOT, case_id, read_json, write_json
-from torchid.withheld.make import CaseJob, write_case
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT, read_json, write_json
+from torchid.withheld.make import write_shown
 from torchid.withheld.measures import Verdict, row_of, verdict
 from torchid.withheld.parallel import each
 from torchid.withheld.run import ERROR, Job, run
@@ -25,23 +25,40 @@ from torchid.withheld.score import rate
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
-FAR = 200
-"""Numbers looked at for every case wanted before an effect counts as never planted."""
 
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One case, and the effect that its diagnosis must do without."""
+    """One case, and the effect that its diagnosis must do without.
+
+    Attributes:
+        effect: its name.
+        turn: which of the effect's cases, from 0.
+        seed: of the cases.
+        folder: of all of them.
+    """
 
     effect: str
-    number: int
+    turn: int
+    seed: int
+    folder: Path
 
     @property
     def case(self) -> str:
         """Name of its folder."""
-        return case_id(self.number)
+        return f"{self.effect}-{self.turn + 1}"
+
+    @property
+    def place(self) -> Path:
+        """Its folder."""
+        return self.folder / self.case
+
+    @property
+    def number(self) -> int:
+        """That it is drawn from: another one for every case of the seed."""
+        return self.turn * len(KINDS) + list(KINDS).index(self.effect)
 
 
 def leave_out(
@@ -61,75 +78,66 @@ def leave_out(
     Args:
         folder: of cases, keys and answers; made if it does not exist.
         seed: of the cases.
-        effects: names; all that the simulator plants if None.
+        effects: names; all if None.
         per_effect: cases of each.
         jobs: processes.
         again: as `run.run`.
         progress: called with (stage, done, total).
 
     Raises:
-        TorchidError: an unknown effect, or one that is never planted; a folder of another seed.
+        TorchidError: an unknown effect; a folder of another seed.
+        MissingExtraError: the simulator is not installed.
     """
     for name in effects or ():
         effect_kind(name)
-    say = progress or (lambda stage, done, total: None)
     wanted = list(KINDS if effects is None else dict.fromkeys(effects))
-    todo = chosen(seed, wanted, per_effect)
-    absent = sorted(set(wanted) - {one.effect for one in todo})
-    if effects is not None and absent:
-        raise TorchidError("the simulator never plants these alone.", got=", ".join(absent))
     folder.mkdir(parents=True, exist_ok=True)
-    keys = _written(folder, seed, todo, jobs, say)
-    made = [_job(folder, one) for one in todo]
-    answers = run(made, jobs=jobs, again=again, progress=progress)
-    return summary(seed, todo, keys, answers, absent)
+    todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
+    keys = _written(todo, jobs, progress or (lambda stage, done, total: None))
+    answers = run([_job(one) for one in todo], jobs=jobs, again=again, progress=progress)
+    return summary(seed, todo, keys, answers)
 
 
-def chosen(seed: int, effects: Sequence[str], per_effect: int) -> list[LeftOut]:
-    """The first cases of a seed in which one of these effects is planted alone."""
-    missing = dict.fromkeys(effects, per_effect)
-    out = []
-    for number, name in _planted_alone(seed, FAR * per_effect):
-        if missing.get(name, 0) > 0:
-            out.append(LeftOut(name, number))
-            missing[name] -= 1
-        if not any(missing.values()):
-            break
-    order = {name: k for k, name in enumerate(effects)}
-    return sorted(out, key=lambda one: (order[one.effect], one.number))
-
-
-def _written(
-    folder: Path, seed: int, todo: Sequence[LeftOut], jobs: int, say: Progress
-) -> dict[str, dict[str, Any]]:
+def _written(todo: Sequence[LeftOut], jobs: int, say: Progress) -> dict[str, dict[str, Any]]:
     """Keys of all cases; those that are not there yet are simulated."""
     keys: dict[str, dict[str, Any]] = {}
     new = []
     for one in todo:
-        path = folder / one.case / KEY
+        path = one.place / KEY
         if not path.is_file():
-            new.append(CaseJob(seed, one.number, folder))
+            new.append(one)
             continue
         key = read_json(path, "a key")
-        if key.get("seed") != seed:
+        if key.get("seed") != one.seed:
             raise TorchidError(
-                f"'{folder}' holds cases of another seed.", got=key.get("seed"), expected=seed
+                f"'{one.folder}' holds cases of another seed.",
+                got=key.get("seed"),
+                expected=one.seed,
             )
         keys[one.case] = key
     say("simulating cases", 0, len(new))
-    for k, (job, key) in enumerate(each(write_case, new, jobs)):
-        case = case_id(job.number)
-        keys[case] = {**key, "seed": seed}
-        write_json(keys[case], folder / case / KEY)
+    for k, (one, key) in enumerate(each(write_left_out, new, jobs)):
+        keys[one.case] = key
         say("simulating cases", k + 1, len(new))
     return keys
 
 
-def _job(folder: Path, one: LeftOut) -> Job:
-    place = folder / one.case
+def write_left_out(one: LeftOut) -> dict[str, Any]:
+    """Simulate one case and write it with its key, which is returned."""
+    from torchid.withheld.plant.case import draw_case, simulate_case
+
+    spec = draw_case(one.seed, one.number, kind="single", effects=[one.effect])
+    case = simulate_case(spec)
+    write_shown(case.urdf, case.columns, one.place)
+    key = {"id": one.case, "seed": one.seed, **case.key}
+    write_json(key, one.place / KEY)
+    return key
+
+
+def _job(one: LeftOut) -> Job:
     rest = tuple(name for name in KINDS if name != one.effect)
     settings = GapSettings(effects=rest, rollout=False)
-    return Job(one.case, place / ROBOT, place / LOG, place / ANSWER, settings)
+    return Job(one.case, one.place / ROBOT, one.place / LOG, one.place / ANSWER, settings)
 
 
 def summary(
@@ -137,7 +145,6 @@ def summary(
     todo: Sequence[LeftOut],
     keys: Mapping[str, Mapping[str, Any]],
     answers: Mapping[str, Mapping[str, Any]],
-    absent: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Verdicts in all, by effect, and case by case."""
     cases = [_verdict(one, keys[one.case], answers[one.case]) for one in todo]
@@ -153,7 +160,6 @@ def summary(
             "version": __version__,
             "verdicts": {v: rate(c["verdict"] == v for c in judged) for v in get_args(Verdict)},
             "by_effect": by_effect,
-            "never_planted": list(absent),
             "errors": [c["case"] for c in cases if c["verdict"] == ERROR],
             "cases": cases,
         }
@@ -175,13 +181,3 @@ def _verdict(one: LeftOut, key: Mapping[str, Any], answer: Mapping[str, Any]) ->
             for c in row.claims
         ],
     }
-
-
-def _planted_alone(seed: int, most: int) -> Iterator[tuple[int, str]]:
-    """(number, effect) of the cases of a seed with one effect of the library."""
-    from torchid.withheld.plant.case import draw_case
-
-    for number in range(most * len(KINDS)):
-        spec = draw_case(seed, number)
-        if spec.kind == "single":
-            yield number, spec.effects[0].name

@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +32,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class CaseJob:
+class _CaseJob:
     """One case to write: `seed` and `number` say everything about it."""
 
     seed: int
@@ -72,7 +72,7 @@ def make(
     _refuse(folder, keys)
     say = progress or (lambda stage, done, total: None)
     with _unfinished(folder) as place:
-        todo = [CaseJob(seed, k, place) for k in range(count)]
+        todo = [_CaseJob(seed, k, place) for k in range(count)]
         found: dict[int, dict[str, Any]] = {}
         say("simulating cases", 0, count)
         for job, key in each(write_case, todo, jobs):
@@ -86,22 +86,26 @@ def make(
     return replace(done, folder=folder)
 
 
-def write_case(job: CaseJob) -> dict[str, Any]:
+def write_case(job: _CaseJob) -> dict[str, Any]:
     """Simulate one case and write what the diagnosis may see; returns its key."""
     from torchid.withheld.plant.case import draw_case, simulate_case
 
     case = simulate_case(draw_case(job.seed, job.number))
     name = case_id(job.number)
-    place = job.folder / name
+    write_shown(case.urdf, case.columns, job.folder / name)
+    return {"id": name, **case.key}
+
+
+def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> None:
+    """Write what the diagnosis sees of a case: model and log."""
     place.mkdir(exist_ok=True)
     with atomic_write(place / ROBOT, "w") as text:
-        text.write(case.urdf)
+        text.write(urdf)
     with atomic_write(place / LOG, "wb") as file:
-        _write_columns(case.columns, file)
-    return {**case.key, "id": name}
+        _write_columns(columns, file)
 
 
-def _write_columns(columns: dict[str, np.ndarray], file: Any) -> None:
+def _write_columns(columns: Mapping[str, np.ndarray], file: Any) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
