@@ -13,7 +13,7 @@ from torchid.withheld.plant.logger import logged
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.nominal import nominal_of, rms
 from torchid.withheld.plant.plan import Plan, Scene
-from torchid.withheld.plant.scene import friction_known, scene_of
+from torchid.withheld.plant.scene import friction_known, moved_otherwise, scene_of
 from torchid.withheld.plant.simulate import simulated
 from torchid.withheld.plant.sizes import Sized, gaps, planted, readings, size_of, sized
 
@@ -21,8 +21,6 @@ __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
 FINE = 2.5e-4
 """Step of the simulation that is logged [s]."""
-
-_CLOSE = 0.2
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,11 @@ def simulate_case(spec: CaseSpec) -> SimulatedCase:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
         MissingExtraError: MuJoCo is not installed.
     """
-    scene, base = _scene(spec, rich=True)
+    scene, base = _scene(spec)
     nominal = nominal_of(scene.arm, base.known_damping, base.known_friction)
     found = [sized(scene, base, nominal, effect, spec.level or 5.0) for effect in spec.effects]
     if spec.poor:
-        scene, base = _scene(spec, rich=False)
+        scene = moved_otherwise(scene, nominal, spec.poor)
     plan, parameters = _all(scene, base, spec, found)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
@@ -67,14 +65,14 @@ def simulate_case(spec: CaseSpec) -> SimulatedCase:
     return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
 
 
-def _scene(spec: CaseSpec, rich: bool) -> tuple[Scene, Plan]:
+def _scene(spec: CaseSpec) -> tuple[Scene, Plan]:
     """The scene, and the arm without effects."""
     arm = arm_named(spec.arm)
     damping, friction = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
     scene = scene_of(
         arm,
         nominal_of(arm, damping, friction),
-        spec.motion if rich or spec.poor is None else spec.poor,
+        spec.motion,
         spec.noise_share,
         spec.bandwidth_hz,
         spec.damping_ratio,

@@ -192,7 +192,7 @@ KINDS: dict[str, Kind] = {
         "phase", drives.elastic, _half(_soft), _soft, _uniform(damping=(0.03, 0.08))
     ),
     "backlash": Kind(
-        "hysteresis", drives.backlash, _fixed(3e-3), _fixed(0.03), _uniform(damping=(0.04, 0.1))
+        "hysteresis", drives.backlash, _fixed(3e-3), _fixed(0.02), _uniform(damping=(0.04, 0.1))
     ),
     "presliding_hysteresis": Kind(
         "hysteresis", friction.presliding, _column(lambda s, e, j: 0.8), _EVER,

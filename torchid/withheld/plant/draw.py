@@ -32,6 +32,20 @@ LEVEL = 5.0
 LEVELS = tuple(float(x) for x in np.logspace(-1, 1, 9).round(4))
 """Of the severity sweep."""
 
+EXCLUSIVE = (
+    "stribeck_friction",
+    "asymmetric_friction",
+    "thermal_friction_drift",
+    "uneven_friction",
+    "uneven_damping",
+    "gear_coupling",
+    "joint_elasticity",
+    "backlash",
+)
+"""Effects that take the place of a joint's known friction or drive: one of them a joint."""
+
+_DRAWS = 100
+
 POOR = ("slow", "small", "few")
 
 COLLINEAR = (
@@ -111,6 +125,8 @@ def draw_case(
     Raises:
         TorchidError: an unknown kind, effect or arm.
     """
+    if kind is None and effects is not None:
+        kind = ("none", "single")[len(effects)] if len(effects) < 2 else "several"
     kind = kind or _kind(seed, number)
     if kind not in CASE_KINDS:
         raise TorchidError(f"unknown kind of case '{kind}'.", available=list(CASE_KINDS))
@@ -176,7 +192,14 @@ def _effects(
     if wanted is not None:
         for name in wanted:
             kind_named(name)
-        return _apart(rng, wanted, n)
+        found = _apart(rng, wanted, n)
+        if found is None:
+            raise TorchidError(
+                "these effects cannot be on one arm: each needs joints of its own.",
+                got=list(wanted),
+                hint="an arm with more joints",
+            )
+        return found
     turn = _turn(seed, number, kind)
     if kind == "none":
         return ()
@@ -200,17 +223,25 @@ def _several(rng: np.random.Generator, n: int) -> tuple[EffectSpec, ...]:
         others = tuple(j for j in range(n) if j not in one.joints)
         return one, drawn_effect(rng, second, n, avoid=others)
     count = 2 if rng.random() < 0.7 else 3
-    names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
-    return _apart(rng, names, n)
+    while True:
+        names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
+        found = _apart(rng, names, n)
+        if found is not None:
+            return found
 
 
-def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...]:
-    """Effects on joints of their own, where there are enough."""
-    out: list[EffectSpec] = []
-    for name in names:
-        taken = tuple(j for effect in out for j in effect.joints)
-        out.append(drawn_effect(rng, name, n, avoid=taken))
-    return tuple(out)
+def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...] | None:
+    """Effects on joints of their own, where there are enough; None where there are too few for
+    effects that exclude each other."""
+    for _ in range(_DRAWS):
+        out: list[EffectSpec] = []
+        for name in names:
+            taken = tuple(j for effect in out for j in effect.joints)
+            out.append(drawn_effect(rng, name, n, avoid=taken))
+        alone = [j for effect in out if effect.name in EXCLUSIVE for j in effect.joints]
+        if len(set(alone)) == len(alone):
+            return tuple(out)
+    return None
 
 
 def _motion(rng: np.random.Generator, n: int) -> MotionPlan:

@@ -12,8 +12,8 @@ _ROTOR = 0.04  # of the least inertia the joint sees
 _STIFF_HZ = 18.0  # of the gear with play: link against a held motor
 LOWEST_HZ = 6.0
 """Lowest resonance of an elastic joint, link against a held motor."""
-LOWEST_BASE_HZ = 6.0
-"""Lowest resonance of a flexible base."""
+LOWEST_BASE_HZ = 4.5
+"""Lowest resonance of a flexible base under the arm stretched upwards; bent, it is higher."""
 
 
 def elastic(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:

@@ -1,5 +1,7 @@
 """From a case's description to what effects must know of its motion."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from torchid.withheld.plant.arms import Arm
@@ -10,7 +12,7 @@ from torchid.withheld.plant.plan import Scene
 
 _GRID = 0.02  # seconds
 _HEADROOM = 0.85  # share of the effort limit that the nominal motion may need
-_FLOOR = 3e-4  # of the largest joint's torque: a sensor is not quieter, however idle its joint
+_FLOOR = 2e-3  # of the largest joint's torque: a joint's noise is as if it carried that much
 
 
 def scene_of(
@@ -46,7 +48,7 @@ def scene_of(
         shapes=tuple(shapes),
         order=motion.shapes,
         starts=_starts(motion),
-        noise=np.maximum(noise_share * strength, _FLOOR * strength.max()),
+        noise=noise_share * np.maximum(strength, _FLOOR * strength.max()),
         torque=strength,
         peak=np.abs(torque).max(0),
         speed=np.quantile(np.abs(dq), 0.99, axis=0),
@@ -84,6 +86,12 @@ def _starts(motion: MotionPlan) -> tuple[float, ...]:
         out.append(clock)
         clock += motion.seconds[number]
     return tuple(out)
+
+
+def moved_otherwise(scene: Scene, nominal: Nominal, motion: MotionPlan) -> Scene:
+    """The scene's arm, noise and controllers on another motion."""
+    shapes = _within_effort(scene.arm, nominal, sums(scene.arm, motion))
+    return replace(scene, shapes=tuple(shapes), order=motion.shapes, starts=_starts(motion))
 
 
 def friction_known(arm: Arm, viscous: Array, coulomb: Array) -> tuple[Array, Array]:
