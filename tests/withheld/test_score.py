@@ -169,7 +169,7 @@ def test_closing_is_measured_by_the_oracle():
         case("single", FOUND, COULOMB, name="c"),
         case("single", FOUND, COULOMB, name="d"),
     ]
-    found = scores(cases, oracle={"a": 0.9, "b": 0.8, "c": 1.0, "d": None})["closing"]
+    found = scores(cases, oracle={"a": 0.9, "b": 0.8, "c": 1.0, "d": 0.01})["closing"]
     assert found["ratio"]["median"] == pytest.approx(0.9)
     assert found["ratio"]["cases"] == 3
     assert found["oracle_closes_nothing"] == 1

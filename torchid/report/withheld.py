@@ -53,53 +53,76 @@ class Line:
         low, high = (None if x is None else self.shown(x) for x in (self.low, self.high))
         if low is not None and high is not None:
             return f"{low} to {high}"
-        return f"at least {low}" if low is not None else "" if high is None else f"at most {high}"
+        return f"≥ {low}" if low is not None else "" if high is None else f"≤ {high}"
+
+    def beats(self, scores: Mapping[str, Any], others: Mapping[str, Any]) -> bool:
+        """Whether a score is better than another method's; no if the better side is not known."""
+        own, other = self.value(scores), self.value(others)
+        if own is None or other is None or (self.low is None) == (self.high is None):
+            return False
+        return own < other if self.low is None else own > other
 
     def text(self, scores: Mapping[str, Any]) -> str:
         """Value, interval and count."""
+        value, interval, count = self._parts(scores)
+        return value + (f" ({interval})" if interval else "") + (f", {count}" if count else "")
+
+    def cells(self, scores: Mapping[str, Any]) -> tuple[str, str, str, str]:
+        """Value, interval, count, and the target with whether it is met."""
+        met = self.met(scores)
+        words = "" if met is None else " met" if met else " missed"
+        return (*self._parts(scores), self.target + words)
+
+    def brief(self, scores: Mapping[str, Any]) -> str:
+        """The value alone."""
+        return self._parts(scores)[0]
+
+    def _parts(self, scores: Mapping[str, Any]) -> tuple[str, str, str]:
         value = self.value(scores)
         if value is None:
-            return "-"
-        entry = self.entry(scores)
-        text = self.shown(value)
-        interval = None if self.path[-1] == "set_size" else entry.get("ci95")
-        if interval is not None:
-            text += f" ({self.shown(interval[0])} to {self.shown(interval[1])})"
-        if "hits" in entry and "total" in entry:
-            text += f", {entry['hits']} of {entry['total']}"
-        return text
+            return "-", "", ""
+        entry = {} if self.path[-1] == "set_size" else self.entry(scores)
+        interval = entry.get("ci95")
+        between = "" if interval is None else " to ".join(self._plain(end) for end in interval)
+        count = f"{entry['cases']} cases" if "cases" in entry else ""
+        if "total" in entry:
+            count = f"{entry['hits']} of {entry['total']}"
+        return self.shown(value), between, count
 
     def shown(self, value: float) -> str:
         """A value of this score."""
-        return f"{100 * value:.1f} %" if self.percent else f"{value:.2f}"
+        return self._plain(value) + (" %" if self.percent else "")
+
+    def _plain(self, value: float) -> str:
+        return f"{100 * value:.1f}" if self.percent else f"{value:.2f}"
 
 
 LINES = (
     Line("false alarms, white noise", ("false_alarms", "white", "share"), high=0.03),
     Line("false alarms, coloured noise", ("false_alarms", "coloured", "share"), high=0.03),
     Line("false alarms, all", ("false_alarms", "all", "share"), high=0.03),
-    Line("parameters only: structural effect named", ("parameters", "structural", "share")),
+    Line("parameters only: other effect named", ("parameters", "structural", "share")),
     Line("one effect: detected", ("single", "detected", "share")),
     Line("one effect: first name right", ("single", "top1", "share"), low=0.85),
     Line("one effect: in the first set", ("single", "in_set", "share"), low=0.95),
     Line("one effect: names in the set", ("single", "set_size"), high=2.0, percent=False),
     Line("one effect: in any set", ("single", "anywhere", "share")),
     Line("one effect: family right", ("single", "family", "share"), low=0.95),
-    Line("one effect: nothing else, right joint", ("single", "exact", "share")),
+    Line("one effect: that alone, right joint", ("single", "exact", "share")),
     Line("joints, F1", ("joints", "f1"), low=0.95, percent=False),
     Line("two effects, F1", ("several", "pairs", "with_sets", "f1"), low=0.9, percent=False),
     Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),
     Line("three effects, F1", ("several", "triples", "with_sets", "f1"), percent=False),
     Line(
-        "outside the library: wrong family, for sure",
+        "outside: wrong family for sure",
         ("outside", "confident_wrong", "share"),
         high=0.05,
     ),
-    Line("poor excitation: said so, or right", ("poor", "honest", "share")),
-    Line("poor excitation: said so", ("poor", "not_testable_or_hedged", "share")),
-    Line("gap closed, of the oracle's (median)", ("closing", "ratio", "median"), low=0.97),
-    Line("95 % intervals hold the closed share", ("coverage", "closed", "share"), 0.9, 0.98),
-    Line("95 % intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
+    Line("poor data: said so, or right", ("poor", "honest", "share")),
+    Line("poor data: said so", ("poor", "not_testable_or_hedged", "share")),
+    Line("gap closed, of the oracle's", ("closing", "ratio", "median"), low=0.97),
+    Line("intervals hold the closed share", ("coverage", "closed", "share"), 0.9, 0.98),
+    Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
 )
 
 BASELINES = {
@@ -107,16 +130,22 @@ BASELINES = {
     "stlsq": "STLSQ",
     "bic": "BIC stepwise",
 }
+SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
 def score_table(summary: Summary) -> Table:
-    """Scores beside targets and baselines."""
-    head, body = _score_rows(summary)
+    """Scores that there are cases for, beside targets and baselines."""
     table = compact(f"withheld cases of seed {summary['seed']}: {summary['cases']} answers")
-    for heading in head:
-        table.add_column(heading)
-    for row in body:
-        table.add_row(*row)
+    table.add_column("score", no_wrap=True)
+    for heading in ("torchid", "95 %", "cases"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("target", no_wrap=True)
+    for name in summary["baselines"]:
+        table.add_column(SHORT.get(name, name), justify="right", no_wrap=True)
+    for line in LINES:
+        if line.value(summary["scores"]) is not None:
+            others = [line.brief(scores) for scores in summary["baselines"].values()]
+            table.add_row(line.label, *line.cells(summary["scores"]), *others)
     return table
 
 
@@ -133,6 +162,17 @@ def headline(summary: Summary) -> str:
     return text + "."
 
 
+def beaten_by(summary: Summary) -> list[str]:
+    """Scores in which a simple method is better, in words."""
+    ours = summary["scores"]
+    return [
+        f"{line.label}: {BASELINES.get(name, name)} {line.brief(scores)}, ours {line.brief(ours)}"
+        for line in LINES
+        for name, scores in summary["baselines"].items()
+        if line.beats(scores, ours)
+    ]
+
+
 def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
     """The whole report.
 
@@ -147,16 +187,17 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
         f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
         f"torchid {summary['scored_with']}. Intervals: 95 %.",
         markdown_table(*_score_rows(summary)),
+        _comparison(summary),
         *(f"![{name}]({name})" for name in figures),
         "## Status by kind",
         counts_table("kind", scores["status"]),
         "## One effect, by effect",
         _by_effect(scores["single"]["by_effect"]),
-        "## What was named first (one effect planted)",
+        "## What was named first instead of one effect",
         _confusion(scores["confusion"]),
         "## Outside the library",
         counts_table("cause", scores["outside"]["by_cause"]),
-        _confusion(scores["confusion_outside"]),
+        *([_confusion(scores["confusion_outside"])] if scores["confusion_outside"] else []),
         "## Poor excitation",
         counts_table("cases", {"poor": scores["poor"]["verdicts"]}),
         "## Detected / named, by size in standard deviations of the noise",
@@ -167,6 +208,15 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+def _comparison(summary: Summary) -> str:
+    if not summary["baselines"]:
+        return ""
+    better = beaten_by(summary)
+    if not better:
+        return "No simple method is better on any score that has a target."
+    return "A simple method is better on:\n\n" + "\n".join(f"- {text}" for text in better)
+
+
 def _score_rows(summary: Summary) -> tuple[list[str], list[list[str]]]:
     baselines = summary["baselines"]
     names = [BASELINES.get(name, name) for name in baselines]
@@ -175,14 +225,9 @@ def _score_rows(summary: Summary) -> tuple[list[str], list[list[str]]]:
     for line in LINES:
         met = line.met(summary["scores"])
         words = "" if met is None else "yes" if met else "no"
-        others = [_short(line, scores) for scores in baselines.values()]
+        others = [line.brief(scores) for scores in baselines.values()]
         body.append([line.label, line.text(summary["scores"]), line.target, words, *others])
     return head, body
-
-
-def _short(line: Line, scores: Mapping[str, Any]) -> str:
-    value = line.value(scores)
-    return "-" if value is None else line.shown(value)
 
 
 def markdown_table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
@@ -222,7 +267,7 @@ def _confusion(matrix: Mapping[str, Mapping[str, int]]) -> str:
         for said, count in sorted(row.items(), key=lambda item: -item[1])
         if said != planted
     ]
-    return markdown_table(["planted", "named first instead", "cases"], body) if body else ""
+    return markdown_table(["planted", "named first instead", "cases"], body) if body else "None."
 
 
 def _detection(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:

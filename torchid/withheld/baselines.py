@@ -27,6 +27,7 @@ from torchid.gap.passages import Rows
 from torchid.gap.prepare import Prepared, prepare, report_band
 from torchid.gap.problem import BASE, LINK, Term, term_of
 from torchid.gap.projection import Projector, Scanner, in_all_rows
+from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
 from torchid.gap.task import Task, banks_of
 from torchid.identification.base_parameters import base_parameters
@@ -262,10 +263,11 @@ def _stacked(terms: Sequence[Term], data: Data) -> Float[Tensor, "P nN"]:
 
 
 def _solved(x: Tensor, y: Tensor) -> Tensor:
-    """Least squares, of least norm where columns are dependent."""
-    size = x.norm(dim=1).clamp(min=1e-300)
+    """Least squares, of least norm where columns are dependent; zero for columns that are."""
+    size = x.norm(dim=1)
+    size = torch.where(size > 0, size, math.inf)
     unit = x / size.unsqueeze(1)
-    inverse = torch.linalg.pinv(unit @ unit.T, rtol=1e-9, hermitian=True)
+    inverse = torch.linalg.pinv(unit @ unit.T, rtol=1e-7, hermitian=True)
     return (inverse @ (unit @ y)) / size
 
 
@@ -281,7 +283,7 @@ def baseline_case(job: Job) -> dict[str, Any]:
     }
     try:
         data = data_of(load_robot(job.robot), read_log(job.log), job.settings)
-        record["methods"] = {name: answer_of(data, m(data)) for name, m in METHODS.items()}
+        record["methods"] = plain({k: answer_of(data, m(data)) for k, m in METHODS.items()})
         record["status"] = "done"
     except Exception as error:  # one case must not stop the others
         record |= {"status": ERROR, "error": f"{type(error).__name__}: {error}"}

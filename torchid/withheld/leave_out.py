@@ -129,7 +129,8 @@ def write_left_out(one: LeftOut) -> dict[str, Any]:
     spec = draw_case(one.seed, one.number, kind="single", effects=[one.effect])
     case = simulate_case(spec)
     write_shown(case.urdf, case.columns, one.place)
-    key = {"id": one.case, "seed": one.seed, **case.key}
+    own = {"id": one.case, "seed": one.seed}
+    key = own | case.key | own
     write_json(key, one.place / KEY)
     return key
 

@@ -93,7 +93,7 @@ def write_case(job: _CaseJob) -> dict[str, Any]:
     case = simulate_case(draw_case(job.seed, job.number))
     name = case_id(job.number)
     write_shown(case.urdf, case.columns, job.folder / name)
-    return {"id": name, **case.key}
+    return {"id": name} | case.key | {"id": name}
 
 
 def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> None:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -132,6 +133,7 @@ def diagnose_case(job: Job) -> dict[str, Any]:
         answer = _answer(job)
     except Exception as error:  # one case must not stop the others
         answer = {"status": ERROR, "which": [], "error": f"{type(error).__name__}: {error}"}
+        answer["traceback"] = traceback.format_exc()
     answer |= {
         "case": job.case,
         "settings": as_record(job.settings),

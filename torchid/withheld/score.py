@@ -28,6 +28,9 @@ from torchid.withheld.measures import (
 )
 
 DRAWS = 1000
+CLOSES = 0.1
+"""Share that the oracle closes, below which a ratio to it says nothing."""
+
 NOTHING = {
     "no_gap": "(no gap)",
     "detected_unexplained": "(unexplained)",
@@ -239,10 +242,10 @@ def _poor(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _closing(cases: Sequence[Scored], oracle: Mapping[str, float | None]) -> dict[str, Any]:
-    """How much of what could be closed is; cases in which the oracle closes nothing are left out,
-    and counted."""
+    """How much of what could be closed is; cases in which the oracle closes next to nothing are
+    left out, and counted."""
     told = [(c, oracle[c.case]) for c in cases if c.case in oracle]
-    ratios = [c.closed / best for c, best in told if best is not None and best > 0]
+    ratios = [c.closed / best for c, best in told if best is not None and best >= CLOSES]
     return {
         "closed": median([c.closed for c in cases]),
         "oracle": median([best or 0.0 for _, best in told]),
