@@ -1,6 +1,8 @@
 """`torchid withheld`: make, run, score, leave-out, as a user would call them."""
 
 import json
+import runpy
+from pathlib import Path
 
 import pytest
 
@@ -117,6 +119,11 @@ def test_wrong_usage_exits_with_2(command, tmp_path):
     assert command("withheld", "make", "--out", tmp_path / "x", "--cases", 0, "--seed", 1).code == 2
     assert command("withheld", "run").code == 2
     assert command("withheld", "run", "x", "--jobs", 0).code == 2
+
+
+def test_other_processes_can_import_the_launcher():
+    launcher = Path(__file__).parents[2] / "cli.py"
+    assert callable(runpy.run_path(str(launcher), run_name="__mp_main__")["main"])
 
 
 def test_help_has_an_example(command):
