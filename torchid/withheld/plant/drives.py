@@ -8,7 +8,7 @@ from torchid.withheld.plant.friction import Planted, replacing
 from torchid.withheld.plant.model import BaseMount, Coupling, Drive
 from torchid.withheld.plant.plan import EffectSpec, Plan, Scene, sign
 
-_ROTOR = 0.04  # of the least inertia the joint sees
+_ROTOR = 0.2  # of the least inertia the joint sees: geared rotors weigh that much, and more
 _STIFF_HZ = 18.0  # of the gear with play: link against a held motor
 LOWEST_HZ = 6.0
 """Lowest resonance of an elastic joint, link against a held motor."""

@@ -29,7 +29,7 @@ def bristles(joint: int, limit: Limit, deflection: float, damping: float = 0.0) 
     """
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         dq, applied, step = live.dq, live.applied, live.step
         stiffness = max(limit(0.0, 0), 1e-9) / deflection
         z = 0.0
@@ -59,7 +59,7 @@ def slip_elements(joint: int, torque: float, lengths: tuple[float, ...]) -> Law:
     share = torque / len(lengths)
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         dq, applied, step = live.dq, live.applied, live.step
         stiffness = [share / length for length in lengths]
         forces = [0.0 for _ in lengths]
@@ -79,7 +79,7 @@ def resisting(joint: int, torque: Callable[[float, float], float]) -> Law:
     """Torque against the motor's motion that is a function of its position and speed [N m]."""
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         q, dq, applied = live.q, live.dq, live.applied
 
         def act(k: int) -> None:
@@ -94,7 +94,7 @@ def loaded_bristles(joint: int, share: float, deflection: float) -> Law:
     """Bristles whose limit is a share of the torque that the gear transmits just now."""
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         q, dq, applied = live.q, live.dq, live.applied
         kp, kd = float(live.kp[joint]), float(live.kd[joint])
         command, step = np.ascontiguousarray(live.command[:, joint]), live.step
@@ -118,7 +118,7 @@ def rippling_motor(joint: int, share: float, k: float, phase: float) -> Law:
     """A motor whose torque constant ripples with its angle: u share sin(k q + phase) is lost."""
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         q, dq, applied = live.q, live.dq, live.applied
         kp, kd = float(live.kp[joint]), float(live.kd[joint])
         command = np.ascontiguousarray(live.command[:, joint])
@@ -137,7 +137,7 @@ def warming(joint: int, damping: float, friction: float, warmth: Callable[[float
     """MuJoCo's own damping and dry friction, changed by so much times a function of time."""
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         fields = live.damping, live.friction
         cold = float(fields[0][dof]), float(fields[1][dof])
         t = live.t
@@ -156,7 +156,7 @@ def varying(joint: int, damping: float, friction: float, k: float, phase: float)
     """MuJoCo's own damping and dry friction, changed by so much times sin(k q + phase)."""
 
     def start(live: Live) -> Act:
-        dof = int(live.layout.motors[joint])
+        dof = int(live.motors[joint])
         fields, q = (live.damping, live.friction), live.q
         mean = float(fields[0][dof]), float(fields[1][dof])
 

@@ -12,6 +12,8 @@ from torchid.withheld.plant.engine import mujoco
 
 GRAVITY = (0.0, 0.0, -9.81)
 
+_WEIGHTLESS = '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>'
+
 
 @dataclass(frozen=True)
 class Link:
@@ -119,14 +121,6 @@ class Plant:
         return len(self.links)
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where joints are in MuJoCo's vectors: degrees of freedom (n,) of motors and of links."""
-
-    motors: Array
-    links: Array
-
-
 def plant_of(arm: Arm, damping: Array, friction: Array) -> Plant:
     """The arm as described."""
     links = tuple(
@@ -136,26 +130,23 @@ def plant_of(arm: Arm, damping: Array, friction: Array) -> Plant:
     return Plant(links, np.array(arm.tool), damping, friction, np.zeros(arm.n))
 
 
-def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Layout]:
+def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Array]:
     """The plant with its position controllers, u = command - kp q - kd dq, as a MuJoCo model.
 
     Args:
         plant: the arm.
         kp, kd: (n,) gains [N m/rad; N m s/rad].
         step: [s].
+
+    Returns:
+        The model, and the degrees of freedom (n,) of the motors; any others are deflections.
     """
     model = mujoco().MjModel.from_xml_string(_xml(plant, kp, kd, step))
-    driven = {drive.joint for drive in plant.drives}
-    motors, links = (
-        np.array([int(model.joint(f"{name}{k}").dofadr[0]) for k, name in enumerate(names)])
-        for names in (
-            ["motor"] * plant.n,
-            ["joint" if k in driven else "motor" for k in range(plant.n)],
-        )
-    )
+    motors = np.array([int(model.joint(f"motor{k}").dofadr[0]) for k in range(plant.n)])
     for drive in plant.drives:
-        model.dof_armature[links[drive.joint]] -= drive.rotor
-    return model, Layout(motors, links)
+        # What the rotor has the link has not: XML takes no negative number.
+        model.tendon_armature[model.tendon(f"link{drive.joint}").id] = -drive.rotor
+    return model, motors
 
 
 def _xml(plant: Plant, kp: Array, kd: Array, step: float) -> str:
@@ -211,22 +202,17 @@ def _body(plant: Plant, k: int, inner: str) -> str:
         body = combined([body, plant.payload])
     if last:
         # Forces at the tool act on a body of its own, whose weight is nothing.
-        inner += (
-            f'<body name="tool" pos="{spaced(plant.tool)}">'
-            '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/></body>'
-        )
-    own = (
-        f'<joint name="joint{k}" {axis}/>'
-        if drive
-        else f'<joint name="motor{k}" {axis} {friction}/>'
+        inner += f'<body name="tool" pos="{spaced(plant.tool)}">{_WEIGHTLESS}</body>'
+    motor = f'<joint name="motor{k}" {axis} {friction}/>'
+    content = f"{_inertial(body)}{inner}"
+    if not drive:
+        return f'<body name="link{k}" {pose}>{motor}{content}</body>'
+    # The link's own joint is the gear's deflection: in this order MuJoCo's implicit damping of the
+    # gear is exact, for links that follow one another share entries of the mass matrix.
+    return (
+        f'<body name="rotor{k}" {pose}>{motor}{_WEIGHTLESS}<body name="link{k}">'
+        f'<joint name="gear{k}" {axis} damping="{drive.damping!r}"/>{content}</body></body>'
     )
-    motor = ""
-    if drive:
-        motor = (
-            f'<body name="rotor{k}" {pose}><joint name="motor{k}" {axis} {friction}/>'
-            '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/></body>'
-        )
-    return f'{motor}<body name="link{k}" {pose}>{own}{_inertial(body)}{inner}</body>'
 
 
 def _inertial(body: Inertial) -> str:
@@ -241,25 +227,25 @@ def _tendons(plant: Plant) -> str:
     driven = {d.joint for d in plant.drives}
 
     def link(k: int) -> str:
-        return f"joint{k}" if k in driven else f"motor{k}"
+        """The link's angle: the motor's, and the gear's deflection where there is one."""
+        motor = f'<joint joint="motor{k}" coef="1"/>'
+        return motor + (f'<joint joint="gear{k}" coef="1"/>' if k in driven else "")
 
-    parts = []
-    for s in plant.springs:
-        parts.append(
-            f'<fixed stiffness="{s.stiffness!r}" springlength="{s.rest!r}">'
-            f'<joint joint="{link(s.joint)}" coef="1"/></fixed>'
-        )
-    for c in plant.couplings:
-        parts.append(
-            f'<fixed damping="{c.damping!r}" frictionloss="{c.friction!r}">'
-            f'<joint joint="motor{c.joint}" coef="1"/>'
-            f'<joint joint="motor{c.source}" coef="{c.ratio!r}"/></fixed>'
-        )
+    parts = [
+        f'<fixed stiffness="{s.stiffness!r}" springlength="{s.rest!r}">{link(s.joint)}</fixed>'
+        for s in plant.springs
+    ]
+    parts += [
+        f'<fixed damping="{c.damping!r}" frictionloss="{c.friction!r}">'
+        f'<joint joint="motor{c.joint}" coef="1"/>'
+        f'<joint joint="motor{c.source}" coef="{c.ratio!r}"/></fixed>'
+        for c in plant.couplings
+    ]
     for d in plant.drives:
         half = d.play / 2
+        parts.append(f'<fixed name="link{d.joint}">{link(d.joint)}</fixed>')
         parts.append(
-            f'<fixed stiffness="{d.stiffness!r}" damping="{d.damping!r}" '
-            f'springlength="{-half!r} {half!r}"><joint joint="motor{d.joint}" coef="1"/>'
-            f'<joint joint="joint{d.joint}" coef="-1"/></fixed>'
+            f'<fixed stiffness="{d.stiffness!r}" springlength="{-half!r} {half!r}">'
+            f'<joint joint="gear{d.joint}" coef="1"/></fixed>'
         )
     return "".join(parts)

@@ -8,7 +8,7 @@ import numpy as np
 
 from torchid.withheld.plant.arms import Arm
 from torchid.withheld.plant.bodies import Array
-from torchid.withheld.plant.model import Layout, Plant
+from torchid.withheld.plant.model import Plant
 from torchid.withheld.plant.motion import Sum
 
 
@@ -51,7 +51,7 @@ class Live:
         q, dq: of all degrees of freedom, motors and links.
         applied: torque to add to them, zero at the beginning of every step.
         friction, damping: of MuJoCo's model, which an effect may change as it runs.
-        layout: which degrees of freedom are which joint's.
+        motors: (n,) degrees of freedom of the motors.
         command, kp, kd: of the controllers, u = command - kp q - kd dq.
         t: (T,) [s], on the log's clock.
         step: [s].
@@ -62,7 +62,7 @@ class Live:
     applied: Array
     friction: Array
     damping: Array
-    layout: Layout
+    motors: Array
     command: Array
     kp: Array
     kd: Array

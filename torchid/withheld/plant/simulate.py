@@ -22,6 +22,7 @@ from torchid.withheld.plant.nominal import Nominal
 from torchid.withheld.plant.plan import Act, Live, Plan, Scene, Signals
 
 _FEED = 0.004  # seconds between two instants of the feed-forward
+_ASTRAY = 1.0  # rad from the reference at which a simulation is no longer one of this arm
 _STICKS = 0.05  # rad/s over which the feed-forward's friction comes in
 
 
@@ -64,19 +65,19 @@ def _trajectory(scene: Scene, plan: Plan, nominal: Nominal, step: float, number:
     if plan.offset is not None:
         # The controller sees q - offset and drives that to the reference.
         command = command + scene.kp * plan.offset
-    model, layout = compiled(plan.plant, scene.kp, scene.kd, step)
+    model, motors = compiled(plan.plant, scene.kp, scene.kd, step)
     data = mujoco().MjData(model)
     offset = 0.0 if plan.offset is None else plan.offset
-    data.qpos[layout.links] = shape.middle + offset
-    data.qpos[layout.motors] = shape.middle + offset
+    data.qpos[motors] = shape.middle + offset
     live = Live(
         data.qpos, data.qvel, data.qfrc_applied, model.dof_frictionloss, model.dof_damping,
-        layout, command, scene.kp, scene.kd, own + scene.starts[number], step,
+        motors, command, scene.kp, scene.kd, own + scene.starts[number], step,
     )  # fmt: skip
     acts = [law(live) for law in plan.laws]
     push = None if plan.push is None else plan.push(own, number)
     q, dq, friction, added = _run(model, data, live, acts, push)
-    if not np.isfinite(dq).all() or np.abs(q[-1] - shape.middle).max() > 1.0:
+    error = q[:-1] - offset - shape.state(own)[0]
+    if not np.isfinite(dq).all() or np.abs(error).max() > _ASTRAY:
         raise TorchidError("a withheld case could not be simulated: the arm diverged.")
     tau = command - scene.kp * q[:-1] - scene.kd * dq[1:]
     truth = Signals(
@@ -94,7 +95,7 @@ def _run(
 ) -> tuple[Array, Array, Array, Array]:
     """Positions and velocities (T + 1, n), and torque of dry friction and of laws (T, n) against
     the motion, of the motors."""
-    motors = live.layout.motors
+    motors = live.motors
     count, n = live.command.shape
     q, dq = np.empty((count + 1, n)), np.empty((count + 1, n))
     friction, added = np.empty((count, n)), np.zeros((count, n))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import kind_named
@@ -57,20 +58,28 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
     pairs = zip(traces, readings(plan, traces), strict=True)
     for number, (trace, reading) in enumerate(pairs):
         fine = float(reading.t[1] - reading.t[0])
-        thin = slice(None, None, max(1, round(_GRID / fine)))
+        every = max(1, round(_GRID / fine))
         tau = reading.tau.copy()
         for held in plan.held:
             since = reading.t - reading.t[0]
             tau[:, held.joint] = hold(tau[:, held.joint], since, held.windows[number])
-        q, dq, ddq = reading.q[thin], reading.dq[thin], reading.ddq[thin]
-        known = trace.friction[thin].copy()
+        tau, q, dq, ddq, friction, resistance = (
+            _thinned(x, every)
+            for x in (tau, reading.q, reading.dq, reading.ddq, trace.friction, trace.resistance)
+        )
+        known = friction.copy()
         for joint in plan.replaced:
             direction, limit = dry(dq[:, joint]), plan.known_friction[joint]
-            sticks = np.clip(trace.resistance[thin][:, joint], -limit, limit)
+            sticks = np.clip(resistance[:, joint], -limit, limit)
             known[:, joint] = limit * direction + (1 - np.abs(direction)) * sticks
-        gap = tau[thin] - nominal.rigid(q, dq, ddq) - plan.known_damping * dq - known
-        out.append(low_passed(gap, fine * max(1, round(_GRID / fine))))
+        gap = tau - nominal.rigid(q, dq, ddq) - plan.known_damping * dq - known
+        out.append(low_passed(gap, fine * every))
     return out
+
+
+def _thinned(x: Array, every: int) -> Array:
+    """One row of so many, of triangular means, which hold back what would be folded."""
+    return uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
 
 
 def size_of(scene: Scene, plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> Array:
