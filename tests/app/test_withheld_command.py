@@ -11,6 +11,8 @@ from torchid.withheld import run as running
 
 __all__ = ["plant"]
 
+PLAIN = ("--no-oracle", "--no-baselines", "--no-truth")
+
 
 @pytest.fixture
 def said(monkeypatch):
@@ -49,7 +51,9 @@ def test_make_run_score(made, said, command, tmp_path):
     statuses = json.loads((tmp_path / "run.json").read_text())["statuses"]
     assert statuses == {"explained": 1, "detected_unexplained": 1, "no_gap": 1}
     result = tmp_path / "result"
-    outcome = command("withheld", "score", folder, "--no-oracle", "--jobs", 1, "--out", result)
+    outcome = command(
+        "withheld", "score", folder, "--no-oracle", "--no-truth", "--jobs", 1, "--out", result
+    )
     assert outcome.code == 0, outcome.err
     assert "one effect: first name right" in outcome.out
     assert "100.0 %" in outcome.out
@@ -66,7 +70,7 @@ def test_a_changed_key_is_refused(made, said, command):
     command("withheld", "run", folder, "--jobs", 1, "--quiet")
     keys = folder.parent / "set.keys.json"
     keys.write_text(keys.read_text().replace('"joints"', '"Joints"', 1))
-    outcome = command("withheld", "score", folder, "--no-oracle", "--no-baselines")
+    outcome = command("withheld", "score", folder, *PLAIN)
     assert outcome.code == 1
     assert "not the key file that was sealed" in outcome.err
 
@@ -79,7 +83,7 @@ def test_a_score_needs_all_answers(made, said, command):
     command("withheld", "run", folder, "--jobs", 1, "--quiet")
     (folder / "case-0002" / "answer.json").unlink()
     assert command("withheld", "score", folder).code == 1
-    outcome = command("withheld", "score", folder, "--partial", "--no-oracle", "--no-baselines")
+    outcome = command("withheld", "score", folder, "--partial", *PLAIN)
     assert outcome.code == 0
     assert "1 cases have no answer" in outcome.out
 

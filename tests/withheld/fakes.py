@@ -76,7 +76,7 @@ def draw_case(seed: int, number: int) -> Spec:
     return Spec(seed, number)
 
 
-def simulate_case(spec: Spec) -> Simulated:
+def simulate_case(spec: Spec, *, ideal: bool = False) -> Simulated:
     """Two trajectories, one of them twice, at 100 Hz."""
     rng = np.random.default_rng([spec.seed, spec.number])
     robot = arm()
@@ -85,7 +85,7 @@ def simulate_case(spec: Spec) -> Simulated:
     for k, shape in enumerate((0, 1, 0)):
         motion = motion_of(robot.n, 10.0, 100.0, seed=shape)
         tau = model_torque(robot, [(CoulombFriction(1), [strength])], motion).numpy()
-        noisy = tau + 0.05 * rng.standard_normal(tau.shape)
+        noisy = tau + (0.0 if ideal else 0.05) * rng.standard_normal(tau.shape)
         t = np.arange(len(tau)) / 100.0 + 12.0 * k
         parts.append((t, motion.q.numpy(), noisy, np.full(len(tau), k)))
     t, q, tau, traj = (np.concatenate(x) for x in zip(*parts, strict=True))
@@ -102,7 +102,7 @@ def key_of(spec: Spec) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "id": "whatever", "kind": spec.kind, "arm": "2r", "rate_hz": 100.0, "colour_hz": None,
-        "repeats": True, "level": None, "effects": effects,
+        "repeats": True, "level": None, "effects": effects, "noise_std": [0.05, 0.05],
     }  # fmt: skip
 
 

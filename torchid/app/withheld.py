@@ -119,6 +119,13 @@ def score_command(
         bool,
         typer.Option("--oracle/--no-oracle", help="The diagnosis that is told what is there."),
     ] = True,
+    truth: Annotated[
+        bool,
+        typer.Option(
+            "--truth/--no-truth",
+            help="Simulate cases again without noise: how far gaps are really closed.",
+        ),
+    ] = True,
     partial: Annotated[
         bool, typer.Option("--partial", help="Leave out cases that have no answer yet.")
     ] = False,
@@ -135,6 +142,7 @@ def score_command(
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid.withheld.compare import baseline_answers, oracle_answers
     from torchid.withheld.summary import require_answers, summary
+    from torchid.withheld.truth import true_shares
 
     found = read_cases(folder)
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
@@ -144,7 +152,8 @@ def score_command(
         count = processes(jobs)
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
-    result = summary(found, opened, answers, baselines=simple, oracle=told)
+        true = true_shares(found, opened, answers, count, progress) if truth else None
+    result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
     _show_scores(result, output)
     output.write_json(result, "score.json")
     _write_report(result, output)

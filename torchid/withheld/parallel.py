@@ -6,8 +6,11 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TypeVar
+
+from torchid.errors import TorchidError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -24,6 +27,9 @@ def each(
         function: of a module, so that another process can find it.
         jobs: any number.
         processes: 1 stays in this one.
+
+    Raises:
+        TorchidError: a process was ended from outside.
     """
     if processes == 1 or len(jobs) < 2:
         for job in jobs:
@@ -39,6 +45,11 @@ def each(
         try:
             for future in as_completed(waiting):
                 yield waiting[future], future.result()
+        except BrokenProcessPool as error:
+            raise TorchidError(
+                "a process was ended from outside; memory may have run out.",
+                hint="fewer --jobs; what is done already stays",
+            ) from error
         finally:
             for future in waiting:
                 future.cancel()

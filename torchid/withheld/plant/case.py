@@ -22,6 +22,9 @@ __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 FINE = 2.5e-4
 """Step of the simulation that is logged [s]."""
 
+_FINEST = 48
+"""Bits of an encoder that rounds nothing."""
+
 
 @dataclass(frozen=True)
 class SimulatedCase:
@@ -38,8 +41,13 @@ class SimulatedCase:
     key: dict[str, Any]
 
 
-def simulate_case(spec: CaseSpec) -> SimulatedCase:
+def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
     """Simulate a case.
+
+    Args:
+        spec: what it is.
+        ideal: whether its log is that of sensors without noise, counts and jitter; everything else
+            stays as it is.
 
     Raises:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
@@ -60,7 +68,11 @@ def simulate_case(spec: CaseSpec) -> SimulatedCase:
     elif spec.poor:
         sizes = [_alone(scene, base, spec, k, one) for k, one in enumerate(found)]
     effects = [_effect_key(spec, k, parameters[k], sizes[k]) for k in range(len(spec.effects))]
-    columns = logged(spec.logger, plan, readings(plan, traces), scene.noise)
+    logger, noise = spec.logger, scene.noise
+    if ideal:
+        logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
+        noise = 0.0 * noise
+    columns = logged(logger, plan, readings(plan, traces), noise)
     key = _key(spec, scene, plan, effects, rms(left))
     return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
 
