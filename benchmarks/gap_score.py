@@ -17,28 +17,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from torchid.withheld.measures import (
-    Claim,
-    Counts,
-    Named,
-    Planted,
-    Verdict,
-    added,
-    f1,
-    inside,
-    named,
-    verdict,
-    wilson,
-)
-from torchid.withheld.measures import (
-    Row as Case,
-)
-from torchid.withheld.measures import (
-    joint_counts as joints_of,
-)
-from torchid.withheld.measures import (
-    matched as matches_of,
-)
+from torchid.withheld import measures
+from torchid.withheld.measures import Counts, Named, Verdict, added, f1, inside, named
+from torchid.withheld.rows import Claim, Planted
+from torchid.withheld.rows import Row as Case
+from torchid.withheld.shares import wilson
 
 Row = Mapping[str, Any]
 
@@ -85,17 +68,17 @@ def identified(row: Row) -> Named:
 
 def joint_counts(row: Row) -> Counts:
     """(hits, too many, missed) of the joints that are claimed."""
-    return joints_of(seen(row))
+    return measures.joint_counts(seen(row))
 
 
 def matched(row: Row, strict: bool) -> Counts:
     """(hits, too many, missed) of (effect, joint)."""
-    return matches_of(seen(row), strict)
+    return measures.matched(seen(row), strict)
 
 
 def without_its_name(row: Row, families: Mapping[str, str]) -> Verdict:
     """Verdict on a diagnosis whose library lacks the planted effect."""
-    return verdict(seen(row), families, every=False)
+    return measures.verdict(seen(row), families, every=False)
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:

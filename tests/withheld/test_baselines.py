@@ -23,7 +23,7 @@ from torchid.withheld.baselines import (
 )
 from torchid.withheld.case_set import LOG, ROBOT
 from torchid.withheld.make import write_shown
-from torchid.withheld.measures import row_of
+from torchid.withheld.rows import row_of
 from torchid.withheld.run import Job
 
 

@@ -8,9 +8,6 @@ import torch
 from scipy.stats import binomtest
 
 from torchid.withheld.measures import (
-    Claim,
-    Planted,
-    Row,
     added,
     coefficient_coverage,
     f1,
@@ -20,10 +17,10 @@ from torchid.withheld.measures import (
     matched,
     named,
     poor_verdict,
-    row_of,
     verdict,
-    wilson,
 )
+from torchid.withheld.rows import Claim, Planted, Row, row_of
+from torchid.withheld.shares import wilson
 
 FAMILIES = {
     "coulomb_friction": "sign",

@@ -5,16 +5,8 @@ from typing import Any
 import pytest
 
 from tests.withheld.fakes import answer, entry
-from torchid.withheld.score import (
-    Scored,
-    confusion,
-    detection,
-    median,
-    micro_f1,
-    rate,
-    scored,
-    scores,
-)
+from torchid.withheld.score import Scored, confusion, detection, scored, scores
+from torchid.withheld.shares import median, micro_f1, rate
 
 RIGHT = entry("coulomb_friction", "sign", 2)
 WRONG = entry("viscous_friction", "speed", 1)
@@ -214,7 +206,8 @@ def test_detection_over_size():
         case("severity", answer("explained", WRONG), COULOMB, level=1.0),
         case("severity", FOUND, COULOMB, level=1.0),
     ]
-    (low, high) = detection(cases)["coulomb_friction"]
+    assert list(detection(cases)) == ["all effects", "sign"]
+    (low, high) = detection(cases)["sign"]
     assert (low["level"], low["detected"]["share"], low["named"]["share"]) == (0.1, 0.0, 0.0)
     assert (high["level"], high["detected"]["share"], high["named"]["share"]) == (1.0, 1.0, 0.5)
     assert high["size"] == 5.0

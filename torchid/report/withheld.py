@@ -279,7 +279,7 @@ def _detection(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
         by_level = {point["level"]: point for point in points}
         cells = [_rates(by_level[level]) if level in by_level else "" for level in levels]
         body.append([name, *cells])
-    return markdown_table(["effect", *(f"{level:g}" for level in levels)], body)
+    return markdown_table(["family", *(f"{level:.2g}" for level in levels)], body)
 
 
 def _rates(point: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _SMALL = 8
 _COLUMNS = 3
+_TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 
 Matrix = Mapping[str, Mapping[str, int]]
 
@@ -66,7 +67,7 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
 
 
 def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figure":
-    """Shares of cases detected and named over the planted size, one panel an effect, with 95 %
+    """Shares of cases detected and named over the planted size, one panel a family, with 95 %
     intervals."""
     lines = math.ceil(len(curves) / _COLUMNS)
     columns = min(_COLUMNS, len(curves))
@@ -87,7 +88,9 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
                 markersize=3, linewidth=1.5, label=which,
             )  # fmt: skip
         axes.set_xscale("log")
-        axes.set_xticks(levels, [f"{level:g}" for level in levels])
+        axes.set_xlim(0.8 * levels[0], 1.25 * levels[-1])
+        ticks = [x for x in _TICKS if 0.8 * levels[0] <= x <= 1.25 * levels[-1]]
+        axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
         axes.minorticks_off()
         axes.set_ylim(-4, 104)
         axes.set_title(_words(name), fontsize=_SMALL + 1, color=INK, loc="left")

@@ -18,10 +18,11 @@ from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
 from torchid.withheld.case_set import ANSWER, LOG, ROBOT, read_json, write_json
 from torchid.withheld.make import write_shown
-from torchid.withheld.measures import Verdict, row_of, verdict
+from torchid.withheld.measures import Verdict, verdict
 from torchid.withheld.parallel import each
+from torchid.withheld.rows import row_of
 from torchid.withheld.run import ERROR, Job, run
-from torchid.withheld.score import rate
+from torchid.withheld.shares import rate
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"

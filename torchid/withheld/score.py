@@ -13,21 +13,16 @@ import numpy as np
 
 from torchid.effects.registry import FAMILIES
 from torchid.withheld.measures import (
-    Counts,
-    Row,
-    added,
     coefficient_coverage,
-    f1,
     joint_counts,
     matched,
     named,
     poor_verdict,
-    row_of,
     verdict,
-    wilson,
 )
+from torchid.withheld.rows import Row, row_of
+from torchid.withheld.shares import median, micro_f1, rate
 
-DRAWS = 1000
 CLOSES = 0.1
 """Share that the oracle closes, below which a ratio to it says nothing."""
 
@@ -113,45 +108,6 @@ def scores(
         "errors": [c.case for c in cases if c.row.status == "error"],
         "seconds_median": _median([c.seconds for c in cases if c.seconds is not None]),
     }
-
-
-def rate(flags: Iterable[bool]) -> dict[str, Any]:
-    """A share with its interval; `share` is None of nothing."""
-    known = list(flags)
-    hits, total = sum(known), len(known)
-    share = hits / total if total else None
-    return {"hits": hits, "total": total, "share": share, "ci95": list(wilson(hits, total))}
-
-
-def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
-    """F1 of all cases together, with an interval over cases; None of nothing."""
-    if not counts:
-        return {"f1": None, "ci95": None, "hits": 0, "extra": 0, "missed": 0, "cases": 0}
-    table = np.array(counts)
-    draws = table[_draws(len(table))].sum(1)
-    values = [f1((int(h), int(e), int(m))) for h, e, m in draws]
-    hits, extra, missed = added(counts)
-    return {
-        "f1": f1((hits, extra, missed)),
-        "ci95": [float(v) for v in np.quantile(values, (0.025, 0.975))],
-        "hits": hits,
-        "extra": extra,
-        "missed": missed,
-        "cases": len(counts),
-    }
-
-
-def median(values: Sequence[float]) -> dict[str, Any]:
-    """A median with an interval over cases; None of nothing."""
-    if not values:
-        return {"median": None, "ci95": None, "cases": 0}
-    drawn = np.median(np.array(values)[_draws(len(values))], axis=1)
-    interval = [float(v) for v in np.quantile(drawn, (0.025, 0.975))]
-    return {"median": float(np.median(values)), "ci95": interval, "cases": len(values)}
-
-
-def _draws(count: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -285,21 +241,25 @@ def confusion(cases: Iterable[Scored]) -> dict[str, dict[str, int]]:
 
 
 def detection(cases: Sequence[Scored]) -> dict[str, list[dict[str, Any]]]:
-    """By effect: shares detected and named over the size asked for."""
-    out: dict[str, list[dict[str, Any]]] = {}
-    for name, some in sorted(_by(cases, lambda c: c.row.planted[0].name).items()):
-        out[name] = []
-        for level in sorted({c.level for c in some if c.level is not None}):
-            own = [c for c in some if c.level == level]
-            sizes = [c.row.planted[0].size for c in own]
-            out[name].append(
-                {
-                    "level": level,
-                    "size": float(np.nanmean(sizes)) if np.isfinite(sizes).any() else None,
-                    "detected": rate(c.row.alarm for c in own),
-                    "named": rate(named(c.row).in_set for c in own),
-                }
-            )
+    """Shares detected and named over the size asked for: of all effects, and by family."""
+    groups = {"all effects": list(cases)} if cases else {}
+    families = _by(cases, lambda c: c.row.planted[0].family)
+    groups |= {name: families[name] for name in sorted(families)}
+    return {name: _curve(some) for name, some in groups.items()}
+
+
+def _curve(cases: Sequence[Scored]) -> list[dict[str, Any]]:
+    out = []
+    for level in sorted({c.level for c in cases if c.level is not None}):
+        own = [c for c in cases if c.level == level]
+        out.append(
+            {
+                "level": level,
+                "size": _median([c.row.planted[0].size for c in own]),
+                "detected": rate(c.row.alarm for c in own),
+                "named": rate(named(c.row).in_set for c in own),
+            }
+        )
     return out
 
 

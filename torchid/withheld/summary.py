@@ -9,8 +9,9 @@ from torchid.effects.registry import FAMILIES
 from torchid.errors import TorchidError
 from torchid.gap.record import plain
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.measures import Row, joint_counts, matched, named, poor_verdict, verdict
+from torchid.withheld.measures import joint_counts, matched, named, poor_verdict, verdict
 from torchid.withheld.oracle import closed_by
+from torchid.withheld.rows import Row
 from torchid.withheld.run import ERROR
 from torchid.withheld.score import Scored, scored, scores
 
