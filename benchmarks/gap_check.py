@@ -251,7 +251,7 @@ def run(some: Sequence[Case], results: Results, work: Path, processes: int) -> N
 def summary(row: dict[str, Any]) -> str:
     if "error" in row:
         return f"{row['id']}: ERROR {row['error'].strip().splitlines()[-1]}"
-    claimed = [f"{c['name']} {c['place']} +{len(c['ambiguous'])}" for c in score.claims(row)]
+    claimed = [f"{c.name} {list(c.place)} +{len(c.ambiguous)}" for c in score.claims(row)]
     planted = [f"{t['name']} {t['place']} {t['size']:.1f}" for t in row["truth"]]
     return (
         f"{row['id']} {row['robot']}: {', '.join(planted) or 'none'} -> {row['status']}: "

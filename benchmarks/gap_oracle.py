@@ -11,19 +11,15 @@
   the planted coefficient, for effects found by name and place that have no shape and no free body.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import torch
-from gap_cases import Arm, fresh_scene, place_of, true_logs
+from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
 
-import torchid.gap.case as procedure
 from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
-from torchid.gap.candidates import Bank
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.folds import Model, traces
@@ -54,38 +50,20 @@ WELL_DEFINED = (
 """Effects whose coefficients mean the same whatever shape was found."""
 
 
-@contextmanager
-def told(name: str, place: Sequence[int]) -> Iterator[None]:
-    """Diagnoses within have one candidate: an effect at a place (joints from 1)."""
-    every = procedure.banks_of
-
-    def one(*args: Any) -> list[Bank]:
-        return [bank for bank in every(*args) if _is(bank, name, place)]
-
-    with mock.patch.object(procedure, "banks_of", one):
-        yield
-
-
-def _is(bank: Bank, name: str, place: Sequence[int]) -> bool:
-    if bank.name != name:
-        return False
-    effects = bank.members[0]
-    return len(effects) == 1 and place_of(effects[0]) == list(place)
-
-
 def oracle(robot: Robot, log: Log, planted: Mapping[str, Any], seed: int) -> Diagnosis:
     """The diagnosis that is told what to fit."""
     body = planted["name"] == "link_inertia"
+    places = [joint - 1 for joint in planted["place"]] or [None]
     settings = GapSettings(
         effects=(planted["name"],),
+        only=tuple((planted["name"], place) for place in places),
         parameters="auto" if body else "trusted",
         alpha=0.5,
         max_effects=1,
         rollout=False,
         seed=seed,
     )
-    with told(planted["name"], planted["place"]):
-        return diagnose(robot, log, settings=settings)
+    return diagnose(robot, log, settings=settings)
 
 
 def model_of(diagnosed: Diagnosis) -> dict[str, Any]:

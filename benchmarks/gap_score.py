@@ -15,142 +15,70 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
+
+from torchid.withheld import measures
+from torchid.withheld.measures import Counts, Named, Verdict, added, f1, inside, named
+from torchid.withheld.rows import Claim, Planted
+from torchid.withheld.rows import Row as Case
+from torchid.withheld.shares import wilson
 
 Row = Mapping[str, Any]
-Claim = Mapping[str, Any]
 
 
-def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
-    """Interval of a share (Wilson 1927); (0, 1) where nothing was tried."""
-    if total == 0:
-        return 0.0, 1.0
-    p, zz = hits / total, z * z
-    middle = (p + zz / (2 * total)) / (1 + zz / total)
-    half = z / (1 + zz / total) * math.sqrt(p * (1 - p) / total + zz / (4 * total**2))
-    return max(0.0, middle - half), min(1.0, middle + half)
+def seen(row: Row) -> Case:
+    """A row as the product scores it."""
+    planted = [
+        Planted(t["name"], t["family"], tuple(t["place"]), tuple(t["joints"]), t["size"])
+        for t in row["truth"]
+    ]
+    return Case(row["status"], tuple(planted), tuple(claims(row)))
 
 
 def claims(row: Row) -> list[Claim]:
     """Findings and parametric entries, the largest share first."""
-    return sorted([*row["findings"], *row["parametric"]], key=lambda c: -c["share"])
-
-
-def names_of(claim: Claim) -> set[str]:
-    """The claimed name and those it may be instead."""
-    return {claim["name"], *claim["ambiguous"]}
+    found = [
+        Claim(
+            c["name"],
+            c["family"],
+            tuple(c["place"]),
+            tuple(c["joints"]),
+            tuple(c["ambiguous"]),
+            c["share"],
+        )
+        for c in (*row["findings"], *row["parametric"])
+    ]
+    return sorted(found, key=lambda c: -c.share)
 
 
 def alarms(row: Row) -> dict[str, bool]:
     """What a log without any effect should not give, kind by kind."""
-    found = {
+    return {
         "finding": bool(row["findings"]),
         "parametric": bool(row["parametric"]),
-        "status": row["status"] != "no_gap",
-    }
-    return found | {"any": any(found.values())}
-
-
-def identified(row: Row) -> dict[str, Any]:
-    """Scores of a row with one planted effect: top1, in_set, set_size (None without a claim),
-    family, exact, detected."""
-    (planted,) = row["truth"]
-    found = claims(row)
-    top = found[0] if found else None
-    return {
-        "detected": alarms(row)["any"],
-        "top1": top is not None and top["name"] == planted["name"],
-        "in_set": any(planted["name"] in names_of(c) for c in found),
-        "set_size": None if top is None else len(names_of(top)),
-        "family": top is not None and top["family"] == planted["family"],
-        "exact": len(found) == 1
-        and found[0]["name"] == planted["name"]
-        and list(found[0]["place"]) == list(planted["place"]),
+        "status": row["status"] not in ("no_gap", "not_testable"),
+        "any": seen(row).alarm,
     }
 
 
-def joint_counts(row: Row) -> tuple[int, int, int]:
-    """(hits, too many, missed) of the joints that are claimed: those an effect is on, and where it
-    is on the whole arm those whose torque it changes."""
-    true = {j for t in row["truth"] for j in _located(t)}
-    said = {j for c in claims(row) for j in _located(c)}
-    return len(true & said), len(said - true), len(true - said)
+def identified(row: Row) -> Named:
+    """How a row's only effect was named."""
+    return named(seen(row))
 
 
-def _located(effect: Mapping[str, Any]) -> list[int]:
-    return list(effect["place"] or effect["joints"])
+def joint_counts(row: Row) -> Counts:
+    """(hits, too many, missed) of the joints that are claimed."""
+    return measures.joint_counts(seen(row))
 
 
-def f1(counts: tuple[int, int, int]) -> float:
-    """2 hits / (2 hits + too many + missed); 1 where there is nothing to find and to say."""
-    hits, extra, missed = counts
-    total = 2 * hits + extra + missed
-    return 2 * hits / total if total else 1.0
+def matched(row: Row, strict: bool) -> Counts:
+    """(hits, too many, missed) of (effect, joint)."""
+    return measures.matched(seen(row), strict)
 
 
-def matched(row: Row, strict: bool) -> tuple[int, int, int]:
-    """(hits, too many, missed) of (effect, joint), each claim for one planted effect at most.
-
-    Args:
-        row: any.
-        strict: whether name and place must be the same; else the name may be among a claim's
-            alternatives, on a common joint or where one of them is on the whole arm.
-    """
-    planted, found = row["truth"], claims(row)
-    fits = [[_fits(t, c, strict) for c in found] for t in planted]
-    hits = largest_matching(fits)
-    return hits, len(found) - hits, len(planted) - hits
-
-
-def _fits(planted: Mapping[str, Any], claim: Claim, strict: bool) -> bool:
-    here, there = list(planted["place"]), list(claim["place"])
-    if strict:
-        return planted["name"] == claim["name"] and here == there
-    same = not here or not there or bool(set(here) & set(there))
-    return planted["name"] in names_of(claim) and same
-
-
-def largest_matching(fits: Sequence[Sequence[bool]]) -> int:
-    """Most pairs (i, j) with fits[i][j], each i and each j in one pair (augmenting paths)."""
-    owner: dict[int, int] = {}
-
-    def place(i: int, seen: set[int]) -> bool:
-        for j, good in enumerate(fits[i]):
-            if good and j not in seen:
-                seen.add(j)
-                if j not in owner or place(owner[j], seen):
-                    owner[j] = i
-                    return True
-        return False
-
-    return sum(place(i, set()) for i in range(len(fits)))
-
-
-def without_its_name(row: Row, families: Mapping[str, str]) -> str:
-    """Verdict on a diagnosis whose library lacks the planted effect.
-
-    `right_family`: explained by the planted family; `hedged`: by another one, a member of the right
-    one among the alternatives; `confident_wrong`: by another one; `detected_unexplained`; `missed`.
-
-    Args:
-        row: with one planted effect.
-        families: family of every effect.
-    """
-    (planted,) = row["truth"]
-    if row["status"] == "detected_unexplained":
-        return "detected_unexplained"
-    found = claims(row)
-    if not found:
-        return "missed"
-    if found[0]["family"] == planted["family"]:
-        return "right_family"
-    others = {families.get(name) for name in found[0]["ambiguous"]}
-    return "hedged" if planted["family"] in others else "confident_wrong"
-
-
-def inside(value: float, std: float, true: float, z: float = 1.96) -> bool:
-    """Whether an interval holds the truth."""
-    return abs(value - true) <= z * std
+def without_its_name(row: Row, families: Mapping[str, str]) -> Verdict:
+    """Verdict on a diagnosis whose library lacks the planted effect."""
+    return measures.verdict(seen(row), families, every=False)
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
@@ -186,12 +114,6 @@ def by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
     return dict(out)
 
 
-def added(counts: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:
-    """Sums, for micro-averages."""
-    every = [*counts, (0, 0, 0)]
-    return tuple(sum(column) for column in zip(*every, strict=True))  # type: ignore[return-value]
-
-
 def none_table(rows: Sequence[Row]) -> str:
     """False alarms, by colour of the noise and robot."""
     groups = {
@@ -217,9 +139,11 @@ def single_table(rows: Sequence[Row]) -> str:
     for name, some in groups.items():
         scores = [identified(r) for r in some]
         n = len(some)
-        counts = [sum(s[k] for s in scores) for k in ("top1", "in_set", "family", "exact")]
+        counts = [
+            sum(getattr(s, k) for s in scores) for k in ("top1", "anywhere", "family", "exact")
+        ]
         shown = [share(c, n) if name == "all" else f"{c}/{n}" for c in counts]
-        sizes = mean(s["set_size"] for s in scores if s["set_size"] is not None)
+        sizes = mean(s.set_size for s in scores if s.set_size is not None)
         joints = f1(added(joint_counts(r) for r in some))
         statuses = Counter(r["status"] for r in some)
         body.append(
@@ -267,13 +191,13 @@ def several_table(rows: Sequence[Row]) -> str:
 
 def withheld_table(rows: Sequence[Row], families: Mapping[str, str]) -> str:
     """What is said when the right name is not in the library."""
-    verdicts = ("right_family", "hedged", "detected_unexplained", "confident_wrong", "missed")
+    verdicts = get_args(Verdict)
     groups = {**by(rows, lambda r: r["truth"][0]["name"]), "all": rows}
     body = []
     for name, some in groups.items():
         said = [(without_its_name(r, families), r) for r in some]
         counts = Counter(v for v, _ in said)
-        wrong = Counter(claims(r)[0]["name"] for v, r in said if v == "confident_wrong")
+        wrong = Counter(claims(r)[0].name for v, r in said if v == "confident_wrong")
         listed = "" if name == "all" else ", ".join(f"{k} {v}" for k, v in wrong.items())
         shown = [share(counts[v], len(some)) if name == "all" else counts[v] for v in verdicts]
         body.append([name, *shown, listed])
@@ -286,11 +210,11 @@ def rates(rows: Sequence[Row]) -> dict[str, dict[float, tuple[int, int, int]]]:
     for name, some in by(rows, lambda r: r["truth"][0]["name"]).items():
         out[name] = {}
         for level in sorted({r["level"] for r in some}):
-            scores = [identified(r) for r in some if r["level"] == level]
+            own = [seen(r) for r in some if r["level"] == level]
             out[name][level] = (
-                sum(s["detected"] for s in scores),
-                sum(s["in_set"] for s in scores),
-                len(scores),
+                sum(r.alarm for r in own),
+                sum(named(r).anywhere for r in own),
+                len(own),
             )
     return out
 

@@ -140,6 +140,15 @@ def test_one_step_for_trajectories_that_agree() -> None:
     assert len(result.warnings) == 1
 
 
+def test_stamps_far_from_zero_have_one_rate() -> None:
+    parts = [
+        log_at(start + 0.001 * np.arange(4001 + k)) for k, start in enumerate((843.513, 1.7e9))
+    ]
+    rates = sampling_rate(resample(Log.concatenate(parts)))
+    assert rates[0] == rates[1]
+    assert rates[0] == pytest.approx(1000.0, rel=1e-6)
+
+
 def test_a_step_each_for_those_that_do_not() -> None:
     log = Log.concatenate([uniform(step=0.01), uniform(step=0.02), log_at(stamps(0))])
     result = resample(log)

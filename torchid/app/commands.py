@@ -17,6 +17,7 @@ from torchid.app.payload import payload_command
 from torchid.app.robot import robot_command
 from torchid.app.simulate import simulate_command
 from torchid.app.study import study_command
+from torchid.app.withheld import withheld_app
 from torchid.app.wrenches import wrenches_command
 from torchid.errors import TorchidError
 
@@ -38,6 +39,7 @@ app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
 app.command("gap")(gap_command)
 app.command("study")(study_command)
+app.add_typer(withheld_app, name="withheld")
 app.command("demo")(demo_command)
 
 

@@ -147,6 +147,7 @@ def _task(robot: Robot, given: Prepared, settings: GapSettings) -> Task:
         most=settings.max_effects,
         alpha=settings.alpha,
         seed=settings.seed,
+        only=settings.only,
     )
 
 

@@ -28,6 +28,8 @@ class GapSettings:
         held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
         rollout: whether to simulate forwards before and after.
         seed: of everything random.
+        only: (effect, joint from 0, or None for any place) that alone are candidates: a diagnosis
+            that is told the answer, to compare others with; None for all places.
     """
 
     effects: tuple[str, ...] | None = None
@@ -41,6 +43,7 @@ class GapSettings:
     held_out_fraction: float = 0.0
     rollout: bool = True
     seed: int = 0
+    only: tuple[tuple[str, int | None], ...] | None = None
 
     def __post_init__(self) -> None:
         if self.parameters not in get_args(Parameters):
@@ -51,6 +54,8 @@ class GapSettings:
             )
         if self.effects is not None and not self.effects:
             raise TorchidError("there is no effect to search over.", hint="None: the whole library")
+        for name, _ in self.only or ():
+            effect_kind(name)
         for names, known in ((self.effects or (), effect_kind), (self.background, column_kind)):
             for name in names:
                 known(name)

@@ -24,6 +24,7 @@ class Task:
         whitened: as Problem's.
         most: effects at most.
         alpha, seed: as Problem's.
+        only: as GapSettings'.
     """
 
     base: BaseParameters
@@ -37,6 +38,18 @@ class Task:
     most: int
     alpha: float
     seed: int
+    only: tuple[tuple[str, int | None], ...] | None = None
+
+    def allows(self, bank: Bank) -> bool:
+        """Whether a bank is one of the candidates."""
+        if self.only is None:
+            return True
+        effects = bank.members[0] if bank.members else ()
+        return any(
+            bank.name == name
+            and (joint is None or (len(effects) == 1 and joint in effects[0].joints))
+            for name, joint in self.only
+        )
 
     @property
     def independent(self) -> list[int]:
@@ -56,7 +69,7 @@ def banks_of(evaluator: Evaluator, task: Task) -> list[Bank]:
             banks.append(composite(FRICTION, pair))  # type: ignore[arg-type]
     if Contact.name in task.names:
         banks.append(evaluator.contact_bank(evaluator.residual()))
-    return banks + rigid_banks(evaluator, task)
+    return [bank for bank in banks + rigid_banks(evaluator, task) if task.allows(bank)]
 
 
 def rigid_banks(evaluator: Evaluator, task: Task) -> list[Bank]:

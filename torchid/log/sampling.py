@@ -19,6 +19,7 @@ from torchid.log.model import Log
 
 UNIFORM = 1e-3  # largest deviation from a uniform grid, in steps
 SAME_STEP = 0.01  # trajectories whose steps differ by less share one step
+ROUNDING = 1e-6  # steps that differ by less are one: stamps far from zero are rounded
 SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
 LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
@@ -33,12 +34,16 @@ def is_uniform(log: Log) -> bool:
 
 
 def sampling_rate(log: Log) -> list[float]:
-    """Samples per second of each trajectory [Hz], from its median step.
+    """Samples per second of each trajectory [Hz], from its median step; exactly the same where
+    only the stamps' rounding differs.
 
     Raises:
         LogError: a trajectory has one sample only.
     """
-    return [1.0 / _typical_step(t) for t in _stamps(log)]
+    rates = [1.0 / _typical_step(t) for t in _stamps(log)]
+    if max(rates) <= (1.0 + ROUNDING) * min(rates):
+        return [float(np.median(rates))] * len(rates)
+    return rates
 
 
 def resample(log: Log) -> Log:

@@ -1,0 +1,58 @@
+"""Short motions of the 3R, and logs without noise."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+import numpy as np
+
+from torchid.withheld.plant.arms import arm_named
+from torchid.withheld.plant.draw import CaseSpec, draw_case
+from torchid.withheld.plant.model import plant_of
+from torchid.withheld.plant.motion import MotionPlan
+from torchid.withheld.plant.nominal import Nominal, nominal_of
+from torchid.withheld.plant.plan import Plan, Scene
+from torchid.withheld.plant.scene import friction_known, scene_of
+
+SHORT = MotionPlan(
+    seed=3,
+    shapes=(0, 1),
+    levels=(0.9, 0.6),
+    seconds=(4.0, 4.0),
+    pauses=(0.0, 1.0),
+    moving=(0, 1, 2),
+)
+
+
+def short(spec: CaseSpec) -> CaseSpec:
+    """The case on short motions, logged without noise."""
+    logger = replace(
+        spec.logger,
+        rate_hz=1000,
+        encoder_bits=45,
+        jitter=0.0,
+        own_velocity=True,
+        velocity_noise=0.0,
+    )
+    moving = tuple(range(arm_named(spec.arm).n))
+    motion = replace(SHORT, moving=moving)
+    return replace(spec, motion=motion, noise_share=1e-7, logger=logger)
+
+
+def quiet(arm: str = "3r", friction: float = 0.01, number: int = 0) -> CaseSpec:
+    """A case without effects, as `short`."""
+    spec = short(draw_case(1, number, kind="none", arm=arm))
+    n = arm_named(arm).n
+    return replace(spec, viscous=(friction,) * n, coulomb=(friction,) * n)
+
+
+@pytest.fixture(scope="session")
+def bench() -> tuple[Scene, Plan, Nominal]:
+    """The 3R on a short motion with known friction, without effects."""
+    arm = arm_named("3r")
+    damping, friction = friction_known(arm, np.full(3, 0.01), np.full(3, 0.01))
+    nominal = nominal_of(arm, damping, friction)
+    scene = scene_of(arm, nominal, SHORT, 0.01, 5.0, 0.8)
+    return scene, Plan(plant_of(arm, damping, friction), damping, friction), nominal

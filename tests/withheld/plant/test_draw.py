@@ -1,0 +1,86 @@
+"""Cases are functions of seed and number; every effect has its turn."""
+
+import json
+from collections import Counter
+
+import pytest
+
+from torchid.errors import TorchidError
+from torchid.withheld.plant.arms import arm_named
+from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY
+from torchid.withheld.plant.draw import BLOCK, CASE_KINDS, EXCLUSIVE, LEVELS, draw_case
+
+
+def test_a_case_depends_on_seed_and_number_alone():
+    later = draw_case(3, 17)
+    assert later == draw_case(3, 17)
+    assert later != draw_case(4, 17)
+    assert draw_case(3, 16) != later
+
+
+def test_every_kind_has_its_share():
+    kinds = Counter(draw_case(8, k).kind for k in range(200))
+    assert set(kinds) == set(CASE_KINDS)
+    assert kinds["none"] == 40
+    assert all(kinds[k] == 10 * BLOCK.count(k) for k in CASE_KINDS)
+    first = [draw_case(8, k).kind for k in range(20)]
+    second = [draw_case(8, k).kind for k in range(20, 40)]
+    assert first != second
+
+
+def test_every_effect_has_its_turn_before_any_comes_twice():
+    cases = [draw_case(8, k) for k in range(100)]
+    singles = [c.effects[0].name for c in cases if c.kind == "single"]
+    assert set(singles[: len(LIBRARY)]) == set(LIBRARY)
+    outside = [c.effects[0].name for c in cases if c.kind == "outside"]
+    assert set(outside[: len(FOREIGN)]) == set(FOREIGN)
+    levels = [c.level for c in cases if c.kind == "severity"]
+    assert set(levels[: len(LEVELS)]) == set(LEVELS)
+
+
+def test_arms_do_not_matter_to_what_is_planted_elsewhere():
+    for k in range(60):
+        case = draw_case(2, k)
+        n = arm_named(case.arm).n
+        assert all(0 <= j < n for e in case.effects for j in e.joints)
+        assert (case.level is None) == (not case.effects)
+        assert (case.poor is not None) == (case.kind == "poor") == (case.excitation != "rich")
+        alone = [j for e in case.effects if e.name in EXCLUSIVE for j in e.joints]
+        assert len(alone) == len(set(alone))
+
+
+def test_most_logs_repeat_one_trajectory():
+    plans = [draw_case(1, k).motion for k in range(100)]
+    repeats = [len(set(p.shapes)) < len(p.shapes) for p in plans]
+    assert 60 < sum(repeats) < 95
+    assert all(len(p.shapes) == 4 for p in plans)
+    assert all(12 <= s <= 15 for p in plans for s in p.seconds)
+
+
+def test_a_case_is_json():
+    for k in range(40):
+        record = draw_case(6, k).record()
+        assert json.loads(json.dumps(record))["arm"] == record["arm"]
+
+
+def test_what_is_given_is_not_drawn():
+    case = draw_case(6, 3, effects=["payload"], level=2.0, arm="6r")
+    assert (case.kind, case.level, case.arm) == ("single", 2.0, "6r")
+    assert [e.name for e in case.effects] == ["payload"]
+    assert draw_case(6, 3, effects=["backlash", "cogging"], arm="7r").kind == "several"
+    # Noise, motion and logger are those of the number, whatever is planted.
+    assert case.motion.seed == draw_case(6, 3, kind="none", arm="6r").motion.seed
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kind": "easy"}, "unknown kind"),
+        ({"effects": ["magic"]}, "no effect 'magic'"),
+        ({"arm": "9r"}, "unknown withheld arm"),
+        ({"effects": ["backlash", "joint_elasticity", "gear_coupling"], "arm": "3r"}, "joints of"),
+    ],
+)
+def test_what_does_not_exist_is_refused(given, message):
+    with pytest.raises(TorchidError, match=message):
+        draw_case(0, 0, **given)

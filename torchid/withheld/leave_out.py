@@ -1,0 +1,185 @@
+"""Every effect taken out of the library in turn: what is said when the right name is not there?
+
+The answer should be `detected_unexplained`, a member of the same family, or an open one; never
+another family's name for sure. Cases come from the simulator of `plant`, one planted effect each;
+their folder holds keys, for a diagnosis that is told what to leave out is not a sealed one.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from torchid import __version__
+from torchid.effects.registry import FAMILIES, KINDS, effect_kind
+from torchid.errors import TorchidError
+from torchid.gap.record import plain
+from torchid.gap.settings import GapSettings
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT, read_json, write_json
+from torchid.withheld.make import write_shown
+from torchid.withheld.measures import Verdict, verdict
+from torchid.withheld.parallel import each
+from torchid.withheld.rows import row_of
+from torchid.withheld.run import ERROR, Job, run
+from torchid.withheld.shares import rate
+
+SCHEMA = "torchid.withheld.leave_out/1"
+KEY = "key.json"
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """One case, and the effect that its diagnosis must do without.
+
+    Attributes:
+        effect: its name.
+        turn: which of the effect's cases, from 0.
+        seed: of the cases.
+        folder: of all of them.
+    """
+
+    effect: str
+    turn: int
+    seed: int
+    folder: Path
+
+    @property
+    def case(self) -> str:
+        """Name of its folder."""
+        return f"{self.effect}-{self.turn + 1}"
+
+    @property
+    def place(self) -> Path:
+        """Its folder."""
+        return self.folder / self.case
+
+    @property
+    def number(self) -> int:
+        """That it is drawn from: another one for every case of the seed."""
+        return self.turn * len(KINDS) + list(KINDS).index(self.effect)
+
+
+def leave_out(
+    folder: Path,
+    seed: int,
+    *,
+    effects: Sequence[str] | None = None,
+    per_effect: int = 1,
+    jobs: int = 1,
+    again: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Diagnose cases of every effect with a library that lacks it.
+
+    What is in the folder already is kept, so that an interrupted run goes on.
+
+    Args:
+        folder: of cases, keys and answers; made if it does not exist.
+        seed: of the cases.
+        effects: names; all if None.
+        per_effect: cases of each.
+        jobs: processes.
+        again: as `run.run`.
+        progress: called with (stage, done, total).
+
+    Raises:
+        TorchidError: an unknown effect; a folder of another seed.
+        MissingExtraError: the simulator is not installed.
+    """
+    for name in effects or ():
+        effect_kind(name)
+    wanted = list(KINDS if effects is None else dict.fromkeys(effects))
+    folder.mkdir(parents=True, exist_ok=True)
+    todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
+    keys = _written(todo, jobs, progress or (lambda stage, done, total: None))
+    answers = run([_job(one) for one in todo], jobs=jobs, again=again, progress=progress)
+    return summary(seed, todo, keys, answers)
+
+
+def _written(todo: Sequence[LeftOut], jobs: int, say: Progress) -> dict[str, dict[str, Any]]:
+    """Keys of all cases; those that are not there yet are simulated."""
+    keys: dict[str, dict[str, Any]] = {}
+    new = []
+    for one in todo:
+        path = one.place / KEY
+        if not path.is_file():
+            new.append(one)
+            continue
+        key = read_json(path, "a key")
+        if key.get("seed") != one.seed:
+            raise TorchidError(
+                f"'{one.folder}' holds cases of another seed.",
+                got=key.get("seed"),
+                expected=one.seed,
+            )
+        keys[one.case] = key
+    say("simulating cases", 0, len(new))
+    for k, (one, key) in enumerate(each(write_left_out, new, jobs)):
+        keys[one.case] = key
+        say("simulating cases", k + 1, len(new))
+    return keys
+
+
+def write_left_out(one: LeftOut) -> dict[str, Any]:
+    """Simulate one case and write it with its key, which is returned."""
+    from torchid.withheld.plant.case import draw_case, simulate_case
+
+    spec = draw_case(one.seed, one.number, kind="single", effects=[one.effect])
+    case = simulate_case(spec)
+    write_shown(case.urdf, case.columns, one.place)
+    own = {"id": one.case, "seed": one.seed}
+    key = own | case.key | own
+    write_json(key, one.place / KEY)
+    return key
+
+
+def _job(one: LeftOut) -> Job:
+    rest = tuple(name for name in KINDS if name != one.effect)
+    settings = GapSettings(effects=rest, rollout=False)
+    return Job(one.case, one.place / ROBOT, one.place / LOG, one.place / ANSWER, settings)
+
+
+def summary(
+    seed: int,
+    todo: Sequence[LeftOut],
+    keys: Mapping[str, Mapping[str, Any]],
+    answers: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Verdicts in all, by effect, and case by case."""
+    cases = [_verdict(one, keys[one.case], answers[one.case]) for one in todo]
+    judged = [c for c in cases if c["verdict"] != ERROR]
+    by_effect = {
+        name: dict(Counter(c["verdict"] for c in cases if c["effect"] == name))
+        for name in dict.fromkeys(one.effect for one in todo)
+    }
+    return plain(
+        {
+            "schema": SCHEMA,
+            "seed": seed,
+            "version": __version__,
+            "verdicts": {v: rate(c["verdict"] == v for c in judged) for v in get_args(Verdict)},
+            "by_effect": by_effect,
+            "errors": [c["case"] for c in cases if c["verdict"] == ERROR],
+            "cases": cases,
+        }
+    )
+
+
+def _verdict(one: LeftOut, key: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
+    row = row_of(key, answer)
+    said = ERROR if row.status == ERROR else verdict(row, FAMILIES, every=False)
+    return {
+        "case": one.case,
+        "effect": one.effect,
+        "family": FAMILIES[one.effect],
+        "size": row.planted[0].size,
+        "verdict": said,
+        "status": row.status,
+        "named": [
+            {"name": c.name, "joints": c.place or c.joints, "ambiguous_with": c.ambiguous}
+            for c in row.claims
+        ],
+    }

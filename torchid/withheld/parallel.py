@@ -1,0 +1,83 @@
+"""The same function of many jobs, in this process or in others that have one thread each."""
+
+import multiprocessing
+import multiprocessing.connection
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TypeVar
+
+from torchid.errors import TorchidError
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def each(
+    function: Callable[[Job], Result], jobs: Sequence[Job], processes: int
+) -> Iterator[tuple[Job, Result]]:
+    """Every job with its result, in the order in which they end.
+
+    Args:
+        function: of a module, so that another process can find it.
+        jobs: any number.
+        processes: 1 stays in this one.
+
+    Raises:
+        TorchidError: a process was ended from outside.
+    """
+    if processes == 1 or len(jobs) < 2:
+        for job in jobs:
+            yield job, function(job)
+        return
+    context = multiprocessing.get_context("spawn")
+    count = min(processes, len(jobs))
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(count, context, _end_with_parent) as pool,
+    ):
+        waiting = {pool.submit(function, job): job for job in jobs}
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BrokenProcessPool as error:
+            raise TorchidError(
+                "a process was ended from outside; memory may have run out.",
+                hint="fewer --jobs; what is done already stays",
+            ) from error
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started within have one thread; theirs are read when numpy and torch are loaded."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _end_with_parent() -> None:
+    """A process whose parent is killed would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        multiprocessing.connection.wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,5 @@
+"""An arm that torchid has never seen: the benchmark's own simulator and generator of cases.
+
+Nothing here comes from torchid's dynamics or effects. MuJoCo moves the arm; effects are what they
+would be on an arm (a second mass, bristles, a heated gear, a wrong encoder), not columns.
+"""

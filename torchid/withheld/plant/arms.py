@@ -1,0 +1,269 @@
+"""Three arms of our own making: joints, solids and limits, and the URDF of what is known of them.
+
+`3r` turns about the vertical and moves in a vertical plane; `6r` has the offsets of light
+collaborative arms; `7r` has alternating axes and the size of a human arm.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+from torchid.errors import TorchidError
+from torchid.withheld.plant.bodies import Array, Box, Cylinder, Inertial, combined
+
+Triple = tuple[float, float, float]
+Solid = Box | Cylinder
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A revolute joint, and the link that it moves, whose frame is the joint's.
+
+    Attributes:
+        xyz, rpy: of the joint in the frame of the link before [m, rad], as in URDF.
+        axis: unit vector in the joint frame.
+        lower, upper: position limits [rad].
+        velocity: limit [rad/s].
+        effort: limit [N m].
+        solids: what the link is made of.
+    """
+
+    xyz: Triple
+    rpy: Triple
+    axis: Triple
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    solids: tuple[Solid, ...]
+
+    def inertial(self) -> Inertial:
+        """Of the link."""
+        return combined([solid.inertial() for solid in self.solids])
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm as its maker describes it.
+
+    Attributes:
+        name: 3r, 6r or 7r.
+        joints: from the base.
+        tool: point of the last link where tools are [m].
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    tool: Triple
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_LEVEL = (0.0, 0.0, 0.0)
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def _tube(radius: float, length: float, density: float) -> Cylinder:
+    """A tube from the joint along z."""
+    return Cylinder(density, radius, length, (0.0, 0.0, length / 2))
+
+
+def _hub(radius: float, length: float, axis: str, density: float, at: Triple) -> Cylinder:
+    return Cylinder(density, radius, length, at, axis)
+
+
+_3R = Arm(
+    "3r",
+    (
+        Joint(
+            (0.0, 0.0, 0.12), _LEVEL, _Z, -2.6, 2.6, 3.0, 40.0,
+            (_tube(0.07, 0.16, 2400.0), _hub(0.06, 0.14, "y", 2700.0, (0.01, 0.03, 0.16))),
+        ),
+        Joint(
+            (0.0, 0.0, 0.18), _LEVEL, _Y, -1.9, 1.9, 2.6, 110.0,
+            (
+                Box(1100.0, (0.09, 0.08, 0.36), (0.0, 0.01, 0.18)),
+                _hub(0.05, 0.11, "y", 2600.0, (0.005, 0.0, 0.36)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.02, 0.36), _LEVEL, _Y, -2.4, 2.4, 3.2, 50.0,
+            (
+                Box(1000.0, (0.06, 0.06, 0.30), (0.01, 0.0, 0.14)),
+                Box(2200.0, (0.07, 0.10, 0.05), (0.0, -0.01, 0.30)),
+            ),
+        ),
+    ),
+    (0.0, 0.0, 0.34),
+)  # fmt: skip
+
+_6R = Arm(
+    "6r",
+    (
+        Joint(
+            (0.0, 0.0, 0.09), _LEVEL, _Z, -3.1, 3.1, 3.0, 150.0,
+            (
+                _hub(0.06, 0.12, "z", 2100.0, (0.0, -0.01, 0.0)),
+                Box(1500.0, (0.1, 0.1, 0.09), (0.0, 0.03, 0.01)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.135, 0.0), (0.0, pi / 2, 0.0), _Y, -1.7, 1.7, 2.6, 150.0,
+            (
+                Cylinder(1250.0, 0.055, 0.42, (0.0, 0.0, 0.21)),
+                _hub(0.06, 0.13, "y", 2300.0, (0.0, 0.01, 0.0)),
+                _hub(0.05, 0.11, "y", 2300.0, (0.0, -0.02, 0.42)),
+            ),
+        ),
+        Joint(
+            (0.0, -0.12, 0.425), _LEVEL, _Y, -2.5, 2.5, 3.0, 110.0,
+            (
+                Cylinder(1000.0, 0.04, 0.38, (0.005, 0.0, 0.19)),
+                _hub(0.04, 0.09, "y", 2200.0, (0.0, 0.01, 0.38)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.0, 0.392), (0.0, pi / 2, 0.0), _Y, -2.8, 2.8, 3.3, 40.0,
+            (
+                _hub(0.038, 0.11, "y", 2100.0, (0.0, 0.06, 0.01)),
+                Box(1500.0, (0.06, 0.06, 0.06), (0.01, 0.09, 0.0)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.093, 0.0), _LEVEL, _Z, -2.8, 2.8, 3.6, 35.0,
+            (
+                _hub(0.037, 0.10, "z", 2100.0, (0.005, 0.0, 0.05)),
+                Box(1500.0, (0.05, 0.07, 0.06), (0.0, 0.015, 0.09)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.0, 0.095), _LEVEL, _Y, -2.8, 2.8, 3.6, 25.0,
+            (
+                _hub(0.034, 0.05, "y", 2500.0, (0.0, 0.06, 0.0)),
+                Box(1900.0, (0.05, 0.10, 0.09), (0.02, 0.12, 0.015)),
+            ),
+        ),
+    ),
+    (0.0, 0.16, 0.0),
+)  # fmt: skip
+
+_7R = Arm(
+    "7r",
+    (
+        Joint(
+            (0.0, 0.0, 0.11), _LEVEL, _Z, -2.8, 2.8, 2.2, 160.0,
+            (_tube(0.06, 0.17, 1500.0), Box(1300.0, (0.1, 0.09, 0.09), (0.0, -0.03, 0.17))),
+        ),
+        Joint(
+            (0.0, 0.0, 0.2), (-pi / 2, 0.0, 0.0), _Z, -1.9, 1.9, 2.2, 180.0,
+            (
+                _hub(0.06, 0.12, "z", 1500.0, (0.0, -0.01, 0.01)),
+                _hub(0.06, 0.14, "y", 1500.0, (0.0, -0.11, 0.02)),
+            ),
+        ),
+        Joint(
+            (0.0, -0.2, 0.0), (pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 2.3, 120.0,
+            (_tube(0.055, 0.16, 1550.0), Box(1300.0, (0.09, 0.08, 0.08), (0.0, 0.03, 0.17))),
+        ),
+        Joint(
+            (0.0, 0.0, 0.2), (pi / 2, 0.0, 0.0), _Z, -2.0, 2.0, 2.3, 120.0,
+            (
+                _hub(0.055, 0.11, "z", 1550.0, (0.0, 0.01, 0.01)),
+                _hub(0.055, 0.13, "y", 1550.0, (0.0, 0.10, 0.02)),
+            ),
+        ),
+        Joint(
+            (0.0, 0.2, 0.0), (-pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 2.5, 60.0,
+            (_tube(0.045, 0.15, 1600.0), Box(1400.0, (0.08, 0.07, 0.07), (0.0, -0.02, 0.16))),
+        ),
+        Joint(
+            (0.0, 0.0, 0.19), (-pi / 2, 0.0, 0.0), _Z, -2.0, 2.0, 2.6, 60.0,
+            (
+                _hub(0.045, 0.10, "z", 1700.0, (0.0, 0.01, 0.0)),
+                Box(1500.0, (0.07, 0.06, 0.08), (0.005, -0.02, 0.02)),
+            ),
+        ),
+        Joint(
+            (0.0, -0.08, 0.0), (pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 3.0, 40.0,
+            (
+                _hub(0.04, 0.04, "z", 2300.0, (0.0, 0.0, 0.03)),
+                Box(1900.0, (0.06, 0.10, 0.08), (0.025, 0.01, 0.09)),
+            ),
+        ),
+    ),
+    (0.0, 0.0, 0.14),
+)  # fmt: skip
+
+ARMS: dict[str, Arm] = {arm.name: arm for arm in (_3R, _6R, _7R)}
+
+
+def arm_named(name: str) -> Arm:
+    """One of the arms.
+
+    Raises:
+        TorchidError: there is none of that name.
+    """
+    if name not in ARMS:
+        raise TorchidError(f"unknown withheld arm '{name}'.", available=list(ARMS))
+    return ARMS[name]
+
+
+def urdf(arm: Arm, damping: Array, friction: Array) -> str:
+    """URDF of the arm with what is known of its friction.
+
+    Args:
+        arm: the arm.
+        damping, friction: (n,) viscous [N m s/rad] and Coulomb [N m] friction; zeros are left out.
+    """
+    lines = ['<?xml version="1.0"?>', '<robot name="arm">', '  <link name="base"/>']
+    for k, joint in enumerate(arm.joints, 1):
+        lines += _link(f"link{k}", joint.inertial())
+        parent = f"link{k - 1}" if k > 1 else "base"
+        lines += _joint(k, joint, parent, float(damping[k - 1]), float(friction[k - 1]))
+    lines += [
+        '  <link name="tool"/>',
+        '  <joint name="tool_mount" type="fixed">',
+        f'    <parent link="link{arm.n}"/>',
+        '    <child link="tool"/>',
+        f'    <origin xyz="{spaced(arm.tool)}" rpy="0 0 0"/>',
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def spaced(values: Array | Triple) -> str:
+    """Numbers separated by spaces, none of their digits lost."""
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _link(name: str, body: Inertial) -> list[str]:
+    entries = {f"i{'xyz'[a]}{'xyz'[b]}": float(body.inertia[a, b]) for a, b in _UPPER}
+    moments = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
+    return [
+        f'  <link name="{name}">',
+        "    <inertial>",
+        f'      <origin xyz="{spaced(body.com)}" rpy="0 0 0"/>',
+        f'      <mass value="{float(body.mass)!r}"/>',
+        f"      <inertia {moments}/>",
+        "    </inertial>",
+        "  </link>",
+    ]
+
+
+def _joint(k: int, joint: Joint, parent: str, damping: float, friction: float) -> list[str]:
+    dynamics = f'    <dynamics damping="{damping!r}" friction="{friction!r}"/>'
+    return [
+        f'  <joint name="joint{k}" type="revolute">',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="link{k}"/>',
+        f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
+        f'    <axis xyz="{spaced(joint.axis)}"/>',
+        f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
+        f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
+        *([dynamics] if damping or friction else []),
+        "  </joint>",
+    ]

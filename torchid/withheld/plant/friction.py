@@ -1,0 +1,193 @@
+"""Effects of friction and of torque at the joints: how each is planted at a scale.
+
+Every function takes (scene, plan, effect, s) and returns the plan with the effect, and its
+parameters in physical units. s is the coefficient that decides the effect's size.
+"""
+
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+
+from torchid.withheld.plant.laws import (
+    bristles,
+    loaded_bristles,
+    resisting,
+    slip_elements,
+    warming,
+)
+from torchid.withheld.plant.model import Spring
+from torchid.withheld.plant.plan import EffectSpec, Law, Parameters, Plan, Scene, sign
+
+Planted = tuple[Plan, Parameters]
+
+
+def with_law(plan: Plan, law: Law) -> Plan:
+    """The plan with one law more."""
+    return replace(plan, laws=(*plan.laws, law))
+
+
+def viscous(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """MuJoCo's damping."""
+    damping = plan.plant.damping.copy()
+    damping[effect.joints[0]] += s
+    return replace(plan, plant=replace(plan.plant, damping=damping)), {"Fv": s}
+
+
+def power_law(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Torque s |dq|^a."""
+    a = effect.draws["exponent"]
+
+    def torque(_: float, dq: float) -> float:
+        return s * abs(dq) ** a * sign(dq)
+
+    return with_law(plan, resisting(effect.joints[0], torque)), {"factor": s, "a": a}
+
+
+def coulomb(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """LuGre with stiff bristles and a constant limit."""
+    joint = effect.joints[0]
+    deflection = _deflection(scene, effect, joint, s)
+    law = bristles(joint, lambda dq, k: s, deflection)
+    return with_law(plan, law), {"Fc": s, "deflection": deflection}
+
+
+def stribeck(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """LuGre whose limit falls with speed from Fc + s to the known Fc."""
+    joint, d = effect.joints[0], effect.draws["decay"]
+    vs = effect.draws["speed"] * float(scene.speed[joint])
+    known = float(plan.known_friction[joint])
+    deflection = _deflection(scene, effect, joint, known + s)
+
+    def limit(dq: float, k: int) -> float:
+        return known + s * exp(-(abs(dq / vs) ** d))
+
+    law = bristles(joint, limit, deflection)
+    parameters = {"excess": s, "speed": vs, "decay": d, "deflection": deflection}
+    return with_law(instead(plan, joint), law), parameters
+
+
+def load_dependent(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Bristles that slide at a share of the transmitted torque."""
+    deflection = effect.draws["deflection"]
+    law = loaded_bristles(effect.joints[0], s, deflection)
+    return with_law(plan, law), {"mu": s, "deflection": deflection}
+
+
+def offset(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """A constant torque on the joint, as of a cable; the motor holds against it."""
+    value = sign(effect.draws["direction"]) * s
+    return with_law(plan, resisting(effect.joints[0], lambda q, dq: value)), {"F0": value}
+
+
+def asymmetric(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """LuGre with one limit a direction, and damping likewise.
+
+    Friction must resist both ways, so the known friction is more than the difference.
+    """
+    joint, direction = effect.joints[0], sign(effect.draws["direction"])
+    share = effect.draws["viscous"]
+    dry, wet = s * direction, share * s / float(scene.speed[joint]) * direction
+    plan = knowing(plan, joint, damping=1.3 * abs(wet), friction=1.3 * abs(dry))
+    known = float(plan.known_friction[joint])
+    deflection = _deflection(scene, effect, joint, known)
+
+    def limit(dq: float, k: int) -> float:
+        return known + (dry if dq > 0 else -dry)
+
+    plan = with_law(instead(plan, joint), bristles(joint, limit, deflection))
+    plan = with_law(plan, resisting(joint, lambda q, dq: wet * abs(dq)))
+    return plan, {"dF": dry, "dFv": wet, "deflection": deflection}
+
+
+def spring(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """MuJoCo's spring, or a counterbalance whose lever turns with the joint."""
+    joint = effect.joints[0]
+    low, high = scene.travel[joint]
+    rest = float(low + (high - low) * effect.draws["rest"])
+    if effect.draws["counterbalance"] > 0.5:
+        law = resisting(joint, lambda q, dq: s * float(np.sin(q - rest)))
+        return with_law(plan, law), {"amplitude": s, "rest": rest}
+    springs = (*plan.plant.springs, Spring(joint, s, rest))
+    return replace(plan, plant=replace(plan.plant, springs=springs)), {"stiffness": s, "rest": rest}
+
+
+def presliding(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Maxwell-slip elements of several lengths."""
+    length = effect.draws["length"]
+    lengths = tuple(length * x for x in (0.3, 0.8, 1.4, 2.2))
+    law = slip_elements(effect.joints[0], s, lengths)
+    return with_law(plan, law), {"torque": s, "lengths": list(lengths)}
+
+
+def cogging(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """A ripple along the position, with a weaker second harmonic."""
+    joint, phase = effect.joints[0], effect.draws["phase"]
+    k = wave_number(scene, joint, effect.draws["frequency"])
+    second = effect.draws["second"]
+
+    def torque(q: float, dq: float) -> float:
+        return s * float(np.sin(k * q + phase) + second * np.sin(2 * k * q + 2.0 * phase))
+
+    plan = with_law(plan, resisting(joint, torque))
+    return plan, {"amplitude": s, "wave_number": k, "phase": phase, "second_harmonic": second}
+
+
+def thermal(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """The known friction falls as the gear warms up, or rises, with two time constants.
+
+    What falls must have been there, so the known (cold) friction is more than what goes.
+    """
+    joint, T = effect.joints[0], effect.draws["time"]
+    direction = sign(effect.draws["direction"])
+    dry = direction * s * effect.draws["coulomb"]
+    wet = direction * s * (1 - effect.draws["coulomb"]) / float(scene.moving_rms[joint] + 1e-9)
+    if direction < 0:
+        plan = knowing(plan, joint, damping=1.2 * abs(wet), friction=1.2 * abs(dry))
+
+    def warmth(t: float) -> float:
+        return 1 - 0.75 * exp(-t / T) - 0.25 * exp(-t / (4 * T))
+
+    plan = with_law(replacing(plan, joint), warming(joint, wet, dry, warmth))
+    return plan, {"viscous": wet, "coulomb": dry, "times": [T, 4 * T]}
+
+
+def wave_number(scene: Scene, joint: int, hertz: float) -> float:
+    """Of a ripple that is so many Hz at the joint's fast speed: an integer, 3 at least."""
+    return float(max(3, round(2 * np.pi * hertz / max(float(scene.speed[joint]), 1e-3))))
+
+
+def knowing(plan: Plan, joint: int, damping: float = 0.0, friction: float = 0.0) -> Plan:
+    """The plan with at least so much friction that is known, and there."""
+    more = np.zeros((2, plan.plant.n))
+    more[0, joint] = max(0.0, damping - plan.known_damping[joint])
+    more[1, joint] = max(0.0, friction - plan.known_friction[joint])
+    plant = replace(
+        plan.plant, damping=plan.plant.damping + more[0], friction=plan.plant.friction + more[1]
+    )
+    return replace(
+        plan,
+        plant=plant,
+        known_damping=plan.known_damping + more[0],
+        known_friction=plan.known_friction + more[1],
+    )
+
+
+def replacing(plan: Plan, joint: int) -> Plan:
+    """The plan, with the joint's dry friction no longer as the nominal model has it."""
+    return replace(plan, replaced=(*plan.replaced, joint))
+
+
+def instead(plan: Plan, joint: int) -> Plan:
+    """The plan without MuJoCo's dry friction on a joint: a law takes its place."""
+    friction = plan.plant.friction.copy()
+    friction[joint] -= plan.known_friction[joint]
+    return replace(
+        replacing(plan, joint), plant=replace(plan.plant, friction=np.maximum(friction, 0.0))
+    )
+
+
+def _deflection(scene: Scene, effect: EffectSpec, joint: int, torque: float) -> float:
+    """Of stiff bristles [rad]: as drawn, but not stiffer than a step can follow."""
+    softest = torque * (5e-4) ** 2 / (0.3 * float(scene.inertia[joint, 0]))
+    return max(effect.draws["deflection"], softest)

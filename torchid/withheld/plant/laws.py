@@ -1,0 +1,170 @@
+"""Torque with a state, computed beside MuJoCo at every step.
+
+Each function returns a law: started with a trajectory it returns what to do before step k. Laws
+work on single numbers, for speed. `dof` is the motor's, for what resists in gear and motor.
+"""
+
+from collections.abc import Callable
+from math import copysign, exp
+
+import numpy as np
+
+from torchid.withheld.plant.plan import Act, Law, Live
+
+Limit = Callable[[float, int], float]
+"""Friction that bristles carry when they slide [N m], of speed and step."""
+
+
+def bristles(joint: int, limit: Limit, deflection: float, damping: float = 0.0) -> Law:
+    """LuGre friction: bristles of stiffness sigma0 that slide at a limit g(dq).
+
+    dz/dt = dq - sigma0 |dq| z / g(dq), torque sigma0 z + sigma1 dz/dt (Canudas de Wit et al. 1995);
+    exact over a step at constant speed, so stiff bristles need no smaller steps.
+
+    Args:
+        joint: from 0.
+        limit: g.
+        deflection: at which bristles with the limit at speed 0 slide [rad].
+        damping: sigma1 [N m s/rad].
+    """
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        dq, applied, step = live.dq, live.applied, live.step
+        stiffness = max(limit(0.0, 0), 1e-9) / deflection
+        z = 0.0
+
+        def act(k: int) -> None:
+            nonlocal z
+            speed = float(dq[dof])
+            g = max(limit(speed, k), 1e-9)
+            slides = copysign(g / stiffness, speed)
+            before = z
+            z = slides + (z - slides) * exp(-stiffness * abs(speed) * step / g)
+            applied[dof] -= stiffness * z + damping * (z - before) / step
+
+        return act
+
+    return start
+
+
+def slip_elements(joint: int, torque: float, lengths: tuple[float, ...]) -> Law:
+    """Maxwell-slip hysteresis: springs in parallel, each with a slider (Al-Bender et al. 2005).
+
+    Args:
+        joint: from 0.
+        torque: of all elements when they slide [N m].
+        lengths: displacement at which each begins to slide [rad].
+    """
+    share = torque / len(lengths)
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        dq, applied, step = live.dq, live.applied, live.step
+        stiffness = [share / length for length in lengths]
+        forces = [0.0 for _ in lengths]
+
+        def act(k: int) -> None:
+            move = float(dq[dof]) * step
+            for i, c in enumerate(stiffness):
+                forces[i] = min(max(forces[i] + c * move, -share), share)
+            applied[dof] -= sum(forces)
+
+        return act
+
+    return start
+
+
+def resisting(joint: int, torque: Callable[[float, float], float]) -> Law:
+    """Torque against the motor's motion that is a function of its position and speed [N m]."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        q, dq, applied = live.q, live.dq, live.applied
+
+        def act(k: int) -> None:
+            applied[dof] -= torque(float(q[dof]), float(dq[dof]))
+
+        return act
+
+    return start
+
+
+def loaded_bristles(joint: int, share: float, deflection: float) -> Law:
+    """Bristles whose limit is a share of the torque that the gear transmits just now."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        q, dq, applied = live.q, live.dq, live.applied
+        kp, kd = float(live.kp[joint]), float(live.kd[joint])
+        command, step = np.ascontiguousarray(live.command[:, joint]), live.step
+        z, torque = 0.0, 0.0
+
+        def act(k: int) -> None:
+            nonlocal z, torque
+            speed = float(dq[dof])
+            motor = float(command[k]) - kp * float(q[dof]) - kd * speed
+            slides = copysign(1.0, speed)
+            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
+            torque = share * abs(motor - torque) * z
+            applied[dof] -= torque
+
+        return act
+
+    return start
+
+
+def rippling_motor(joint: int, share: float, k: float, phase: float) -> Law:
+    """A motor whose torque constant ripples with its angle: u share sin(k q + phase) is lost."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        q, dq, applied = live.q, live.dq, live.applied
+        kp, kd = float(live.kp[joint]), float(live.kd[joint])
+        command = np.ascontiguousarray(live.command[:, joint])
+
+        def act(step: int) -> None:
+            angle = float(q[dof])
+            motor = float(command[step]) - kp * angle - kd * float(dq[dof])
+            applied[dof] -= motor * share * np.sin(k * angle + phase)
+
+        return act
+
+    return start
+
+
+def warming(joint: int, damping: float, friction: float, warmth: Callable[[float], float]) -> Law:
+    """MuJoCo's own damping and dry friction, changed by so much times a function of time."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        fields = live.damping, live.friction
+        cold = float(fields[0][dof]), float(fields[1][dof])
+        t = live.t
+
+        def act(k: int) -> None:
+            warm = warmth(float(t[k]))
+            fields[0][dof] = cold[0] + damping * warm
+            fields[1][dof] = cold[1] + friction * warm
+
+        return act
+
+    return start
+
+
+def varying(joint: int, damping: float, friction: float, k: float, phase: float) -> Law:
+    """MuJoCo's own damping and dry friction, changed by so much times sin(k q + phase)."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        fields, q = (live.damping, live.friction), live.q
+        mean = float(fields[0][dof]), float(fields[1][dof])
+
+        def act(step: int) -> None:
+            wave = float(np.sin(k * float(q[dof]) + phase))
+            fields[0][dof] = mean[0] + damping * wave
+            fields[1][dof] = mean[1] + friction * wave
+
+        return act
+
+    return start

@@ -1,0 +1,162 @@
+"""What was planted and what was said, as they are in files.
+
+A claim is an effect that was named, or inertial parameters that were said to be wrong; the top
+claim is the one with the largest share of the gap. Joints are 1-based, as in files.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+INERTIAL = ("link_inertia", "all_base")
+"""Names of claims that a model's own parameters are wrong."""
+
+SURE = ("explained", "parametric_only")
+"""Statuses of a diagnosis that says it knows the cause."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A cause that was named.
+
+    Attributes:
+        name, family: of the effect.
+        place: joints that it is at; empty for the whole arm.
+        joints: whose torque it changes.
+        ambiguous: names that the data do not tell it from.
+        share: of the gap.
+        coefficients: name -> (value, standard deviation), of effects without a shape.
+    """
+
+    name: str
+    family: str
+    place: tuple[int, ...]
+    joints: tuple[int, ...]
+    ambiguous: tuple[str, ...] = ()
+    share: float = 0.0
+    coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> set[str]:
+        """The name, and those that it may be instead."""
+        return {self.name, *self.ambiguous}
+
+    @property
+    def structural(self) -> bool:
+        """Whether it says more than that inertial parameters are wrong."""
+        return not self.names & set(INERTIAL)
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A cause that is there.
+
+    Attributes:
+        name, family: of the effect; a family `outside` is not in the library.
+        place: joints that it is at; empty for the whole arm.
+        felt: whose torque it changes beyond noise.
+        size: in standard deviations of the torque noise.
+        acceptable: names and families that an honest answer may give it as well.
+        coefficients: true values.
+    """
+
+    name: str
+    family: str
+    place: tuple[int, ...]
+    felt: tuple[int, ...]
+    size: float = math.nan
+    acceptable: tuple[str, ...] = ()
+    coefficients: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def located(self) -> tuple[int, ...]:
+        """Joints that a diagnosis should point at."""
+        return self.place or self.felt
+
+    def allows(self, name: str, family: str | None) -> bool:
+        """Whether a name is right for it, at least by family."""
+        own = () if self.family == "outside" else (self.family,)
+        allowed = {self.name, *self.acceptable, *own}
+        return name in allowed or family in allowed
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case: what was planted and what was said.
+
+    Attributes:
+        status: of the diagnosis, or `error`.
+        planted: causes that are there.
+        claims: causes that were named, the largest share first.
+        not_testable: (name, joint or None) of effects said to be invisible in these data.
+    """
+
+    status: str
+    planted: tuple[Planted, ...]
+    claims: tuple[Claim, ...]
+    not_testable: tuple[tuple[str, int | None], ...] = ()
+
+    @property
+    def top(self) -> Claim | None:
+        """The claim with the largest share."""
+        return self.claims[0] if self.claims else None
+
+    @property
+    def alarm(self) -> bool:
+        """Whether it says that something is there."""
+        return bool(self.claims) or self.status in (*SURE, "detected_unexplained")
+
+
+def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
+    """A case from its key and its answer, as they are in files."""
+    claims = [_claim(c) for c in answer.get("which", ())]
+    claims += [_all_base(p) for p in answer.get("parametric", ()) if p["all_base_parameters"]]
+    return Row(
+        str(answer["status"]),
+        tuple(_planted(e) for e in key["effects"]),
+        tuple(sorted(claims, key=lambda c: -c.share)),
+        tuple((x["effect"], x["joint"]) for x in answer.get("not_testable", ())),
+    )
+
+
+def _claim(found: Mapping[str, Any]) -> Claim:
+    joints = tuple(int(j) for j in found["joints"])
+    located = bool(found.get("places")) or found["effect"] in INERTIAL
+    std = {} if found.get("shape") else dict(found.get("std", {}))
+    values = found.get("parameters", {})
+    return Claim(
+        name=str(found["effect"]),
+        family=str(found["family"]),
+        place=joints if located and not found.get("common") else (),
+        joints=joints,
+        ambiguous=tuple(found["ambiguous_with"]),
+        share=float(found.get("share") or 0.0),
+        coefficients={
+            name: (float(values[name]), float(s))
+            for name, s in std.items()
+            if s is not None and isinstance(values.get(name), int | float)
+        },
+    )
+
+
+def _all_base(found: Mapping[str, Any]) -> Claim:
+    share = float(found.get("share") or 0.0)
+    return Claim("all_base", "inertia", (), (), tuple(found["ambiguous_with"]), share)
+
+
+def _planted(effect: Mapping[str, Any]) -> Planted:
+    numbers = {
+        str(name): float(value)
+        for name, value in effect.get("parameters", {}).items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    return Planted(
+        name=str(effect["name"]),
+        family=str(effect["family"]),
+        place=tuple(int(j) for j in effect["joints"]),
+        felt=tuple(int(j) for j in effect.get("felt_by", ())),
+        size=float(effect.get("size", math.nan)),
+        acceptable=tuple(effect.get("acceptable", ())),
+        coefficients=numbers,
+    )

@@ -1,0 +1,178 @@
+"""Diagnose every case of a set. Nothing here knows where keys are, or reads one."""
+
+import hashlib
+import json
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from torchid import __version__
+from torchid.errors import TorchidError
+from torchid.gap.record import plain
+from torchid.gap.settings import GapSettings
+from torchid.withheld.case_set import CaseSet, read_json, write_json
+from torchid.withheld.parallel import each
+
+Progress = Callable[[str, int, int], None]
+
+ERROR = "error"
+"""Status of a case whose diagnosis failed."""
+
+NOT_THE_DIAGNOSIS = ("app", "report", "withheld", "study", "extraction", "wrenches")
+"""Rooms that a diagnosis does not depend on."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One case to diagnose.
+
+    Attributes:
+        case: its name.
+        robot, log, answer: files.
+        settings: of the diagnosis.
+    """
+
+    case: str
+    robot: Path
+    log: Path
+    answer: Path
+    settings: GapSettings
+
+
+def default_settings(*, rollout: bool = False) -> GapSettings:
+    """Those of `torchid gap`; simulating forwards has no part in the scores."""
+    return GapSettings(rollout=rollout)
+
+
+def jobs_of(cases: CaseSet, settings: GapSettings) -> list[Job]:
+    """A job a case."""
+    return [
+        Job(case, cases.robot(case), cases.log(case), cases.answer(case), settings)
+        for case in cases.ids
+    ]
+
+
+def run(
+    todo: Sequence[Job],
+    *,
+    method: Callable[[Job], dict[str, Any]] | None = None,
+    jobs: int = 1,
+    again: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Answers of all jobs, those that are there already as they are.
+
+    A case whose diagnosis fails gets an answer with the status `error`, which is tried again the
+    next time.
+
+    Args:
+        todo: from `jobs_of`.
+        method: what answers a job and writes its file; `diagnose_case` if None.
+        jobs: processes, of one thread each.
+        again: whether answers of another torchid, or with other settings, are replaced.
+        progress: called with (stage, done, total).
+
+    Raises:
+        TorchidError: answers of another torchid, or with other settings, are there.
+    """
+    say = progress or (lambda stage, done, total: None)
+    answers = _kept(todo, again)
+    left = [job for job in todo if job.case not in answers]
+    say("diagnosing", len(answers), len(todo))
+    for job, answer in each(method or diagnose_case, left, jobs):
+        answers[job.case] = answer
+        say("diagnosing", len(answers), len(todo))
+    return {job.case: answers[job.case] for job in todo}
+
+
+def _kept(todo: Sequence[Job], again: bool) -> dict[str, dict[str, Any]]:
+    """Answers that need not be found again."""
+    kept: dict[str, dict[str, Any]] = {}
+    other: dict[str, str] = {}
+    for job in todo:
+        if not job.answer.is_file():
+            continue
+        answer = read_json(job.answer, "an answer")
+        reason = _stale(answer, job.settings)
+        if reason is not None:
+            other[job.case] = reason
+        elif answer.get("status") != ERROR:
+            kept[job.case] = answer
+    if other and not again:
+        case, reason = next(iter(other.items()))
+        raise TorchidError(
+            f"{len(other)} of the answers there are not this diagnosis': {reason}.",
+            got=f"{case}, {len(other) - 1} others" if len(other) > 1 else case,
+            hint="--again replaces them",
+        )
+    return kept
+
+
+def _stale(answer: dict[str, Any], settings: GapSettings) -> str | None:
+    """Why an answer is not one of this diagnosis, or None."""
+    if answer.get("version") != __version__:
+        return f"they are of torchid {answer.get('version')}, and this is {__version__}"
+    if answer.get("code") != code():
+        return "the diagnosis has changed since"
+    if answer.get("settings") != as_record(settings):
+        return "they were found with other settings"
+    return None
+
+
+def diagnose_case(job: Job) -> dict[str, Any]:
+    """Diagnose one case and write its answer."""
+    import torch
+
+    torch.set_num_threads(1)
+    begin = time.perf_counter()
+    try:
+        answer = _answer(job)
+    except Exception as error:  # one case must not stop the others
+        answer = {"status": ERROR, "which": [], "error": f"{type(error).__name__}: {error}"}
+        answer["traceback"] = traceback.format_exc()
+    answer |= {
+        "case": job.case,
+        "settings": as_record(job.settings),
+        "version": __version__,
+        "code": code(),
+        "seconds": round(time.perf_counter() - begin, 2),
+    }
+    write_json(answer, job.answer)
+    return answer
+
+
+def _answer(job: Job) -> dict[str, Any]:
+    from torchid.gap.diagnose import diagnose
+    from torchid.gap.record import record
+    from torchid.log.readers import read_log
+    from torchid.robot.library import load_robot
+
+    found = diagnose(load_robot(job.robot), read_log(job.log), settings=job.settings)
+    corrected = {
+        "effects": [dict(effect) for effect in found.corrected.effects],
+        "pi": found.corrected.require_parameters("an answer").pi,
+    }
+    return {**record(found), "corrected": plain(corrected)}
+
+
+def as_record(settings: GapSettings) -> dict[str, Any]:
+    """As JSON gives them back."""
+    record: dict[str, Any] = json.loads(json.dumps(plain(asdict(settings))))
+    return record
+
+
+@cache
+def code() -> str:
+    """SHA-256, in hexadecimal, of the sources that a diagnosis depends on."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        name = path.relative_to(root)
+        if name.parts[0] not in NOT_THE_DIAGNOSIS:
+            digest.update(name.as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,270 @@
+"""The scores of a set of answers, once its keys are open (gap.md, section 3, of the design).
+
+Shares come with their Wilson 95 % intervals, F1 and medians with bootstrap intervals over cases. A
+diagnosis that failed counts as one that found nothing, and in false alarms not at all.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from torchid.effects.registry import FAMILIES
+from torchid.withheld.measures import (
+    coefficient_coverage,
+    joint_counts,
+    matched,
+    named,
+    poor_verdict,
+    verdict,
+)
+from torchid.withheld.rows import Row, row_of
+from torchid.withheld.shares import median, micro_f1, rate
+
+CLOSES = 0.1
+"""Share that the oracle closes, below which a ratio to it says nothing."""
+
+NOTHING = {
+    "no_gap": "(no gap)",
+    "detected_unexplained": "(unexplained)",
+    "not_testable": "(not testable)",
+    "error": "(error)",
+}
+"""What the confusion matrix says where nothing was named."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A case with its key and an answer.
+
+    Attributes:
+        case, kind: name and kind.
+        colour_hz: cut-off of coloured torque noise [Hz]; None for white.
+        level: size that was asked for, in standard deviations of the noise; None without one.
+        row: what was planted and said.
+        closed: closed share of the closable gap; 0 where none was claimed.
+        closed_ci95: its interval, or None.
+        seconds: that the diagnosis took.
+    """
+
+    case: str
+    kind: str
+    colour_hz: float | None
+    level: float | None
+    row: Row
+    closed: float
+    closed_ci95: tuple[float, float] | None
+    seconds: float | None
+
+
+def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
+    """A case from its key and answer, as they are in files."""
+    far = answer.get("how_far") or {}
+    interval = far.get("closed_ci95")
+    return Scored(
+        case=str(key["id"]),
+        kind=str(key["kind"]),
+        colour_hz=key.get("colour_hz"),
+        level=key.get("level"),
+        row=row_of(key, answer),
+        closed=float(far.get("closed") or 0.0),
+        closed_ci95=None if interval is None else (float(interval[0]), float(interval[1])),
+        seconds=answer.get("seconds"),
+    )
+
+
+def scores(
+    cases: Sequence[Scored],
+    oracle: Mapping[str, float | None] | None = None,
+    truly_closed: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """All scores of one method.
+
+    Args:
+        cases: its answers.
+        oracle: per case the closed share of the diagnosis that was told the effect and the joint.
+        truly_closed: per case the closed share of the corrected model without any noise.
+    """
+    kinds: dict[str, list[Scored]] = defaultdict(list)
+    for case in cases:
+        kinds[case.kind].append(case)
+    single, several = kinds["single"], kinds["several"]
+    return {
+        "false_alarms": _false_alarms(kinds["none"]),
+        "parameters": _parameters(kinds["parameters"]),
+        "single": _single(single),
+        "joints": micro_f1([joint_counts(c.row) for c in single + several]),
+        "several": _several(several),
+        "outside": _outside(kinds["outside"]),
+        "poor": _poor(kinds["poor"]),
+        "closing": _closing(single, oracle or {}),
+        "coverage": _coverage(cases, truly_closed or {}),
+        "status": _statuses(kinds),
+        "confusion": confusion(single),
+        "confusion_outside": confusion(kinds["outside"]),
+        "detection": detection(kinds["severity"]),
+        "errors": [c.case for c in cases if c.row.status == "error"],
+        "seconds_median": _median([c.seconds for c in cases if c.seconds is not None]),
+    }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _false_alarms(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs without any effect: whether anything is said to be there."""
+    ran = [c for c in cases if c.row.status != "error"]
+    return {
+        "all": rate(c.row.alarm for c in ran),
+        "white": rate(c.row.alarm for c in ran if c.colour_hz is None),
+        "coloured": rate(c.row.alarm for c in ran if c.colour_hz is not None),
+    }
+
+
+def _parameters(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs where only inertial parameters are wrong."""
+    return {
+        "structural": rate(any(c.structural for c in s.row.claims) for s in cases),
+        "found": rate(s.row.alarm for s in cases),
+        "parametric_only": rate(s.row.status == "parametric_only" for s in cases),
+    }
+
+
+def _single(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs with one effect: its name, in all and by effect."""
+    out = _naming(cases)
+    groups = _by(cases, lambda c: c.row.planted[0].name)
+    out["by_effect"] = {name: _naming(groups[name]) for name in sorted(groups)}
+    out["white"] = _naming([c for c in cases if c.colour_hz is None])
+    out["coloured"] = _naming([c for c in cases if c.colour_hz is not None])
+    return out
+
+
+def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
+    found = [named(c.row) for c in cases]
+    sizes = [n.set_size for n in found if n.set_size is not None]
+    return {
+        "detected": rate(c.row.alarm for c in cases),
+        "top1": rate(n.top1 for n in found),
+        "in_set": rate(n.in_set for n in found),
+        "anywhere": rate(n.anywhere for n in found),
+        "family": rate(n.family for n in found),
+        "exact": rate(n.exact for n in found),
+        "set_size": sum(sizes) / len(sizes) if sizes else None,
+    }
+
+
+def _several(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs with two or three effects: F1 of (effect, joint), alternatives counting or not."""
+    out: dict[str, Any] = {}
+    groups = {
+        "all": cases,
+        "pairs": [c for c in cases if len(c.row.planted) == 2],
+        "triples": [c for c in cases if len(c.row.planted) == 3],
+    }
+    for name, some in groups.items():
+        out[name] = {
+            "with_sets": micro_f1([matched(c.row, strict=False) for c in some]),
+            "strict": micro_f1([matched(c.row, strict=True) for c in some]),
+        }
+    return out
+
+
+def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs with a cause that the library lacks: whether a wrong family is named for sure."""
+    said = [verdict(c.row, FAMILIES, every=True) for c in cases]
+    groups = _by(cases, lambda c: " + ".join(p.name for p in c.row.planted))
+    return {
+        "confident_wrong": rate(v == "confident_wrong" for v in said),
+        "verdicts": dict(Counter(said)),
+        "by_cause": {
+            name: dict(Counter(verdict(c.row, FAMILIES, every=True) for c in some))
+            for name, some in sorted(groups.items())
+        },
+    }
+
+
+def _poor(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of logs that excite too little: whether the answer says so."""
+    said = [poor_verdict(c.row) for c in cases]
+    return {
+        "honest": rate(v in ("not_testable", "hedged", "right") for v in said),
+        "not_testable_or_hedged": rate(v in ("not_testable", "hedged") for v in said),
+        "verdicts": dict(Counter(said)),
+    }
+
+
+def _closing(cases: Sequence[Scored], oracle: Mapping[str, float | None]) -> dict[str, Any]:
+    """How much of what could be closed is; cases in which the oracle closes next to nothing are
+    left out, and counted."""
+    told = [(c, oracle[c.case]) for c in cases if c.case in oracle]
+    ratios = [c.closed / best for c, best in told if best is not None and best >= CLOSES]
+    return {
+        "closed": median([c.closed for c in cases]),
+        "oracle": median([best or 0.0 for _, best in told]),
+        "ratio": median(ratios),
+        "oracle_closes_nothing": len(told) - len(ratios),
+    }
+
+
+def _coverage(cases: Sequence[Scored], truly_closed: Mapping[str, float]) -> dict[str, Any]:
+    """Whether 95 % intervals hold the truth: the closed share without noise, and coefficients."""
+    held = [
+        c.closed_ci95[0] <= truly_closed[c.case] <= c.closed_ci95[1]
+        for c in cases
+        if c.closed_ci95 is not None and c.case in truly_closed
+    ]
+    graded = [c for c in cases if c.kind in ("single", "severity")]
+    return {
+        "closed": rate(held),
+        "coefficients": rate(flag for c in graded for flag in coefficient_coverage(c.row)),
+    }
+
+
+def _statuses(kinds: Mapping[str, Sequence[Scored]]) -> dict[str, dict[str, int]]:
+    return {
+        kind: dict(Counter(c.row.status for c in cases)) for kind, cases in kinds.items() if cases
+    }
+
+
+def confusion(cases: Iterable[Scored]) -> dict[str, dict[str, int]]:
+    """Planted -> first named -> cases."""
+    out: dict[str, Counter[str]] = defaultdict(Counter)
+    for case in cases:
+        top = case.row.top
+        said = NOTHING.get(case.row.status, "(nothing)") if top is None else top.name
+        out[" + ".join(p.name for p in case.row.planted)][said] += 1
+    return {name: dict(out[name]) for name in sorted(out)}
+
+
+def detection(cases: Sequence[Scored]) -> dict[str, list[dict[str, Any]]]:
+    """Shares detected and named over the size asked for: of all effects, and by family."""
+    groups = {"all effects": list(cases)} if cases else {}
+    families = _by(cases, lambda c: c.row.planted[0].family)
+    groups |= {name: families[name] for name in sorted(families)}
+    return {name: _curve(some) for name, some in groups.items()}
+
+
+def _curve(cases: Sequence[Scored]) -> list[dict[str, Any]]:
+    out = []
+    for level in sorted({c.level for c in cases if c.level is not None}):
+        own = [c for c in cases if c.level == level]
+        out.append(
+            {
+                "level": level,
+                "size": _median([c.row.planted[0].size for c in own]),
+                "detected": rate(c.row.alarm for c in own),
+                "named": rate(named(c.row).in_set for c in own),
+            }
+        )
+    return out
+
+
+def _by(cases: Iterable[Scored], key: Callable[[Scored], str]) -> dict[str, list[Scored]]:
+    groups: dict[str, list[Scored]] = defaultdict(list)
+    for case in cases:
+        groups[key(case)].append(case)
+    return dict(groups)

@@ -1,0 +1,139 @@
+"""How far a corrected model really closes a gap: on the same motion, seen by ideal sensors.
+
+A case is simulated again, this time read without noise, counts and jitter. The noise's part in
+(L0 - L*) / (L0 - Ln) is then zero, and the closed share is 1 - L*/L0, with L the mean square of the
+gap below the report's band in the rows that count in the diagnosis, joints weighted by their noise.
+It belongs to scoring: who knows the seed knows the keys.
+"""
+
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import torch
+
+from torchid import __version__
+from torchid.effects.registry import effect_from_record, nominal_effects
+from torchid.errors import TorchidError
+from torchid.gap.folds import Model, traces
+from torchid.gap.prepare import prepare
+from torchid.log.columns import log_from_columns
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.withheld.case_set import CaseSet, read_json, write_json
+from torchid.withheld.compare import beside
+from torchid.withheld.run import ERROR, Job, Progress, as_record, code, default_settings, run
+
+EVENTS = ("contact", "dropped_samples")
+"""Effects of one log, which are no part of a corrected model."""
+
+
+def true_shares(
+    cases: CaseSet,
+    keys: list[dict[str, Any]],
+    answers: Mapping[str, Mapping[str, Any]],
+    jobs: int,
+    progress: Progress | None,
+) -> dict[str, float]:
+    """True closed shares, by case, where a diagnosis gave an interval of one.
+
+    Args:
+        cases, keys, answers: of the set; keys opened.
+        jobs: processes.
+        progress: called with (stage, done, total).
+    """
+    folder = beside(cases, "truth")
+    todo = []
+    for key in keys:
+        case = str(key["id"])
+        known = (answers.get(case, {}).get("how_far") or {}).get("closed_ci95") is not None
+        events = any(effect["name"] in EVENTS for effect in key["effects"])
+        if known and not events:
+            files = cases.robot(case), cases.log(case), folder / f"{case}.json"
+            todo.append(Job(case, *files, default_settings()))
+    found = run(todo, method=partial(truth_case, cases), jobs=jobs, again=True, progress=progress)
+    return {case: float(f["closed"]) for case, f in found.items() if f.get("closed") is not None}
+
+
+def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
+    """The true closed share of one case, written like an answer."""
+    torch.set_num_threads(1)
+    begin = time.perf_counter()
+    record: dict[str, Any] = {
+        "case": job.case,
+        "settings": as_record(job.settings),
+        "version": __version__,
+        "code": code(),
+    }
+    try:
+        answer = read_json(cases.answer(job.case), "an answer")
+        record |= {"status": "done", "closed": _closed(cases, job, answer)}
+    except Exception as error:  # one case must not stop the others
+        record |= {"status": ERROR, "error": f"{type(error).__name__}: {error}"}
+    record["seconds"] = round(time.perf_counter() - begin, 2)
+    write_json(record, job.answer)
+    return record
+
+
+def _closed(cases: CaseSet, job: Job, answer: Mapping[str, Any]) -> float | None:
+    from torchid.withheld.plant.case import draw_case, simulate_case
+
+    number = cases.ids.index(job.case)
+    spec = draw_case(cases.seed, number)
+    ideal = simulate_case(spec, ideal=True)
+    log = log_from_columns(ideal.columns, job.log)
+    _refuse_another(log, read_log(job.log), job)
+    robot = load_robot(job.robot)
+    noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
+    repeated = answer["noise_floor"]["source"] == "repeats"
+    return closed_share(
+        robot, log, answer["corrected"], noise, answer["band_hz"], repeated=repeated
+    )
+
+
+def closed_share(
+    robot: Robot,
+    log: Log,
+    corrected: Mapping[str, Any],
+    noise: torch.Tensor,
+    band: float,
+    *,
+    repeated: bool,
+) -> float | None:
+    """1 - L*/L0 of a corrected model on a log without noise; None where there is no gap.
+
+    Args:
+        robot: the nominal model.
+        log: as ideal sensors see it.
+        corrected: parameters and effects of the corrected model, as in an answer.
+        noise: (n,) standard deviations that weigh the joints.
+        band: of the report [Hz].
+        repeated: whether the diagnosed log had repeats, so that reversals do not count.
+    """
+    given = prepare(robot, log, None)
+    pi = torch.tensor(corrected["pi"], dtype=torch.float64)
+    better = robot.with_parameters(InertialParameters(pi))
+    effects = [effect_from_record(record, better) for record in corrected["effects"]]
+    before = Model(robot, tuple(nominal_effects(robot)))
+    after = Model(better, tuple(effects))
+    losses = torch.zeros(2, dtype=torch.float64)
+    for t in traces(given.rows, None, [before], [after], band, reversals=not repeated):
+        for k, predicted in enumerate((t.before, t.after)):
+            left = (t.measured - predicted) * t.counting / noise
+            losses[k] += left.square().sum()
+    return float(1 - losses[1] / losses[0]) if losses[0] > 0 else None
+
+
+def _refuse_another(ideal: Log, logged: Log, job: Job) -> None:
+    """The simulated motion must be the one that was logged.
+
+    Raises:
+        TorchidError: it is not, for the simulator or its numbers have changed.
+    """
+    same = ideal.q.shape == logged.q.shape
+    if not same or float((ideal.q - logged.q).abs().max()) > 1e-3:
+        raise TorchidError(f"{job.case} is simulated differently now than when it was made.")
