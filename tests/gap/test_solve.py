@@ -11,6 +11,7 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.hysteresis import PreslidingHysteresis
 from torchid.effects.registry import model_torque
+from torchid.effects.transient import Contact
 from torchid.gap.fit import Fit, fitted
 from torchid.gap.problem import BASE, Term
 from torchid.gap.solve import Solution, corrected, solve
@@ -206,3 +207,18 @@ def test_what_one_shape_imitates_is_divided_again():
         assert values[0] == pytest.approx(1.0, abs=0.1)
         if isinstance(effect, PreslidingHysteresis):
             assert effect.length == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_contact_is_found_beside_a_large_effect():
+    both = [(CoulombFriction(0), [3.0]), (Contact(20.0, 21.0), [0.4, 0.0, 0.3])]
+    found = solved(Case(both, ("coulomb_friction", "contact")))
+    assert [t.name for t in found.terms] == ["coulomb_friction", "contact"]
+    contact = found.terms[1].effects[0]
+    assert abs(contact.start - 20.0) < 0.8
+    assert abs(contact.stop - 21.0) < 0.8
+
+
+def test_a_wrong_law_of_friction_is_no_contact():
+    """What Coulomb's law leaves of presliding is in windows too, at every reversal."""
+    found = solved(Case([(PreslidingHysteresis(0, 0.1), [3.0])], ("coulomb_friction", "contact")))
+    assert [t.name for t in found.terms] == ["coulomb_friction"]

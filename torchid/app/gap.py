@@ -96,7 +96,7 @@ def gap_command(
 
     settings = GapSettings(
         effects=searched(effects),
-        background=_names(background),
+        background=names(background),
         parameters=parameters,
         cutoff=_cutoff(cutoff),
         max_effects=max_effects,
@@ -134,15 +134,15 @@ def searched(text: str) -> tuple[str, ...] | None:
     """
     if text.strip() == "all":
         return None
-    names = _names(text)
-    if not names:
+    found = names(text)
+    if not found:
         raise TorchidError(
             "--effects leaves nothing to search over.", got=text, hint="`all` for the whole library"
         )
-    return names
+    return found
 
 
-def _names(text: str) -> tuple[str, ...]:
+def names(text: str) -> tuple[str, ...]:
     """Names separated by commas; `none` for none. The settings check that they exist."""
     if text.strip() in ("", "none"):
         return ()

@@ -2,20 +2,31 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from torchid.app.gap import searched
+from torchid.app.gap import names, searched
 from torchid.app.options import (
     LARGEST_SEED,
+    Gain,
+    HeldOut,
     Json,
+    LogArguments,
     Out,
     Output,
     Quiet,
+    RobotArgument,
+    Seed,
+    Tip,
     open_output,
     progress_bar,
+    read_logs,
 )
+from torchid.errors import TorchidError
+
+PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
+"""Effects that are planted by default: a step, one that scales with load, a periodic one."""
 
 withheld_app = typer.Typer(
     name="withheld",
@@ -200,6 +211,82 @@ def leave_out_command(
     with atomic_write(out / "leave_out.md") as text:
         text.write(leave_out_markdown(result))
     output.say(f"written to {out}: leave_out.json, leave_out.md")
+
+
+@withheld_app.command("own")
+def own_command(
+    robot: RobotArgument,
+    logs: LogArguments,
+    held_out: HeldOut = None,
+    background: Annotated[
+        str,
+        typer.Option(metavar="A,B,C", help="As for `torchid gap`."),
+    ] = "none",
+    parameters: Annotated[
+        Literal["trusted", "free", "auto"], typer.Option(help="As for `torchid gap`.")
+    ] = "auto",
+    gain: Gain = None,
+    plant: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B,C", help="Effects of one joint to plant in the log; `none` for none."
+        ),
+    ] = ",".join(PLANTED),
+    joints: Annotated[
+        str, typer.Option(metavar="J1,J2,..|all", help="Joints where they are planted.")
+    ] = "all",
+    jobs: Jobs = None,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
+
+    Every effect accepted on LOG... is taken out of the corrected model and sought again on logs
+    that took no part (--held-out; else the second half of every trajectory). Then known effects are
+    added to the measured torque, to see from which size on they are found.
+
+    Example: `torchid withheld own panda.urdf run1.parquet run2.parquet --held-out run3.parquet`
+    """
+    output = open_output(json_file, out, quiet)
+    from torchid.gap.settings import GapSettings
+    from torchid.report.withheld_own import own_headline, own_tables
+    from torchid.robot.library import load_robot
+    from torchid.withheld.own import check_own, own_record
+
+    settings = GapSettings(background=names(background), parameters=parameters, seed=seed)
+    found = load_robot(robot, tip=tip)
+    log = read_logs(logs, gain, found.n)
+    apart = None if not held_out else read_logs(held_out, gain, found.n)
+    with progress_bar(output) as progress:
+        result = check_own(
+            found,
+            log,
+            untouched=apart,
+            settings=settings,
+            plant=names(plant),
+            joints=_joint_numbers(joints),
+            jobs=processes(jobs),
+            progress=progress,
+        )
+    output.say(f"[bold]{own_headline(result)}[/]\n")
+    for table in own_tables(result):
+        output.say(table)
+    if not result.whole:
+        output.say("untouched data: the second half of every trajectory (--held-out for others)")
+    output.write_json({**own_record(result), "seed": seed}, "own.json")
+
+
+def _joint_numbers(text: str) -> list[int] | None:
+    """The --joints option: numbers from 0, or None for all."""
+    if text.strip() == "all":
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdigit() for part in parts):
+        raise TorchidError("--joints takes numbers, separated by commas.", got=text)
+    return [int(part) - 1 for part in parts]
 
 
 def processes(jobs: int | None) -> int:

@@ -1,0 +1,95 @@
+"""An accepted effect is found again; a planted one from some size on."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from tests.gap.test_diagnose import FC, NOISE, QUICK, REAL, ROBOT, logged
+from torchid.errors import TorchidError
+from torchid.gap.record import plain
+from torchid.withheld import own
+from torchid.withheld.own import LEVELS, check_own, own_record
+
+pytestmark = pytest.mark.usefixtures("types_unchecked")
+
+ONE = ("coulomb_friction", (1,))
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Friction of joint 2, withheld on other runs; the library is small, to be quick."""
+    settings = replace(QUICK, effects=("coulomb_friction", "viscous_friction", "torque_offset"))
+    runs = logged(REAL, (3, 4, 3), 5)
+    return check_own(ROBOT, logged(REAL), untouched=runs, settings=settings)
+
+
+def test_what_was_accepted_is_found_again_and_closes_as_much(found):
+    assert [(w.effect, w.joints) for w in found.withheld] == [ONE]
+    (friction,) = found.withheld
+    assert friction.named
+    assert friction.in_set
+    assert friction.as_much
+    assert friction.known == pytest.approx(1.0, abs=0.1)
+    assert ONE in friction.findings
+    assert found.whole
+
+
+def test_without_the_right_name_nothing_is_found_again(found):
+    """The corrected model knows the friction; searched over others, another name is none."""
+    job = own._Hidden(
+        own._without(found.first.corrected, found.first.findings[0]),
+        found.first.corrected,
+        logged(REAL, (3, 4, 3), 5),
+        replace(QUICK, effects=("torque_offset",)),
+        found.first.findings[0],
+    )
+    assert len(job.robot.effects) == 0
+    missed = own._withheld(job)
+    assert not missed.named
+    assert not missed.in_set
+    assert missed.as_much is False
+
+
+def test_a_planted_effect_has_the_size_that_is_told(found):
+    log = logged(REAL, (3, 4, 3), 5)
+    kind = own._plantable("coulomb_friction")
+    bed = own._Bed(found.first.corrected, log, QUICK, kind, 2, NOISE)
+    effect, values, planted = own._on_top(bed, 5.0)
+    change = planted.tau - log.tau
+    assert effect.joint == 2
+    assert bool((change[:, :2] == 0).all())
+    # Below 20 Hz little of a step in torque is lost.
+    assert float(change[:, 2].square().mean().sqrt()) == pytest.approx(5 * NOISE, rel=0.1)
+    assert float(change[:, 2].abs().max()) == pytest.approx(values[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("from_level", "tried"), [(0.5, (1, 2)), (2.0, (1, 2)), (4.0, (2, 5)), (99, (2, 5, 10))]
+)
+def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypatch):
+    """The search stops at the first size whose answer differs."""
+
+    def quick(bed, level):
+        seen = level >= from_level
+        return own.Planted("coulomb_friction", 0, level, {}, seen, seen, "explained")
+
+    monkeypatch.setattr(own, "_one_level", quick)
+    assert tuple(p.level for p in own._planted(None)) == tried
+    assert set(tried) <= set(LEVELS)
+
+
+def test_the_record_is_json_with_joints_from_one(found):
+    data = own_record(found)
+    assert json.loads(json.dumps(data)) == data
+    assert data["withheld"][0]["joints"] == [2]
+    assert data["diagnosis"]["schema"] == "torchid.gap/1"
+    value = data["diagnosis"]["which"][0]["parameters"]
+    assert plain(value)["Fc"] == pytest.approx(FC, rel=0.1)
+
+
+def test_what_cannot_be_planted_is_refused():
+    with pytest.raises(TorchidError, match="one joint"):
+        check_own(ROBOT, logged(REAL), plant=("payload",))
+    with pytest.raises(TorchidError, match="no such joint"):
+        check_own(ROBOT, logged(REAL), plant=("cogging",), joints=(3,))
