@@ -2,14 +2,19 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from tests.withheld.plant.conftest import SHORT
 from torchid.effects.registry import FAMILIES
+from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effect
 from torchid.withheld.plant.laws import bristles
-from torchid.withheld.plant.model import Drive
-from torchid.withheld.plant.plan import EffectSpec, Live
+from torchid.withheld.plant.model import Drive, compiled, plant_of
+from torchid.withheld.plant.nominal import nominal_of
+from torchid.withheld.plant.plan import EffectSpec, Live, Plan
+from torchid.withheld.plant.scene import scene_of
 from torchid.withheld.plant.simulate import simulated
 from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
 
@@ -113,6 +118,27 @@ def test_an_elastic_joint_deflects_by_its_torque(bench):
     assert np.abs(stiff - held).max() > 0.1
     np.testing.assert_allclose(torque, held, atol=0.01)
     assert plan.plant.drives
+
+
+def test_a_rotor_takes_no_more_than_its_link_has():
+    """Parallel axes share inertia: alone, a link of the 6R may have a tenth of what its joint has
+    on the diagonal, and a heavier rotor would leave it less than nothing."""
+    arm = arm_named("6r")
+    zeros = np.zeros(6)
+    nominal = nominal_of(arm, zeros, zeros)
+    scene = scene_of(arm, nominal, replace(SHORT, moving=tuple(range(6))), 0.01, 5.0, 0.8)
+    base = Plan(plant_of(arm, zeros, zeros), zeros, zeros)
+    assert (scene.free_inertia < scene.inertia[:, 0] + 1e-12).all()
+    assert scene.free_inertia[2] < 0.3 * scene.inertia[2, 0]
+    for joint in range(6):
+        plan, _ = planted(scene, base, effect("backlash", joints=(joint,)), 1e-3)
+        model, _ = compiled(plan.plant, scene.kp, scene.kd, STEP)
+        data, full = mujoco.MjData(model), np.empty((7, 7))
+        for row in scene.shapes[0].state(np.arange(0, 4, 0.5))[0]:
+            data.qpos[[k for k in range(7) if k != joint + 1]] = row
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
+            assert np.linalg.eigvalsh(full)[0] > 1e-5
 
 
 def test_play_needs_a_reversal(bench):

@@ -8,7 +8,7 @@ from torchid.withheld.plant.friction import Planted, replacing
 from torchid.withheld.plant.model import BaseMount, Coupling, Drive
 from torchid.withheld.plant.plan import EffectSpec, Plan, Scene, sign
 
-_ROTOR = 0.2  # of the least inertia the joint sees: geared rotors weigh that much, and more
+_ROTOR = 0.3  # of the least inertia that the link has while the other joints are free
 _STIFF_HZ = 18.0  # of the gear with play: link against a held motor
 LOWEST_HZ = 6.0
 """Lowest resonance of an elastic joint, link against a held motor."""
@@ -21,7 +21,7 @@ def elastic(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     joint, stiffness = effect.joints[0], 1 / s
     light, heavy = scene.inertia[joint]
     damping = 2 * effect.draws["damping"] * float(np.sqrt(stiffness * light))
-    drive = Drive(joint, _ROTOR * float(light), stiffness, damping)
+    drive = Drive(joint, _ROTOR * float(scene.free_inertia[joint]), stiffness, damping)
     parameters = {
         "compliance": s,
         "gear_damping": damping,
@@ -37,7 +37,9 @@ def backlash(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     light = float(scene.inertia[joint, 0])
     stiffness = (2 * np.pi * _STIFF_HZ) ** 2 * float(scene.inertia[joint, 1])
     damping = 2 * effect.draws["damping"] * float(np.sqrt(stiffness * light))
-    drive = Drive(joint, _ROTOR * light, float(stiffness), damping, play=s)
+    drive = Drive(
+        joint, _ROTOR * float(scene.free_inertia[joint]), float(stiffness), damping, play=s
+    )
     parameters = {"width": s, "stiffness": float(stiffness), "gear_damping": damping}
     return _with_drive(plan, drive), parameters
 

@@ -45,14 +45,14 @@ class Nominal:
         return out
 
     def inertia(self, q: Array) -> Array:
-        """Diagonal (T, n) of the mass matrix [kg m^2]."""
+        """Mass matrices (T, n, n) [kg m^2]."""
         module, n = mujoco(), q.shape[1]
-        full, out = np.empty((n, n)), np.empty_like(q)
+        full, out = np.empty((n, n)), np.empty((len(q), n, n))
         for k in range(len(q)):
             self.data.qpos[:] = q[k]
             module.mj_forward(self.model, self.data)
             module.mj_fullM(self.model, self.data, full)
-            out[k] = np.diag(full)
+            out[k] = full
         return out
 
 

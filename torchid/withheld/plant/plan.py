@@ -137,6 +137,7 @@ class Scene:
         moving_rms, brisk_rms: (n,) RMS of dq and of ddq.
         travel: (n, 2) extremes of q [rad].
         inertia: (n, 2) extremes of the diagonal of the mass matrix [kg m^2].
+        free_inertia: (n,) least inertia that a joint's motor feels while the others are free.
         load: (n,) nominal RMS torque that the joint carries without friction [N m].
         kp, kd: (n,) gains of the controllers.
     """
@@ -153,6 +154,7 @@ class Scene:
     brisk_rms: Array
     travel: Array
     inertia: Array
+    free_inertia: Array
     load: Array
     kp: Array
     kd: Array

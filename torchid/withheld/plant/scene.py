@@ -40,7 +40,8 @@ def scene_of(
     rigid = nominal.rigid(q, dq, ddq)
     torque = rigid + nominal.damping * dq + nominal.friction * np.sign(dq)
     strength = np.sqrt((torque**2).mean(0))
-    inertia = nominal.inertia(q[::10])
+    mass = nominal.inertia(q[::10])
+    inertia = np.diagonal(mass, axis1=1, axis2=2)
     omega = 2 * np.pi * bandwidth
     typical = inertia.mean(0)
     return Scene(
@@ -56,6 +57,7 @@ def scene_of(
         brisk_rms=np.sqrt((ddq**2).mean(0)),
         travel=np.stack([q.min(0), q.max(0)], 1),
         inertia=np.stack([inertia.min(0), inertia.max(0)], 1),
+        free_inertia=1 / np.diagonal(np.linalg.inv(mass), axis1=1, axis2=2).max(0),
         load=np.sqrt((rigid**2).mean(0)),
         kp=omega**2 * typical,
         kd=2 * damping * omega * typical,
