@@ -179,7 +179,8 @@ KINDS: dict[str, Kind] = {
         place="arm",
     ),
     "link_inertia": Kind(
-        "inertia", bodies_off.link_inertia, _fixed(0.5), _fixed(2.5), _link_draws
+        "inertia", bodies_off.link_inertia, _fixed(0.5), _fixed(2.5), _link_draws,
+        first=1,  # of the first link only the moment about its axis is felt
     ),
     "time_delay": Kind(
         "phase", sensing.delay, _fixed(0.01), _fixed(0.06), _uniform(), sensing=True

@@ -12,6 +12,7 @@ import numpy as np
 from torchid.withheld.plant.laws import (
     bristles,
     loaded_bristles,
+    one_sided_bristles,
     resisting,
     slip_elements,
     warming,
@@ -53,18 +54,17 @@ def coulomb(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
 
 
 def stribeck(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
-    """LuGre whose limit falls with speed from Fc + s to the known Fc."""
+    """LuGre whose limit falls with speed from s to nothing, beside the known dry friction."""
     joint, d = effect.joints[0], effect.draws["decay"]
     vs = effect.draws["speed"] * float(scene.speed[joint])
-    known = float(plan.known_friction[joint])
-    deflection = _deflection(scene, effect, joint, known + s)
+    deflection = _deflection(scene, effect, joint, s)
 
     def limit(dq: float, k: int) -> float:
-        return known + s * exp(-(abs(dq / vs) ** d))
+        return s * exp(-(abs(dq / vs) ** d))
 
     law = bristles(joint, limit, deflection)
     parameters = {"excess": s, "speed": vs, "decay": d, "deflection": deflection}
-    return with_law(instead(plan, joint), law), parameters
+    return with_law(plan, law), parameters
 
 
 def load_dependent(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
@@ -81,7 +81,7 @@ def offset(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
 
 
 def asymmetric(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
-    """LuGre with one limit a direction, and damping likewise.
+    """Bristles that resist more one way than they help the other, and damping likewise.
 
     Friction must resist both ways, so the known friction is more than the difference.
     """
@@ -89,13 +89,8 @@ def asymmetric(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plante
     share = effect.draws["viscous"]
     dry, wet = s * direction, share * s / float(scene.speed[joint]) * direction
     plan = knowing(plan, joint, damping=1.3 * abs(wet), friction=1.3 * abs(dry))
-    known = float(plan.known_friction[joint])
-    deflection = _deflection(scene, effect, joint, known)
-
-    def limit(dq: float, k: int) -> float:
-        return known + (dry if dq > 0 else -dry)
-
-    plan = with_law(instead(plan, joint), bristles(joint, limit, deflection))
+    deflection = _deflection(scene, effect, joint, s)
+    plan = with_law(plan, one_sided_bristles(joint, dry, deflection))
     plan = with_law(plan, resisting(joint, lambda q, dq: wet * abs(dq)))
     return plan, {"dF": dry, "dFv": wet, "deflection": deflection}
 
@@ -176,15 +171,6 @@ def knowing(plan: Plan, joint: int, damping: float = 0.0, friction: float = 0.0)
 def replacing(plan: Plan, joint: int) -> Plan:
     """The plan, with the joint's dry friction no longer as the nominal model has it."""
     return replace(plan, replaced=(*plan.replaced, joint))
-
-
-def instead(plan: Plan, joint: int) -> Plan:
-    """The plan without MuJoCo's dry friction on a joint: a law takes its place."""
-    friction = plan.plant.friction.copy()
-    friction[joint] -= plan.known_friction[joint]
-    return replace(
-        replacing(plan, joint), plant=replace(plan.plant, friction=np.maximum(friction, 0.0))
-    )
 
 
 def _deflection(scene: Scene, effect: EffectSpec, joint: int, torque: float) -> float:

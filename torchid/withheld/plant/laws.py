@@ -114,6 +114,26 @@ def loaded_bristles(joint: int, share: float, deflection: float) -> Law:
     return start
 
 
+def one_sided_bristles(joint: int, torque: float, deflection: float) -> Law:
+    """A torque [N m] the same way whichever way the bristles are bent, |z| of its full size."""
+
+    def start(live: Live) -> Act:
+        dof = int(live.motors[joint])
+        dq, applied, step = live.dq, live.applied, live.step
+        z = 0.0
+
+        def act(k: int) -> None:
+            nonlocal z
+            speed = float(dq[dof])
+            slides = copysign(1.0, speed)
+            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
+            applied[dof] -= torque * abs(z)
+
+        return act
+
+    return start
+
+
 def rippling_motor(joint: int, share: float, k: float, phase: float) -> Law:
     """A motor whose torque constant ripples with its angle: u share sin(k q + phase) is lost."""
 
