@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from tests.gap.motions import ROBOT
-from tests.gap.problems import Case, motions, problem, random
+from tests.gap.problems import Case, bank, motions, problem, random
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.hysteresis import PreslidingHysteresis
 from torchid.effects.registry import model_torque
 from torchid.effects.transient import Contact
 from torchid.gap.fit import Fit, fitted
-from torchid.gap.problem import BASE, Term
+from torchid.gap.problem import BASE, Term, term_of
 from torchid.gap.solve import Solution, corrected, solve
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -222,3 +222,12 @@ def test_a_wrong_law_of_friction_is_no_contact():
     """What Coulomb's law leaves of presliding is in windows too, at every reversal."""
     found = solved(Case([(PreslidingHysteresis(0, 0.1), [3.0])], ("coulomb_friction", "contact")))
     assert [t.name for t in found.terms] == ["coulomb_friction"]
+
+
+def test_what_rounding_leaves_of_a_column_gets_no_coefficient():
+    """A joint that rests in a fold has base parameters whose columns are 1e-200 there."""
+    y, x = random(1, 300, seed=1), random(1, 1, 300, seed=2)
+    terms = [term_of(bank(x, 0)), term_of(bank(1e-200 * random(1, 1, 300, seed=3), 0))]
+    found = fitted(problem(y, ()), terms)
+    assert float(found.values[1]) == 0.0
+    assert float(found.values[0]) == pytest.approx(float((x[0] @ y[0]) / x.square().sum()))

@@ -1,5 +1,6 @@
 """Least squares of accepted terms together, with standard deviations from the spread of blocks."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,9 @@ from torchid.typing import Float, Tensor
 DETERMINED = 1e-7
 """Eigenvalue of the scaled Gram matrix, relative to the largest, below which a direction is left
 at zero."""
+
+ROUNDED = 1e-12
+"""Length of a column, relative to the longest, that is no more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,9 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     a = torch.cat(
         [basis @ in_all_rows(t.columns, t.place, n) for t, basis in zip(both, bases, strict=True)]
     )
-    size = a.norm(dim=1).clamp(min=1e-300)
+    size = a.norm(dim=1)
+    # What rounding leaves of a column that is zero in these rows must not become a direction.
+    size = torch.where(size > ROUNDED * size.max(), size, math.inf)
     a = a / size.unsqueeze(1)
     values, vectors = torch.linalg.eigh(a @ a.T)
     kept = values > DETERMINED * values[-1]
