@@ -78,7 +78,8 @@ def closing(
     draws = _draws(len(counts), seed)
     total = counts.sum(0).clamp(min=1)
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
-    before_noise, gain = l0[draws].sum(1), (l0 - l1)[draws].sum(1)
+    before_noise, left = l0[draws].sum(1), l1[draws].sum(1)
+    gain = before_noise - left
     improves = mean_bound(l0 - l1, 0.95) > 0
     if float(gain.quantile(0.05)) > 0 and float((l0 - l1).sum()) > CLEAR * float(l0.sum()):
         improves = True  # in a few blocks: of those, mean and deviation say nothing
@@ -90,9 +91,10 @@ def closing(
     gap_ci = _interval((before_noise - ends[0]) / rows)
     if not gap_ci[0] > 0:
         return Closing(rms[0], rms[1], gap_ci, improves, None, None)
-    intervals = [_interval(gain / (before_noise - noise)) for noise in ends]
+    # There is no more noise than what is left.
+    intervals = [_interval(gain / (before_noise - torch.minimum(noise, left))) for noise in ends]
     interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
-    value = float((l0 - l1).sum() / (l0.sum() - counts.sum()))
+    value = float((l0 - l1).sum() / (l0.sum() - torch.minimum(counts.sum(), l1.sum())))
     return Closing(rms[0], rms[1], gap_ci, improves, value, interval)
 
 
@@ -125,8 +127,8 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
         blocks = [_blocks(t) for t in parts]
         return float(sum((b[which] / unit).sum() for b in blocks))
 
-    noise = float(sum(_blocks(t)[2].sum() for t in traces))
     l0, l1, last = loss(traces, 0), loss(refitted, 1), loss(traces, 1)
+    noise = min(float(sum(_blocks(t)[2].sum() for t in traces)), last)
     gap = l0 - noise
     if gap <= 0:
         return Budget(0.0, 0.0, 0.0)

@@ -28,6 +28,7 @@ from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Sta
 from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise
+from torchid.gap.passages import sliding
 from torchid.gap.prepare import report_band
 from torchid.gap.remarks import remarks
 from torchid.gap.select import Search
@@ -37,7 +38,7 @@ from torchid.gap.stability import stable, unconfirmed
 from torchid.gap.where import where
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.typing import Tensor
+from torchid.typing import Bool, Tensor
 
 EXCESS = 1.35
 """Held-out variance of a joint, relative to its noise, above which something is unexplained if a
@@ -139,7 +140,8 @@ def _answer(
     judged = case.given if case.checked is None else case.checked
     rows = judged.rows
     band = report_band(rows, settings.report_band)
-    left = noise_at(Model(whole.robot, whole.effects), case.given, settings, keep=case.keep)
+    looked = case.keep & _judged_for_structure(case, whole)
+    left = noise_at(Model(whole.robot, whole.effects), case.given, settings, keep=looked)
     floor = left.report
     reversals = not case.noise.repeated
     shown = traces(rows, folds, models.before, models.after, band, reversals=reversals)
@@ -180,6 +182,16 @@ def _answer(
         settings=asdict(settings),
         warnings=tuple(dict.fromkeys([*remarks(case, folds, found, whole, settings), *doubts])),
     )
+
+
+def _judged_for_structure(case: Case, whole: Solution) -> Bool[Tensor, "n N"]:
+    """Rows in which structure means that something is missing. Not where a joint with dry friction
+    may stick: that a law of sliding says nothing there is no effect."""
+    dry = torch.zeros(case.keep.shape[0], dtype=torch.bool)
+    for effect, _ in whole.effects:
+        if effect.jumps:
+            dry[list(effect.joints)] = True
+    return sliding(case.given.rows) | ~dry.unsqueeze(1)
 
 
 def _excess(

@@ -65,12 +65,18 @@ def measure(value: float, std: float | None, unit: str) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f} {unit}".rstrip()
 
 
+def _shown(unit: str, joints: Iterable[int], robot: Robot) -> str:
+    """A unit as people write it: none for plain numbers."""
+    text = unit_of(unit, joints, robot)
+    return "" if text == "1" else text
+
+
 def coefficients(finding: Finding, robot: Robot) -> list[str]:
     """Every coefficient as `Fc = 0.61 ± 0.02 N m`."""
     located = finding.located or finding.joints
     spread = [*finding.std, *[None] * len(finding.values)]
     return [
-        f"{c.name} = {measure(value, std, unit_of(c.unit, located, robot))}"
+        f"{c.name} = {measure(value, std, _shown(c.unit, located, robot))}"
         for c, value, std in zip(finding.effect.coefficients, finding.values, spread, strict=False)
     ]
 
@@ -79,7 +85,7 @@ def shapes(finding: Finding, robot: Robot) -> list[str]:
     """Every shape parameter as `vs = 0.1 rad/s`."""
     located = finding.located or finding.joints
     pairs = zip(finding.effect.shapes, finding.effect.shape_values, strict=True)
-    return [f"{s.name} = {v:.4g} {unit_of(s.unit, located, robot)}".rstrip() for s, v in pairs]
+    return [f"{s.name} = {v:.4g} {_shown(s.unit, located, robot)}".rstrip() for s, v in pairs]
 
 
 def percent(value: float) -> str:
