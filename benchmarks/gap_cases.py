@@ -68,7 +68,7 @@ SUITES = ("none", "single", "pairs", "triples", "leave_one_out", "severity", "cl
 SIMULATED_AS = {"leave_one_out": "single", "closing": "single"}
 """Suites that diagnose another one's logs."""
 
-LONGEST_STEP = 5e-4
+LONGEST_STEP = 1e-3
 """Of the integration [s]. With 2 ms, an implicit step of the LWR's last joint adds Fv h / 2 = 6e-5
 kg m^2 to its inertia, and the diagnosis names it."""
 
