@@ -29,7 +29,6 @@ import json
 import multiprocessing
 import multiprocessing.connection
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -61,6 +60,7 @@ from torchid.effects.registry import FAMILIES, KINDS
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
 from torchid.gap.settings import GapSettings
+from torchid.withheld.parallel import end_with_parent
 
 
 def finding_row(found: Finding) -> dict[str, Any]:
@@ -166,19 +166,6 @@ def closing_row(arm: Arm, log: Any, row: dict[str, Any], work: Path) -> dict[str
 def run_simulation(some: Sequence[Case], work: Path, fresh: bool) -> dict[str, str]:
     torch.set_num_threads(1)
     return simulate(some, work, fresh)
-
-
-def end_with_parent() -> None:
-    """A worker whose parent is killed would wait for work for ever."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        multiprocessing.connection.wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 class Results:

@@ -135,3 +135,29 @@ def test_help_has_an_example(command):
         shown = command("withheld", name, "--help")
         assert shown.code == 0
         assert "Example" in shown.out
+
+
+@pytest.fixture
+def log(command, tmp_path):
+    path = tmp_path / "run.parquet"
+    assert command("excite", "3r", "--kind", "random", "--to", tmp_path / "m.csv").code == 0
+    outcome = command("simulate", "3r", tmp_path / "m.csv", "--noise", "honest", "--to", path)
+    assert outcome.code == 0, outcome.err
+    return path
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--joints", "second"), "--joints takes numbers"),
+        (("--joints", "4"), "no such joint"),
+        (("--plant", "payload"), "one joint"),
+        (("--plant", "glue"), "glue"),
+        (("--background", "viscous_friction"), "--parameters free"),
+    ],
+)
+def test_own_says_what_is_wrong_before_the_work(options, words, log, command):
+    outcome = command("withheld", "own", "3r", log, *options, "--jobs", 1)
+    assert outcome.code == 1
+    assert words in outcome.err
+    assert "Traceback" not in outcome.err

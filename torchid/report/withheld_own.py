@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from torchid.withheld.own import LEVELS, OwnCheck, Planted, Withheld
+from torchid.withheld.own import OwnCheck, Withheld
+from torchid.withheld.planting import LEVELS, Planted
 
 
 def own_headline(found: OwnCheck) -> str:

@@ -14,8 +14,7 @@ from typing import Any
 import torch
 
 from torchid import __version__
-from torchid.effects.base import JointEffect, Motion
-from torchid.effects.registry import KINDS, Valued, effect_kind, model_torque, nominal_effects
+from torchid.effects.registry import nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.closing import closing
 from torchid.gap.diagnose import EVENTS, diagnose
@@ -24,27 +23,15 @@ from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
 from torchid.gap.record import plain, record
 from torchid.gap.settings import GapSettings
-from torchid.identification.motion import measurements
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
 from torchid.withheld.parallel import each
+from torchid.withheld.planting import Bed, Planted, in_set, named, plantable, smallest_found
 
 SCHEMA = "torchid.withheld.own/1"
 
-LEVELS = (1.0, 2.0, 5.0, 10.0)
-"""Sizes planted, in units of the noise of the joint's torque."""
-
-FIRST_LEVEL = 1
-"""Number of the level tried first; the search goes down where it is named, else up."""
-
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
-
-BAND = 20.0
-"""Of the motion along which effects are planted [Hz]."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -84,27 +71,6 @@ class Withheld:
 
 
 @dataclass(frozen=True)
-class Planted:
-    """A known effect on top of a real log.
-
-    Attributes:
-        effect: its name.
-        joint: from 0.
-        level: its RMS below BAND, in units of the joint's noise.
-        coefficients: by name.
-        named, in_set, status: as Withheld's.
-    """
-
-    effect: str
-    joint: int
-    level: float
-    coefficients: dict[str, float]
-    named: bool
-    in_set: bool
-    status: str
-
-
-@dataclass(frozen=True)
 class OwnCheck:
     """All of it.
 
@@ -131,18 +97,6 @@ class _Hidden:
     log: Log
     settings: GapSettings
     finding: Finding
-
-
-@dataclass(frozen=True)
-class _Bed:
-    """Where an effect is planted: the corrected model, the untouched log, and the joint's noise."""
-
-    robot: Robot
-    log: Log
-    settings: GapSettings
-    kind: type[JointEffect]
-    joint: int
-    noise: float
 
 
 def check_own(
@@ -172,7 +126,7 @@ def check_own(
         LogError: logs that cannot be used.
         TorchidError: an effect that does not act on one joint, or a joint that is not there.
     """
-    kinds = [_plantable(name) for name in plant]
+    kinds = [plantable(name) for name in plant]
     places = list(range(robot.n)) if joints is None else _joints(joints, robot)
     settings = replace(settings or GapSettings(), rollout=False, held_out_fraction=0.0)
     say = progress or (lambda stage, done, total: None)
@@ -192,10 +146,10 @@ def check_own(
     ]
     noise = (first.floor.low * first.floor.high).sqrt().tolist()
     beds = [
-        _Bed(first.corrected, untouched, again, kind, j, noise[j]) for kind in kinds for j in places
+        Bed(first.corrected, untouched, again, kind, j, noise[j]) for kind in kinds for j in places
     ]
     withheld = _all(_withheld, hidden, jobs, "withholding what was accepted", say)
-    planted = _all(_planted, beds, jobs, "planting known effects", say)
+    planted = _all(smallest_found, beds, jobs, "planting known effects", say)
     flat = tuple(one for several in planted for one in several)
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
 
@@ -241,17 +195,6 @@ def _withheld_record(w: Withheld) -> dict[str, Any]:
         "as_much": w.as_much,
         "status": w.status,
     }
-
-
-def _plantable(name: str) -> type[JointEffect]:
-    kind = effect_kind(name)
-    if not issubclass(kind, JointEffect):
-        raise TorchidError(
-            "only effects of one joint's motion can be planted in a log.",
-            got=name,
-            available=[n for n, k in KINDS.items() if issubclass(k, JointEffect)],
-        )
-    return kind
 
 
 def _joints(joints: Sequence[int], robot: Robot) -> list[int]:
@@ -312,83 +255,11 @@ def _withheld(job: _Hidden) -> Withheld:
     return Withheld(
         name,
         place,
-        _named(found, name, place),
-        _in_set(found, name, place),
+        named(found, name, place),
+        in_set(found, name, place),
         tuple((f.effect.name, f.located) for f in found.findings),
         known.closed,
         found.how_far.closed,
         found.how_far.closed_ci95,
         found.status,
     )
-
-
-def _named(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
-    return any((f.effect.name, f.located) == (name, place) for f in found.findings)
-
-
-def _in_set(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
-    """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
-    said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
-    said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
-    return any(name in names and (not place or not at or at == place) for names, at in said)
-
-
-def _planted(bed: _Bed) -> list[Planted]:
-    """The smallest level that is named, and what was tried on the way to it."""
-    torch.set_num_threads(1)
-    tried: list[Planted] = []
-    k = FIRST_LEVEL
-    while 0 <= k < len(LEVELS):
-        tried.append(_one_level(bed, LEVELS[k]))
-        down = tried[0].in_set
-        if tried[-1].in_set is not down:
-            break
-        k += -1 if down else 1
-    return sorted(tried, key=lambda p: p.level)
-
-
-def _one_level(bed: _Bed, level: float) -> Planted:
-    effect, values, log = _on_top(bed, level)
-    found = diagnose(bed.robot, log, settings=bed.settings)
-    names = [c.name for c in effect.coefficients]
-    return Planted(
-        effect.name,
-        bed.joint,
-        level,
-        dict(zip(names, values, strict=True)),
-        _named(found, effect.name, (bed.joint,)),
-        _in_set(found, effect.name, (bed.joint,)),
-        found.status,
-    )
-
-
-def _on_top(bed: _Bed, level: float) -> tuple[JointEffect, list[float], Log]:
-    """The log with an effect's torque added, each coefficient's part of the same RMS."""
-    even = resample(bed.log)
-    effect = bed.kind(bed.joint)
-    parts = list(even.trajectories())
-    columns = [_columns(effect, bed.robot, part) for part in parts]
-    size = torch.cat([low for _, low in columns]).square().mean(0).sqrt()
-    values = torch.where(size > 0, 1 / size.clamp(min=1e-300), torch.zeros_like(size))
-    together = torch.cat([low for _, low in columns]) @ values
-    values = values * (level * bed.noise / together.square().mean().sqrt().clamp(min=1e-300))
-    grown = []
-    for part, (full, _) in zip(parts, columns, strict=True):
-        assert part.tau is not None
-        tau = part.tau.clone()
-        tau[:, bed.joint] += full @ values
-        grown.append(part.replace(tau=tau))
-    return effect, values.tolist(), Log.concatenate(grown)
-
-
-def _columns(
-    effect: JointEffect, robot: Robot, part: Log
-) -> tuple[Float[Tensor, "T C"], Float[Tensor, "T C"]]:
-    """An effect's columns on its own joint along one trajectory, and the same below BAND."""
-    (m,) = measurements(part, BAND)
-    t = part.t - part.t[0]
-    motion: Motion = m.motion._replace(t=t)
-    effects: list[Valued] = nominal_effects(robot)
-    motion = motion._replace(torque=model_torque(robot, effects, motion))
-    full = effect.torque_columns(motion, robot)[:, effect.joint]
-    return full, ZeroPhaseFilter(m.rate, BAND).apply(full.T).T

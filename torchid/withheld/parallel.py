@@ -39,7 +39,7 @@ def each(
     count = min(processes, len(jobs))
     with (
         _one_thread_each(),
-        ProcessPoolExecutor(count, context, _end_with_parent) as pool,
+        ProcessPoolExecutor(count, context, end_with_parent) as pool,
     ):
         waiting = {pool.submit(function, job): job for job in jobs}
         try:
@@ -70,7 +70,7 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """A process whose parent is killed would wait for work for ever."""
     parent = multiprocessing.parent_process()
     assert parent is not None
