@@ -286,7 +286,7 @@ class Search:
         for t in self.terms:
             held = (places @ self.model(without=[t]).r.square().T).sum(1) - left
             expected.append(float(held[0] / held[1].clamp(min=1e-300)) * max(0.0, beyond))
-        return CONTRAST * max(expected)
+        return max(CONTRAST * max(expected), MISFITTED * self._largest_near(term))
 
     def _largest_near(self, term: Term) -> float:
         """Sum of squares of the largest contribution that was accepted on the same rows."""
