@@ -210,7 +210,7 @@ def test_what_one_shape_imitates_is_divided_again():
 
 
 def test_a_contact_is_found_beside_a_large_effect():
-    both = [(CoulombFriction(0), [3.0]), (Contact(20.0, 21.0), [1.2, 0.0, 0.9])]
+    both = [(CoulombFriction(0), [3.0]), (Contact(20.0, 21.0), [6.0, 0.0, 4.0])]
     found = solved(Case(both, ("coulomb_friction", "contact")))
     assert [t.name for t in found.terms] == ["coulomb_friction", "contact"]
     contact = found.terms[1].effects[0]
