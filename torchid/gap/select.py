@@ -46,8 +46,10 @@ TAIL = 0.05
 """Share of a window's largest column below which a row is outside: whitening leaves tails."""
 LONG_WINDOW = 0.4
 CONTRAST = 10.0
+MOST = 0.4
 """Seconds from which a contact outlasts what a wrong law of friction does at a reversal. Then it
-must explain this many times what the accepted effects' misfit elsewhere lets expect there."""
+must explain this many times what the accepted effects' misfit elsewhere lets expect there, and that
+share of all that is left."""
 CLEAR_WINDOW = 150.0
 """Whitened sum of squares beyond noise that a contact must explain."""
 WINDOWED = "contact"
@@ -286,7 +288,8 @@ class Search:
         for t in self.terms:
             held = (places @ self.model(without=[t]).r.square().T).sum(1) - left
             expected.append(float(held[0] / held[1].clamp(min=1e-300)) * max(0.0, beyond))
-        return max(CONTRAST * max(expected), MISFITTED * self._largest_near(term))
+        total = model.loss - self.problem.noise if self.terms else 0.0
+        return max(CONTRAST * max(expected), MOST * total)
 
     def _largest_near(self, term: Term) -> float:
         """Sum of squares of the largest contribution that was accepted on the same rows."""
