@@ -231,3 +231,14 @@ def test_what_rounding_leaves_of_a_column_gets_no_coefficient():
     found = fitted(problem(y, ()), terms)
     assert float(found.values[1]) == 0.0
     assert float(found.values[0]) == pytest.approx(float((x[0] @ y[0]) / x.square().sum()))
+
+
+def test_an_invisible_direction_of_an_effect_stays_at_zero():
+    """One of two columns is rounding: the other is found, and significant."""
+    y, x = random(1, 300, seed=1), random(1, 2, 300, seed=2)
+    x[:, 1] *= 1e-290
+    term = term_of(bank(x, 0))
+    found = fitted(problem(y + 5 * x[0, :1], ()), [term])
+    assert float(found.values[0][1]) == 0.0
+    assert float(found.values[0][0]) == pytest.approx(5.0, abs=0.3)
+    assert bool(found.std[0].isfinite().all())

@@ -17,6 +17,10 @@ at zero."""
 ROUNDED = 1e-12
 """Length of a column, relative to the longest, that is no more than rounding."""
 
+FEW_BLOCKS = 4.0
+"""Effective number of blocks that hold a term, (sum e)^2 / sum e^2 of their energies, below which
+their spread is not known."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -46,8 +50,8 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
 
     Columns are scaled to length one; directions that the rows do not determine stay at zero. The
     covariance is G^-1 (sum_b s_b s_b') G^-1 over block scores s_b = sum_t x_t r_t (White 1980;
-    blocks as clusters). Of what is there in a block or two only, a contact, that says nothing: no
-    standard deviation is smaller than that of independent residuals.
+    blocks as clusters). Of what is there in a block or two only, a contact, that says nothing:
+    its standard deviations are no smaller than those with independent residuals.
     """
     both = (*problem.fixed, *terms)
     n = problem.y.shape[0]
@@ -57,9 +61,7 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     a = torch.cat(
         [basis @ in_all_rows(t.columns, t.place, n) for t, basis in zip(both, bases, strict=True)]
     )
-    size = a.norm(dim=1)
-    # What rounding leaves of a column that is zero in these rows must not become a direction.
-    size = torch.where(size > ROUNDED * size.max(), size, math.inf)
+    size = _lengths(a)
     a = a / size.unsqueeze(1)
     values, vectors = torch.linalg.eigh(a @ a.T)
     kept = values > DETERMINED * values[-1]
@@ -76,10 +78,20 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     values = [v @ basis for v, basis in zip((x / size).split(lengths), bases, strict=True)]
     both_ways = [_diagonal_blocks(c / size / size.unsqueeze(1), lengths) for c in (spread, usual)]
     stds = []
-    for *covariances, basis in zip(*both_ways, bases, strict=True):
+    parts = (x.unsqueeze(1) * a).split(lengths)
+    for *covariances, basis, part in zip(*both_ways, bases, parts, strict=True):
+        held = torch.zeros(k, dtype=a.dtype).index_add_(0, block, part.sum(0).square())
+        few = float(held.sum().square()) < FEW_BLOCKS * float(held.square().sum())
         variances = torch.stack([(basis.T @ c @ basis).diagonal() for c in covariances])
-        stds.append(variances.amax(0).clamp(min=0).sqrt())
+        stds.append(variances[: 1 + few].amax(0).clamp(min=0).sqrt())
     return Fit(tuple(values), tuple(stds), float(r.square().sum()))
+
+
+def _lengths(columns: Float[Tensor, "C R"]) -> Float[Tensor, " C"]:
+    """Lengths of columns; infinite of what rounding leaves of one that is zero in these rows, so
+    that it becomes no direction."""
+    size = columns.norm(dim=1)
+    return torch.where(size > ROUNDED * size.max(), size, math.inf)
 
 
 def _strong_directions(term: Term) -> Float[Tensor, "D C"]:
@@ -89,7 +101,7 @@ def _strong_directions(term: Term) -> Float[Tensor, "D C"]:
     c = len(term.columns)
     if c == 1 or term.name == BASE:
         return torch.eye(c, dtype=term.columns.dtype)
-    size = term.columns.norm(dim=1).clamp(min=1e-300)
+    size = _lengths(term.columns)
     scaled = term.columns / size.unsqueeze(1)
     values, vectors = torch.linalg.eigh(scaled @ scaled.T)
     return (vectors[:, values > VISIBLE].T) / size

@@ -20,6 +20,7 @@ from torchid.gap.blocks import (
     wald_p,
 )
 from torchid.gap.candidates import Bank, Place
+from torchid.gap.fit import ROUNDED
 from torchid.gap.problem import FRICTION, PENALTY, Candidate, Problem, Term, term_of
 from torchid.gap.projection import ROUNDING, Gains, Projector, Scanner, in_all_rows
 from torchid.typing import Float, Tensor
@@ -359,8 +360,11 @@ class Search:
         """A term's columns beside a model, the residual, and the block of each row."""
         columns = in_all_rows(term.columns, term.place, model.n)
         rows = model.rows_of(term.place)
+        longest = columns.norm(dim=1).max()
         columns = (columns - (columns @ model.q.T) @ model.q)[:, rows]
-        columns = columns / columns.norm(dim=1, keepdim=True).clamp(min=1e-300)
+        size = columns.norm(dim=1, keepdim=True)
+        there = size[:, 0] > ROUNDED * longest
+        columns = columns[there] / size[there]
         return columns, model.r.flatten()[rows], self.problem.blocks_of(term.place)
 
     def _refined(self, term: Term) -> Term:
