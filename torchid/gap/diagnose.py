@@ -28,7 +28,7 @@ from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Sta
 from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces
 from torchid.gap.noise import STRUCTURE, Noise
-from torchid.gap.passages import sliding
+from torchid.gap.passages import FAR, Rows, sliding
 from torchid.gap.prepare import report_band
 from torchid.gap.remarks import remarks
 from torchid.gap.select import Search
@@ -140,7 +140,7 @@ def _answer(
     judged = case.given if case.checked is None else case.checked
     rows = judged.rows
     band = report_band(rows, settings.report_band)
-    looked = case.keep & _judged_for_structure(case, whole)
+    looked = case.keep & _telling(case.given.rows, whole)
     left = noise_at(Model(whole.robot, whole.effects), case.given, settings, keep=looked)
     floor = left.report
     reversals = not case.noise.repeated
@@ -158,7 +158,7 @@ def _answer(
         found = findings(whole)
     if case.task.free and not case.fitted:
         found = _with_refitted(found, closing(refitted, floor, settings.seed))
-    excess = _excess(case, folds, models, far, floor)
+    excess = _excess(case, whole, far, floor)
     search = Search(whole.problem, list(whole.terms))
     torque = _torque_rows(case)
     hidden = not_testable(whole.problem, search.model(), case.start.robot, torque, whole.terms)
@@ -184,35 +184,34 @@ def _answer(
     )
 
 
-def _judged_for_structure(case: Case, whole: Solution) -> Bool[Tensor, "n N"]:
-    """Rows in which structure means that something is missing. Not where a joint with dry friction
-    may stick: that a law of sliding says nothing there is no effect."""
-    dry = torch.zeros(case.keep.shape[0], dtype=torch.bool)
+def _telling(rows: Rows, whole: Solution) -> Bool[Tensor, "n N"]:
+    """Rows in which something left means that something is missing. Not where the filter brings
+    what a joint with dry friction did while it may have stuck: that a law of sliding says nothing
+    there is no effect."""
+    dry = torch.zeros(whole.robot.n, dtype=torch.bool)
     for effect, _ in whole.effects:
         if effect.jumps:
             dry[list(effect.joints)] = True
-    return sliding(case.given.rows) | ~dry.unsqueeze(1)
+    return sliding(rows, FAR) | ~dry.unsqueeze(1)
 
 
-def _excess(
-    case: Case, folds: Folds | None, models: FoldModels, far: Closing, floor: NoiseFloor
-) -> Tensor:
-    """(n,) held-out variance of the corrected model's gap, relative to noise: in the fit's rows;
-    without repeats in the report's band, relative to what a flexible predictor leaves."""
+def _excess(case: Case, whole: Solution, far: Closing, floor: NoiseFloor) -> Tensor:
+    """(n,) variance of what the corrected model leaves, relative to noise: in the fit's rows;
+    without repeats in the report's band, relative to what a flexible predictor leaves.
+
+    It is that of the model which is answered, not of the folds' own: one of these may have accepted
+    what the others refuse.
+    """
     judged = case.given if case.checked is None else case.checked
     if not case.noise.repeated:
         return (far.rms_after / floor.high.clamp(min=1e-12)).square()
     keep = judged.counting(noise_is_known=True)
     whiten = case.noise.whitening(judged.rows, keep)
-    total = torch.zeros(keep.shape[0], dtype=torch.float64)
-    count = torch.zeros_like(total)
-    for k, model in enumerate(models.after):
-        rows = torch.ones_like(keep[0]) if folds is None else folds.fold == k
-        r = Evaluator(model.robot, model.effects, judged.rows, whiten).residual() * rows
-        total += r.square().sum(1)
-        count += (keep & rows).sum(1)
+    telling = keep & _telling(judged.rows, whole)
+    r = Evaluator(whole.robot, whole.effects, judged.rows, whiten).residual() * telling
+    count = telling.sum(1).clamp(min=1)
     # Less three standard deviations of a mean of squares: few rows prove nothing.
-    return total / count.clamp(min=1) / (1 + 3 * (2 / count.clamp(min=1)).sqrt())
+    return r.square().sum(1) / count / (1 + 3 * (2 / count).sqrt())
 
 
 def _torque_rows(case: Case) -> Tensor:

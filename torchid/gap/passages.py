@@ -32,6 +32,8 @@ anything."""
 
 REACH = 0.75
 """How far the filter carries what happens at a reversal, in periods of the cut-off."""
+FAR = 2.0
+"""How far it carries what is many times larger than the noise."""
 
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
@@ -169,7 +171,7 @@ def passages_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
 
 
 def row_masks(
-    rows: Rows,
+    rows: Rows, reach: float = REACH
 ) -> tuple[Bool[Tensor, "n N"], Bool[Tensor, "n N"], tuple[int, ...]]:
     """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
 
@@ -178,16 +180,16 @@ def row_masks(
     """
     q = torch.cat([p.motion.q for p in rows.passages])
     moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > MOVING
-    turning = rows.pick([_turns(p, rows.cutoff) for p in rows.passages]).T
+    turning = rows.pick([_turns(p, rows.cutoff, reach) for p in rows.passages]).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
     hardly = (moving & ~turning).double().mean(1) < 0.1
     return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
-def sliding(rows: Rows) -> Bool[Tensor, "n N"]:
+def sliding(rows: Rows, reach: float = REACH) -> Bool[Tensor, "n N"]:
     """Rows away from rest and reversals, where what differs between two runs is what friction did,
-    not noise."""
-    moving, turning, _ = row_masks(rows)
+    not noise; `reach` in periods of the cut-off."""
+    moving, turning, _ = row_masks(rows, reach)
     return moving & ~turning
 
 
@@ -200,7 +202,7 @@ def moving_instants(p: Passage, cutoff: float, *, reversals: bool) -> Bool[Tenso
     return moving | (moving.double().mean(0) < 0.1)
 
 
-def _turns(p: Passage, cutoff: float) -> Bool[Tensor, "T n"]:
+def _turns(p: Passage, cutoff: float, reach: float = REACH) -> Bool[Tensor, "T n"]:
     """Instants that a reversal of the joint reaches through the filter, and twice as far around a
     dwell, during which friction can be far from any law."""
     sign = torch.sign(p.motion.dq)
@@ -208,8 +210,8 @@ def _turns(p: Passage, cutoff: float) -> Bool[Tensor, "T n"]:
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
     slow = (p.motion.dq.abs() < 0.5 * MOVING).to(sign)
     dwells = 1 - widened(1 - slow, 0.5 * STOP * p.rate)
-    near = widened(turns, REACH / cutoff * p.rate)
-    return (near + widened(dwells, 2 * REACH / cutoff * p.rate)) > 0
+    near = widened(turns, reach / cutoff * p.rate)
+    return (near + widened(dwells, max(reach, 2 * REACH) / cutoff * p.rate)) > 0
 
 
 def widened(mask: Float[Tensor, "T n"], samples: float) -> Float[Tensor, "T n"]:
