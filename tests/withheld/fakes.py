@@ -126,7 +126,7 @@ def entry(
 ) -> dict[str, Any]:
     """An entry of `which`."""
     return {
-        "effect": effect, "family": family, "joints": list(joints), "places": ["joint"],
+        "effect": effect, "family": family, "joints": list(joints), "places": [],
         "common": False, "ambiguous_with": list(ambiguous), "share": share, "shape": [],
         "parameters": {}, "std": {},
     }  # fmt: skip

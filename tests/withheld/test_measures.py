@@ -240,13 +240,13 @@ def test_a_row_is_read_from_files() -> None:
     answer = {
         "status": "explained",
         "which": [
-            {"effect": "viscous_friction", "family": "speed", "joints": [2], "places": ["joint"],
+            {"effect": "viscous_friction", "family": "speed", "joints": [2], "places": [],
              "common": False, "ambiguous_with": [], "share": 0.1, "shape": [],
              "parameters": {"Fv": 2.0}, "std": {"Fv": 0.5}},
-            {"effect": "time_delay", "family": "phase", "joints": [1, 2], "places": ["joint"],
+            {"effect": "time_delay", "family": "phase", "joints": [1, 2], "places": [],
              "common": True, "ambiguous_with": ["filter_lag"], "share": None, "shape": [],
              "parameters": {"delay": None}, "std": {"delay": None}},
-            {"effect": "stribeck_friction", "family": "sign", "joints": [2], "places": ["joint"],
+            {"effect": "stribeck_friction", "family": "sign", "joints": [2], "places": [],
              "common": False, "ambiguous_with": [], "share": 0.8, "shape": ["vs"],
              "parameters": {"Fs": 0.3, "vs": 0.1}, "std": {"Fs": 0.01}},
             {"effect": "link_inertia", "family": "inertia", "joints": [3], "places": [],

@@ -9,6 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from torchid.effects.base import JointEffect
+from torchid.effects.registry import KINDS
+from torchid.effects.variation import OneJointEffect
+
 INERTIAL = ("link_inertia", "all_base")
 """Names of claims that a model's own parameters are wrong."""
 
@@ -122,7 +126,9 @@ def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
 
 def _claim(found: Mapping[str, Any]) -> Claim:
     joints = tuple(int(j) for j in found["joints"])
-    located = bool(found.get("places")) or found["effect"] in INERTIAL
+    kind = KINDS.get(str(found["effect"]))
+    at_joints = kind is not None and issubclass(kind, JointEffect | OneJointEffect)
+    located = at_joints or found["effect"] in INERTIAL
     std = {} if found.get("shape") else dict(found.get("std", {}))
     values = found.get("parameters", {})
     return Claim(
