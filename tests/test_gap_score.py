@@ -6,16 +6,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+from tests.withheld.test_measures import FAMILIES
 
-FAMILIES = {
-    "coulomb_friction": "sign",
-    "stribeck_friction": "sign",
-    "viscous_friction": "speed",
-    "payload": "inertia",
-    "link_inertia": "inertia",
-    "base_tilt": "gravity",
-}
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
 def loaded() -> ModuleType:

@@ -21,7 +21,7 @@ from torchid.app.options import (
     number,
     open_output,
     progress_bar,
-    read_logs,
+    read_both,
 )
 from torchid.errors import TorchidError
 
@@ -107,8 +107,7 @@ def gap_command(
     if held_out and held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     found = load_robot(robot, tip=tip)
-    log = read_logs(logs, gain, found.n)
-    apart = None if not held_out else read_logs(held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found.n)
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
 

@@ -24,7 +24,7 @@ from torchid.app.options import (
     number,
     open_output,
     progress_bar,
-    read_logs,
+    read_both,
 )
 from torchid.errors import TorchidError
 
@@ -118,8 +118,7 @@ def identify_command(
         compiled=compiled,
     )
     found = load_robot(robot, tip=tip)
-    log = read_logs(logs, gain, found.n)
-    apart = None if not held_out else read_logs(held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found.n)
     with progress_bar(output) as progress:
         result = identify(
             found,

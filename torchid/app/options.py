@@ -272,6 +272,13 @@ def read_logs(paths: list[Path], gain: str | None, n: int) -> "Log":
     return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
 
 
+def read_both(
+    logs: list[Path], held_out: list[Path] | None, gain: str | None, n: int
+) -> "tuple[Log, Log | None]":
+    """The logs, and those held out, if any."""
+    return read_logs(logs, gain, n), read_logs(held_out, gain, n) if held_out else None
+
+
 def cutoff_hz(text: str) -> float | Literal["auto"] | None:
     """The --cutoff option: a frequency [Hz], `auto`, or None for `none`."""
     if text == "auto":

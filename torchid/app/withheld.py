@@ -21,7 +21,7 @@ from torchid.app.options import (
     Tip,
     open_output,
     progress_bar,
-    read_logs,
+    read_both,
 )
 from torchid.errors import TorchidError
 
@@ -258,8 +258,7 @@ def own_command(
 
     settings = GapSettings(background=names(background), parameters=parameters, seed=seed)
     found = load_robot(robot, tip=tip)
-    log = read_logs(logs, gain, found.n)
-    apart = None if not held_out else read_logs(held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found.n)
     with progress_bar(output) as progress:
         result = check_own(
             found,

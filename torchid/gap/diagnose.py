@@ -26,7 +26,7 @@ from torchid.gap.closing import Closing, budget, closing
 from torchid.gap.detectable import not_testable
 from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Status
 from torchid.gap.findings import Findings, findings, next_experiment
-from torchid.gap.folds import Folds, Model, make_folds, traces
+from torchid.gap.folds import Folds, Model, make_folds, traces, with_after
 from torchid.gap.noise import STRUCTURE, Noise
 from torchid.gap.passages import FAR, Rows, sliding
 from torchid.gap.prepare import report_band
@@ -145,7 +145,7 @@ def _answer(
     floor = left.report
     reversals = not case.noise.repeated
     shown = traces(rows, folds, models.before, models.after, band, reversals=reversals)
-    refitted = traces(rows, folds, models.before, models.refitted, band, reversals=reversals)
+    refitted = with_after(shown, rows, folds, models.refitted, band)
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     whole, found, doubts = stable(case, whole, found, models)

@@ -5,7 +5,7 @@ included.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -105,36 +105,48 @@ def traces(
     """
     out = []
     for k, passage in enumerate(rows.passages):
-        owner = _owner(rows, folds, k)
-        used = owner.unique().tolist()
-        predicted = []
-        for models in (before, after):
-            tau = torch.zeros_like(passage.tau)
-            done: dict[int, Tensor] = {}
-            for f in used:
-                model = models[f]
-                if id(model) not in done:
-                    done[id(model)] = model.torque(rows, k)
-                tau = torch.where((owner == f).unsqueeze(-1), done[id(model)], tau)
-            predicted.append(tau)
         edge = rows.edge
         valid = torch.zeros(passage.samples, dtype=torch.bool)
         valid[edge : passage.samples - edge] = True
-        measured, *both = (_low(x, passage.rate, band) for x in (passage.tau, *predicted))
-        moving = moving_instants(passage, rows.cutoff, reversals=reversals)
         out.append(
             Trace(
                 passage.name,
                 passage.rate,
                 passage.motion,
-                measured,
-                both[0],
-                both[1],
+                _low(passage.tau, passage.rate, band),
+                _predicted(rows, folds, k, before, band),
+                _predicted(rows, folds, k, after, band),
                 valid,
-                moving,
+                moving_instants(passage, rows.cutoff, reversals=reversals),
             )
         )
     return out
+
+
+def with_after(
+    shown: Sequence[Trace], rows: Rows, folds: Folds | None, after: Sequence[Model], band: float
+) -> list[Trace]:
+    """The same traces with other models after, one a fold."""
+    return [
+        replace(trace, after=_predicted(rows, folds, k, after, band))
+        for k, trace in enumerate(shown)
+    ]
+
+
+def _predicted(
+    rows: Rows, folds: Folds | None, k: int, models: Sequence[Model], band: float
+) -> Float[Tensor, "T n"]:
+    """Torque along passage k below the band, each instant by the model of its own fold."""
+    passage = rows.passages[k]
+    owner = _owner(rows, folds, k)
+    tau = torch.zeros_like(passage.tau)
+    done: dict[int, Tensor] = {}
+    for f in owner.unique().tolist():
+        model = models[f]
+        if id(model) not in done:
+            done[id(model)] = model.torque(rows, k)
+        tau = torch.where((owner == f).unsqueeze(-1), done[id(model)], tau)
+    return _low(tau, passage.rate, band)
 
 
 def _owner(rows: Rows, folds: Folds | None, k: int) -> Int[Tensor, " T"]:

@@ -11,14 +11,12 @@ Rows are those of the diagnosis, divided by the noise but not whitened. Nothing 
 """
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
-from torchid import __version__
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.gap.candidates import Bank, Evaluator
 from torchid.gap.folds import Folds, make_folds
@@ -36,8 +34,7 @@ from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
-from torchid.withheld.case_set import write_json
-from torchid.withheld.run import ERROR, Job, as_record, code
+from torchid.withheld.run import Job, written
 
 RIDGE = 0.05
 THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -273,20 +270,10 @@ def _solved(x: Tensor, y: Tensor) -> Tensor:
 
 def baseline_case(job: Job) -> dict[str, Any]:
     """All baselines of one case, written like an answer."""
-    torch.set_num_threads(1)
-    begin = time.perf_counter()
-    record: dict[str, Any] = {
-        "case": job.case,
-        "settings": as_record(job.settings),
-        "version": __version__,
-        "code": code(),
-    }
-    try:
+
+    def answer() -> dict[str, Any]:
         data = data_of(load_robot(job.robot), read_log(job.log), job.settings)
-        record["methods"] = plain({k: answer_of(data, m(data)) for k, m in METHODS.items()})
-        record["status"] = "done"
-    except Exception as error:  # one case must not stop the others
-        record |= {"status": ERROR, "error": f"{type(error).__name__}: {error}"}
-    record["seconds"] = round(time.perf_counter() - begin, 2)
-    write_json(record, job.answer)
-    return record
+        methods = {k: answer_of(data, m(data)) for k, m in METHODS.items()}
+        return {"methods": plain(methods), "status": "done"}
+
+    return written(job, answer)

@@ -3,8 +3,7 @@
 import hashlib
 import json
 import time
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -125,24 +124,36 @@ def _stale(answer: dict[str, Any], settings: GapSettings) -> str | None:
 
 def diagnose_case(job: Job) -> dict[str, Any]:
     """Diagnose one case and write its answer."""
+    return written(job, lambda: _answer(job), {"which": []})
+
+
+def written(
+    job: Job, answer: Callable[[], dict[str, Any]], failed: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What a method answers to a job, and what it was obtained with, written to the job's file.
+
+    Args:
+        job: which.
+        answer: the method; its error becomes an answer, for one case must not stop the others.
+        failed: what such an answer holds besides.
+    """
     import torch
 
     torch.set_num_threads(1)
     begin = time.perf_counter()
     try:
-        answer = _answer(job)
-    except Exception as error:  # one case must not stop the others
-        answer = {"status": ERROR, "which": [], "error": f"{type(error).__name__}: {error}"}
-        answer["traceback"] = traceback.format_exc()
-    answer |= {
+        found = answer()
+    except Exception as error:
+        found = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
+    found |= {
         "case": job.case,
         "settings": as_record(job.settings),
         "version": __version__,
         "code": code(),
         "seconds": round(time.perf_counter() - begin, 2),
     }
-    write_json(answer, job.answer)
-    return answer
+    write_json(found, job.answer)
+    return found
 
 
 def _answer(job: Job) -> dict[str, Any]:

@@ -6,14 +6,12 @@ gap below the report's band in the rows that count in the diagnosis, joints weig
 It belongs to scoring: who knows the seed knows the keys.
 """
 
-import time
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import torch
 
-from torchid import __version__
 from torchid.effects.registry import effect_from_record, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.folds import Model, traces
@@ -24,9 +22,9 @@ from torchid.log.readers import read_log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid.withheld.case_set import CaseSet, read_json, write_json
+from torchid.withheld.case_set import CaseSet, read_json
 from torchid.withheld.compare import beside
-from torchid.withheld.run import ERROR, Job, Progress, as_record, code, default_settings, run
+from torchid.withheld.run import Job, Progress, default_settings, run, written
 
 EVENTS = ("contact", "dropped_samples")
 """Effects of one log, which are no part of a corrected model."""
@@ -61,22 +59,12 @@ def true_shares(
 
 def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
     """The true closed share of one case, written like an answer."""
-    torch.set_num_threads(1)
-    begin = time.perf_counter()
-    record: dict[str, Any] = {
-        "case": job.case,
-        "settings": as_record(job.settings),
-        "version": __version__,
-        "code": code(),
-    }
-    try:
-        answer = read_json(cases.answer(job.case), "an answer")
-        record |= {"status": "done", "closed": _closed(cases, job, answer)}
-    except Exception as error:  # one case must not stop the others
-        record |= {"status": ERROR, "error": f"{type(error).__name__}: {error}"}
-    record["seconds"] = round(time.perf_counter() - begin, 2)
-    write_json(record, job.answer)
-    return record
+
+    def answer() -> dict[str, Any]:
+        given = read_json(cases.answer(job.case), "an answer")
+        return {"status": "done", "closed": _closed(cases, job, given)}
+
+    return written(job, answer)
 
 
 def _closed(cases: CaseSet, job: Job, answer: Mapping[str, Any]) -> float | None:
