@@ -9,8 +9,8 @@ from torchid.effects.registry import KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.candidates import Bank, Evaluator, rescaled
 from torchid.gap.folds import Model
-from torchid.gap.noise import Noise, noise_of
-from torchid.gap.passages import Rows
+from torchid.gap.noise import Noise, dry_friction, noise_of
+from torchid.gap.passages import Rows, reach
 from torchid.gap.prepare import SAME_RATE, Prepared, prepare, report_band
 from torchid.gap.problem import Term
 from torchid.gap.settings import GapSettings
@@ -88,6 +88,10 @@ def make_case(
     say("measuring the noise", 0, 1)
     noise = noise_at(start, given, settings, keep=None)
     task = replace(task, whitened=noise.repeated)
+    if noise.repeated:
+        far = reach(given.rows, dry_friction(start.robot, start.effects, given.rows) / noise.size)
+        given = given.reaching(far)
+        checked = None if checked is None else checked.reaching(far)
     fitted = robot.parameters is None
     return Case(
         start, fitted, given, checked, task, noise, *_candidates(start, given, task, noise, say)

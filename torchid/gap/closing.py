@@ -6,7 +6,7 @@ parameters, L* the one with the accepted effects, Ln the noise.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -43,6 +43,15 @@ class Closing:
     improves: bool
     closed: float | None
     closed_ci95: Interval | None
+
+    def or_as(self, other: "Closing") -> "Closing":
+        """The same where another comparison with the same gap before is as good: better if either
+        says so, with an interval that holds both."""
+        improves = self.improves or other.improves
+        if self.closed_ci95 is None or other.closed_ci95 is None:
+            return replace(self, improves=improves)
+        low, high = zip(self.closed_ci95, other.closed_ci95, strict=True)
+        return replace(self, improves=improves, closed_ci95=(min(low), max(high)))
 
 
 def noise_variance(floor: NoiseFloor) -> Float[Tensor, " n"]:

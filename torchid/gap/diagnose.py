@@ -8,8 +8,6 @@ which is run again for every one of them.
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 
-import torch
-
 from torchid.errors import LogError
 from torchid.gap.candidates import Evaluator
 from torchid.gap.case import (
@@ -27,13 +25,13 @@ from torchid.gap.detectable import not_testable
 from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Status
 from torchid.gap.findings import Findings, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces, with_after
-from torchid.gap.noise import STRUCTURE, Noise
-from torchid.gap.passages import FAR, Rows, sliding
+from torchid.gap.noise import STRUCTURE, Noise, dry_friction
+from torchid.gap.passages import Rows, reach, sliding
 from torchid.gap.prepare import report_band
 from torchid.gap.remarks import remarks
 from torchid.gap.select import Search
 from torchid.gap.settings import GapSettings
-from torchid.gap.solve import Solution, settled, solve
+from torchid.gap.solve import Solution, fitted_on, settled, solve
 from torchid.gap.stability import stable, unconfirmed
 from torchid.gap.where import where
 from torchid.log.model import Log
@@ -134,28 +132,42 @@ def _held_out_models(
     return folds, out
 
 
+def _fitted_on_folds(case: Case, whole: Solution, folds: Folds) -> list[Model]:
+    """The answered model, its coefficients fitted without each of the folds."""
+    rows = (case.keep & folds.fitted(k) for k in range(folds.count))
+    return [Model(*fitted_on(case.plain, whole, own, case.task)) for own in rows]
+
+
 def _answer(
     case: Case, whole: Solution, folds: Folds | None, models: FoldModels, settings: GapSettings
 ) -> Diagnosis:
     judged = case.given if case.checked is None else case.checked
     rows = judged.rows
     band = report_band(rows, settings.report_band)
-    looked = case.keep & _telling(case.given.rows, whole)
+    looked = case.keep & _telling(case, case.given.rows, whole)
     left = noise_at(Model(whole.robot, whole.effects), case.given, settings, keep=looked)
     floor = left.report
-    reversals = not case.noise.repeated
-    shown = traces(rows, folds, models.before, models.after, band, reversals=reversals)
+    far_from = judged.reach if case.noise.repeated else None
+    shown = traces(rows, folds, models.before, models.after, band, reach=far_from)
     refitted = with_after(shown, rows, folds, models.refitted, band)
     joints, regimes = where(shown, floor, settings.seed, band=band)
     found = findings(whole)
     whole, found, doubts = stable(case, whole, found, models)
     far = closing(shown, floor, settings.seed, left.unpredicted)
+    if folds is not None and whole.terms:
+        # A fold may lack the motion that shows an effect: what is reported is the answer, fitted
+        # without the fold. The interval holds what the folds' own searches close, too.
+        shown = with_after(shown, rows, folds, _fitted_on_folds(case, whole, folds), band)
+        far = closing(shown, floor, settings.seed, left.unpredicted).or_as(far)
     # A held-out log takes part in no choice, this one neither.
-    if folds is not None and case.noise.repeated and not far.improves:
+    if folds is not None and not far.improves:
         lasting = [t for t in whole.terms if t.name in EVENTS]
         doubts += [f"{w}: not accepted" for w in unconfirmed(whole)]
         whole = settled(case.plain, whole.problem, lasting, case.task)
         found = findings(whole)
+        if not lasting:
+            shown = with_after(shown, rows, folds, models.before, band)
+            far = closing(shown, floor, settings.seed, left.unpredicted)
     if case.task.free and not case.fitted:
         found = _with_refitted(found, closing(refitted, floor, settings.seed))
     excess = _excess(case, whole, far, floor)
@@ -184,15 +196,12 @@ def _answer(
     )
 
 
-def _telling(rows: Rows, whole: Solution) -> Bool[Tensor, "n N"]:
+def _telling(case: Case, rows: Rows, whole: Solution) -> Bool[Tensor, "n N"]:
     """Rows in which something left means that something is missing. Not where the filter brings
     what a joint with dry friction did while it may have stuck: that a law of sliding says nothing
     there is no effect."""
-    dry = torch.zeros(whole.robot.n, dtype=torch.bool)
-    for effect, _ in whole.effects:
-        if effect.jumps:
-            dry[list(effect.joints)] = True
-    return sliding(rows, FAR) | ~dry.unsqueeze(1)
+    dry = dry_friction(whole.robot, whole.effects, rows)
+    return sliding(rows, reach(rows, dry / case.noise.size)) | (dry == 0).unsqueeze(1)
 
 
 def _excess(case: Case, whole: Solution, far: Closing, floor: NoiseFloor) -> Tensor:
@@ -207,7 +216,7 @@ def _excess(case: Case, whole: Solution, far: Closing, floor: NoiseFloor) -> Ten
         return (far.rms_after / floor.high.clamp(min=1e-12)).square()
     keep = judged.counting(noise_is_known=True)
     whiten = case.noise.whitening(judged.rows, keep)
-    telling = keep & _telling(judged.rows, whole)
+    telling = keep & _telling(case, judged.rows, whole)
     r = Evaluator(whole.robot, whole.effects, judged.rows, whiten).residual() * telling
     count = telling.sum(1).clamp(min=1)
     # Less three standard deviations of a mean of squares: few rows prove nothing.

@@ -92,7 +92,7 @@ def traces(
     after: Sequence[Model],
     band: float,
     *,
-    reversals: bool = True,
+    reach: Float[Tensor, " n"] | None = None,
 ) -> list[Trace]:
     """Torque before and after along every passage, each instant by the models of its own fold.
 
@@ -101,7 +101,8 @@ def traces(
         folds: None where all passages are held out from one pair of models.
         before, after: one model a fold.
         band: low-pass of what is reported [Hz].
-        reversals: whether reversals count for how far the gap closes.
+        reach: (n,) how far a reversal reaches that does not count for how far the gap closes, in
+            periods of the cut-off; None where all count.
     """
     out = []
     for k, passage in enumerate(rows.passages):
@@ -117,7 +118,7 @@ def traces(
                 _predicted(rows, folds, k, before, band),
                 _predicted(rows, folds, k, after, band),
                 valid,
-                moving_instants(passage, rows.cutoff, reversals=reversals),
+                moving_instants(passage, rows.cutoff, reach),
             )
         )
     return out

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.registry import Valued, effect_torque, in_rounds, model_torque
 from torchid.gap.candidates import Whiten
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.flexible import OutOfFold, predict_out_of_fold
@@ -128,6 +129,18 @@ def _variance(rows: Rows, residual: Sequence[Tensor]) -> Float[Tensor, " n"]:
     counting = sliding(rows)
     squares = rows.apply([r.T for r in residual]).square() * counting
     return squares.sum(1) / counting.sum(1).clamp(min=1)
+
+
+def dry_friction(robot: Robot, effects: Sequence[Valued], rows: Rows) -> Float[Tensor, " n"]:
+    """RMS (n,) of what effects that jump at a reversal add to the torque [N m; N]."""
+    jumping = [pair for pair in effects if pair[0].jumps]
+    if not jumping:
+        return torch.zeros(robot.n, dtype=torch.float64)
+    torques = [
+        effect_torque(robot, jumping, p.motion, inverse_dynamics(robot, *p.motion.state))
+        for p in rows.passages
+    ]
+    return torch.cat(torques).square().mean(0).sqrt()
 
 
 def white_levels(rows: Rows) -> Float[Tensor, "n K"]:

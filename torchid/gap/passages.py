@@ -31,9 +31,10 @@ filter sees a reflection, and most trajectories begin and end at rest, where fri
 anything."""
 
 REACH = 0.75
-"""How far the filter carries what happens at a reversal, in periods of the cut-off."""
-FAR = 2.0
-"""How far it carries what is many times larger than the noise."""
+"""How far the filter carries what happens at a reversal, in periods of the cut-off, at least."""
+MISTIMED = 0.125
+"""How long the direction of dry friction is wrong at a reversal, in periods of the cut-off: it is
+known as well as the velocity, and a joint that turns may stick."""
 
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
@@ -170,8 +171,26 @@ def passages_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
     return out
 
 
+def reach(rows: Rows, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """How far (n,) the filter carries a reversal above the noise, in periods of the cut-off:
+    `REACH` at least, further where the dry friction is many times the noise.
+
+    Args:
+        rows: whose filter it is.
+        dry: (n,) dry friction relative to the noise of the rows.
+    """
+    period = rows.rate / rows.cutoff
+    half = round(0.5 * MISTIMED * period)
+    pulse = torch.zeros(2 * round(8 * period) + 1, 1, dtype=torch.float64)
+    middle = len(pulse) // 2
+    pulse[middle - half : middle + half + 1] = 2.0
+    tail = rows.low_passed(pulse)[middle:, 0].abs()
+    heard = tail.flip(0).cummax(0).values.flip(0) * dry.unsqueeze(1) > 1.0
+    return (heard.sum(1) / period).clamp(min=REACH)
+
+
 def row_masks(
-    rows: Rows, reach: float = REACH
+    rows: Rows, reach: Float[Tensor, " n"] | float = REACH
 ) -> tuple[Bool[Tensor, "n N"], Bool[Tensor, "n N"], tuple[int, ...]]:
     """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
 
@@ -186,23 +205,27 @@ def row_masks(
     return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
 
 
-def sliding(rows: Rows, reach: float = REACH) -> Bool[Tensor, "n N"]:
+def sliding(rows: Rows, reach: Float[Tensor, " n"] | float = REACH) -> Bool[Tensor, "n N"]:
     """Rows away from rest and reversals, where what differs between two runs is what friction did,
-    not noise; `reach` in periods of the cut-off."""
+    not noise; `reach` (n,) in periods of the cut-off."""
     moving, turning, _ = row_masks(rows, reach)
     return moving & ~turning
 
 
-def moving_instants(p: Passage, cutoff: float, *, reversals: bool) -> Bool[Tensor, "T n"]:
-    """Instants (T, n) at which a joint moves, without those that a reversal reaches where these do
-    not count. All of a joint's, if it hardly moves."""
+def moving_instants(
+    p: Passage, cutoff: float, reach: Float[Tensor, " n"] | None
+) -> Bool[Tensor, "T n"]:
+    """Instants (T, n) at which a joint moves, without those that a reversal reaches (n,) periods of
+    the cut-off away; with them if None. All of a joint's, if it hardly moves."""
     moving = p.motion.dq.abs() > MOVING
-    if not reversals:
-        moving = moving & ~_turns(p, cutoff)
+    if reach is not None:
+        moving = moving & ~_turns(p, cutoff, reach)
     return moving | (moving.double().mean(0) < 0.1)
 
 
-def _turns(p: Passage, cutoff: float, reach: float = REACH) -> Bool[Tensor, "T n"]:
+def _turns(
+    p: Passage, cutoff: float, reach: Float[Tensor, " n"] | float = REACH
+) -> Bool[Tensor, "T n"]:
     """Instants that a reversal of the joint reaches through the filter, and twice as far around a
     dwell, during which friction can be far from any law."""
     sign = torch.sign(p.motion.dq)
@@ -210,8 +233,13 @@ def _turns(p: Passage, cutoff: float, reach: float = REACH) -> Bool[Tensor, "T n
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
     slow = (p.motion.dq.abs() < 0.5 * MOVING).to(sign)
     dwells = 1 - widened(1 - slow, 0.5 * STOP * p.rate)
-    near = widened(turns, reach / cutoff * p.rate)
-    return (near + widened(dwells, max(reach, 2 * REACH) / cutoff * p.rate)) > 0
+    out = torch.zeros_like(p.motion.dq, dtype=torch.bool)
+    for j, own in enumerate(torch.as_tensor(reach).expand(p.n).tolist()):
+        column = slice(j, j + 1)
+        near = widened(turns[:, column], own / cutoff * p.rate)
+        around = widened(dwells[:, column], max(own, 2 * REACH) / cutoff * p.rate)
+        out[:, column] = (near + around) > 0
+    return out
 
 
 def widened(mask: Float[Tensor, "T n"], samples: float) -> Float[Tensor, "T n"]:

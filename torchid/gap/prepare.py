@@ -7,7 +7,7 @@ import torch
 
 from torchid.errors import LogError
 from torchid.gap.held import passage_ages
-from torchid.gap.passages import Passage, Rows, passages_of, row_masks, widened
+from torchid.gap.passages import REACH, Passage, Rows, passages_of, row_masks, widened
 from torchid.identification.identify import prepared
 from torchid.identification.motion import Measurement, direction, fast_speed, measurements
 from torchid.log.model import Log
@@ -43,6 +43,7 @@ class Prepared:
         rows: of the passages.
         moving: (n, N) rows whose own joint moves; all of them where it hardly ever does.
         turning: (n, N) rows that a reversal of the own joint reaches.
+        reach: (n,) how far it does, in periods of the cut-off.
         own_velocity: whether dq was measured on its own in every passage.
         age: whether held samples were found.
         still: joints, from 0, that never move.
@@ -52,6 +53,7 @@ class Prepared:
     rows: Rows
     moving: Bool[Tensor, "n N"]
     turning: Bool[Tensor, "n N"]
+    reach: Float[Tensor, " n"]
     own_velocity: bool
     age: bool
     still: tuple[int, ...]
@@ -72,6 +74,10 @@ class Prepared:
         the spread between blocks and can bear them, and presliding shows there.
         """
         return self.moving & ~self.turning if noise_is_known else self.moving
+
+    def reaching(self, reach: Float[Tensor, " n"]) -> "Prepared":
+        """The same, where reversals reach so many periods of the cut-off."""
+        return replace(self, turning=row_masks(self.rows, reach)[1], reach=reach)
 
 
 def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
@@ -134,6 +140,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
         rows,
         moving,
         turning,
+        torch.full((robot.n,), REACH, dtype=torch.float64),
         all(p.own_velocity for p in long),
         any(p.motion.age is not None for p in long),
         still,

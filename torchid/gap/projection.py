@@ -26,6 +26,9 @@ ROUNDING = 1e-7
 NOISE = 1.0
 """Whitened sum of squares that one coefficient could explain by chance."""
 
+SURE = 3.0
+"""Standard deviations below zero from which a coefficient has the wrong sign."""
+
 DETERMINED = 0.99
 """Share of a coefficient's direction that must be visible for its sign to be judged."""
 
@@ -155,7 +158,10 @@ def _solve(
     along = torch.where(seen, along, torch.zeros_like(along))
     gain = (along.square() / safe).sum(-1)
     x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
-    # A sign counts only where the coefficient is determined: not along invisible directions.
-    sure = (vectors.square() * seen.unsqueeze(-2)).sum(-1) > DETERMINED
-    wrong = (sure & (((x < -known) & signed) | (x.abs() > largest))).any(-1)
+    # A sign counts only where the coefficient is determined, not along invisible directions, and
+    # is no noise: an effect is not refused for an inertia that it hardly has.
+    squares = vectors.square() * seen.unsqueeze(-2)
+    sure = squares.sum(-1) > DETERMINED
+    noise = SURE * (squares / safe.unsqueeze(-2)).sum(-1).sqrt() / size
+    wrong = (sure & (((x < -known - noise) & signed) | (x.abs() > largest))).any(-1)
     return Gains(torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x)

@@ -416,7 +416,20 @@ class Search:
             if own is None or own.gain < self.problem.threshold(own.df):
                 self._leave(term)
                 continue
+            if term.is_inertial and self._simplified(term, own, without):
+                continue
             self._swap(term, own, without)
+
+    def _simplified(self, term: Term, own: Candidate, without: Projector) -> bool:
+        """Put one effect in the place of parameters that explained several, once the others are
+        named: a search that adds one at a time begins with what holds a share of all."""
+        other = self._simplest(own, without).term
+        if other.key == term.key or other.name == FRICTION:
+            return False
+        self.terms = [t for t in self.terms if t is not term]
+        self._left.add(term.key)
+        self.terms.append(self._refined(other))
+        return True
 
     def _swap(self, term: Term, own: Candidate, without: Projector) -> None:
         near = [s for s in self.scanners if s.bank.place in (term.place, None)]

@@ -121,15 +121,30 @@ def solve(
 
 def settled(plain: Evaluator, problem: Problem, terms: list[Term], task: Task) -> Solution:
     """The corrected model of given terms, fitted on plain rows; terms that this fit does not
-    confirm leave: hopeless ones together, then the weakest one at a time."""
+    confirm leave, the weakest first: one that imitates another makes both uncertain."""
     while True:
         found = _settled(plain, problem, terms, fitted(problem, terms), task)
         sizes = {id(t): _significance(found, t) for t in found.terms}
-        weakest = min(sizes.values(), default=torch.inf)
-        if weakest >= SIGNIFICANT:
+        weakest = min(terms, key=lambda t: sizes[id(t)], default=None)
+        if weakest is None or sizes[id(weakest)] >= SIGNIFICANT:
             return found
-        limit = max(weakest, 0.5 * SIGNIFICANT)
-        terms = [t for t in terms if sizes[id(t)] > limit]
+        terms = [t for t in terms if t is not weakest]
+
+
+def fitted_on(
+    plain: Evaluator, found: Solution, keep: Bool[Tensor, "n N"], task: Task
+) -> tuple[Robot, tuple[Valued, ...]]:
+    """The corrected model of the terms that were found, fitted on some of the rows; none leaves."""
+    problem = replace(
+        found.problem,
+        y=found.problem.y * keep,
+        keep=keep,
+        count=int(keep.sum()),
+        fixed=tuple(t.scaled(keep) for t in found.problem.fixed),
+    )
+    terms = [t.scaled(keep) for t in found.terms]
+    again = _settled(plain, problem, terms, fitted(problem, terms), task)
+    return again.robot, again.effects
 
 
 def _significance(found: Solution, term: Term) -> float:

@@ -238,15 +238,15 @@ def _model(robot: Robot) -> Model:
 def _withheld(job: _Hidden) -> Withheld:
     torch.set_num_threads(1)
     found = diagnose(job.robot, job.log, settings=job.settings)
-    rows = prepare(job.robot, job.log, found.cutoff).rows
+    given = prepare(job.robot, job.log, found.cutoff)
     known = closing(
         traces(
-            rows,
+            given.rows,
             None,
             [_model(job.robot)],
             [_model(job.corrected)],
             found.band,
-            reversals=found.floor.source != "repeats",
+            reach=given.reach if found.floor.source == "repeats" else None,
         ),
         found.floor,
         job.settings.seed,

@@ -41,13 +41,15 @@ class SimulatedCase:
     key: dict[str, Any]
 
 
-def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
+def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -> SimulatedCase:
     """Simulate a case.
 
     Args:
         spec: what it is.
         ideal: whether its log is that of sensors without noise, counts and jitter; everything else
             stays as it is.
+        fresh: whether the same arm, with the same effects, moves along other trajectories of the
+            same kind.
 
     Raises:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
@@ -58,6 +60,8 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
     found = [sized(scene, base, nominal, effect, spec.level or 5.0) for effect in spec.effects]
     if spec.poor:
         scene = moved_otherwise(scene, nominal, spec.poor)
+    if fresh:
+        scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = _all(scene, base, spec, found)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
