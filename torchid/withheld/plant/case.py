@@ -121,6 +121,7 @@ def _effect_key(
     return {
         "name": effect.name,
         "family": kind_named(effect.name).family,
+        "acceptable": list(kind_named(effect.name).akin),
         "joints": [j + 1 for j in effect.joints],
         "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
         "parameters": parameters,

@@ -30,6 +30,8 @@ class Kind:
         place: `joint`, `pair` of neighbours, `arm`.
         first: first joint (from 0) where it can be.
         sensing: whether it changes what is measured, not how the arm moves.
+        akin: families of the library that an honest answer may give an effect outside of it:
+            friction that changes along the turn is friction.
     """
 
     family: str
@@ -40,6 +42,7 @@ class Kind:
     place: str = "joint"
     first: int = 0
     sensing: bool = False
+    akin: tuple[str, ...] = ()
 
 
 def _uniform(
@@ -225,21 +228,26 @@ KINDS: dict[str, Kind] = {
     "uneven_friction": Kind(
         OUTSIDE, outside.uneven_friction, _column(lambda s, e, j: 0.7), _EVER,
         _uniform(periods=(1.0, 3.0), phase=(0.0, 2 * np.pi)),
+        akin=("sign",),
     ),
     "uneven_damping": Kind(
         OUTSIDE, outside.uneven_damping, _column(lambda s, e, j: 0.7 * s.moving_rms[j]), _EVER,
         _uniform(periods=(1.0, 3.0), phase=(0.0, 2 * np.pi)),
+        akin=("speed",),
     ),
     "motor_ripple": Kind(
         OUTSIDE, outside.motor_ripple, _column(lambda s, e, j: 0.7 * s.torque[j]), _fixed(0.5),
         _uniform(frequency=(2.0, 8.0), phase=(0.0, 2 * np.pi)), first=1,
+        akin=("periodic",),
     ),
     "flexible_base": Kind(
         OUTSIDE, drives.flexible_base, _half(_soft_base), _soft_base, _uniform(damping=(0.03, 0.1)),
         place="arm",
+        akin=("phase",),
     ),
     "fluid_drag": Kind(
-        OUTSIDE, drives.fluid, _fixed(50.0), _fixed(1200.0), _uniform(), place="arm"
+        OUTSIDE, drives.fluid, _fixed(50.0), _fixed(1200.0), _uniform(), place="arm",
+        akin=("speed",),
     ),
 }  # fmt: skip
 
