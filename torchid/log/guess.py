@@ -1,0 +1,180 @@
+"""A mapping that may be meant, from the names of a table's columns: proposed, never applied."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from torchid.log.columns import PREFIXES, is_wanted
+from torchid.log.table import Table
+
+# Words in the names of what is measured; the first kind that fits is taken.
+_WORDS = {
+    "t": r"t|time|timestamp|stamp|times|secs?|seconds|clock|tout|elapsed|time(s|ms|us|ns|sec)",
+    "ddq": r"ddq|qdd|qddot|acc|accel|accelerations?",
+    "dq": r"dq|qd|qdot|dpos|vel|velocity|velocities|speeds?|omega",
+    "tau": r"tau|eff|efforts?|torques?|trq|tq|moments?",
+    "i": r"i|cur|currents?|amps?",
+    "q": r"q|pos|positions?|angles?|theta|jointpos|joints?|state",
+}
+_WANTED = re.compile(r"act|actual|meas|measured|msr|state|observation|obs")
+_UNWANTED = re.compile(
+    r"cmd|command(ed)?|des|desired|ref|reference|target|goal|set|action|tcp|tool|cart|ext|error"
+)
+_UNITS = {
+    "t": {"ns": "ns", "nsec": "ns", "nanoseconds": "ns", "us": "us", "usec": "us", "ms": "ms",
+          "msec": "ms", "timens": "ns", "timeus": "us", "timems": "ms"},
+    "q": {"deg": "deg", "degrees": "deg"},
+    "dq": {"deg": "deg/s", "degs": "deg/s", "degrees": "deg/s", "rpm": "rpm"},
+    "ddq": {"deg": "deg/s^2"},
+    "tau": {"mnm": "mNm", "ncm": "Ncm"},
+    "i": {"ma": "mA"},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Columns that may be one signal.
+
+    Attributes:
+        source: as a mapping writes it.
+        key: what the words say it is.
+        joints: number of columns; 0 where the shape is not known.
+        score: how much its name looks like a measurement.
+    """
+
+    source: str
+    key: str
+    joints: int
+    score: float
+
+
+def proposal(table: Table) -> str | None:
+    """A text for --columns; None where time or positions cannot be guessed.
+
+    Columns that have our names need no mapping and are not in it.
+    """
+    names = [name for name in table.columns if not is_wanted(name)]
+    groups = [*_arrays(table, names), *_numbered(names), *_named(names)]
+    has = {key for key in ("t", *PREFIXES.values()) if _own(table, key)}
+    parts: list[str] = []
+    times = sorted((g for g in _singles(names)), key=lambda g: -g.score)
+    if "t" not in has:
+        if not times:
+            return None
+        parts.append(f"t={times[0].source}")
+    positions = sorted((g for g in groups if g.key == "q"), key=lambda g: -g.score)
+    if "q" not in has:
+        if not positions:
+            return None
+        parts.append(f"q={positions[0].source}")
+    joints = positions[0].joints if positions and "q" not in has else 0
+    for key in ("dq", "tau", "i"):
+        fitting = [g for g in groups if g.key == key and (joints in (0, g.joints) or not g.joints)]
+        if fitting and key not in has and not (key == "i" and any(p[:3] == "tau" for p in parts)):
+            parts.append(f"{key}={max(fitting, key=lambda g: g.score).source}")
+    return ",".join(parts) or None
+
+
+def _own(table: Table, key: str) -> bool:
+    return (f"{key}1" if key != "t" else "t") in table.columns or (
+        table.arrays and key in table.columns
+    )
+
+
+def _words(name: str) -> list[str]:
+    apart = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"\d+", " ", name))
+    return [word.lower() for word in re.split(r"[^A-Za-z]+", apart) if word]
+
+
+def _kind(words: Iterable[str]) -> str | None:
+    words = list(words)
+    for key, pattern in _WORDS.items():
+        if any(re.fullmatch(pattern, word) for word in words):
+            return key
+    return None
+
+
+def _score(words: list[str]) -> float:
+    wanted = sum(bool(_WANTED.fullmatch(word)) for word in words)
+    return wanted - 2 * sum(bool(_UNWANTED.fullmatch(word)) for word in words) - 0.01 * len(words)
+
+
+def _written(name: str, key: str, words: list[str]) -> str:
+    """The source as a mapping writes it: quoted if need be, with the unit that the name says."""
+    quoted = (
+        f"'{name}'" if re.search(r"[\s,\"=\[\]()*-]", name) and not name.startswith("[") else name
+    )
+    unit = next((_UNITS[key][word] for word in words if word in _UNITS[key]), None)
+    return f"{quoted} {unit}" if unit else quoted
+
+
+def _singles(names: list[str]) -> list[_Group]:
+    """Columns that may be the time."""
+    found = []
+    for name in names:
+        words = _words(name.rsplit("/", 1)[-1])
+        if _kind(words) == "t" and not re.search(r"\d", name.rsplit("/", 1)[-1]):
+            found.append(_Group(_written(name, "t", words), "t", 1, _score(_words(name))))
+    return found
+
+
+def _arrays(table: Table, names: list[str]) -> list[_Group]:
+    """Arrays (T, n), or of unknown shape in a file that may have some."""
+    found = []
+    for name in names:
+        shape = table.columns[name]
+        if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
+            continue
+        if shape and 1 in shape:
+            continue
+        words = _words(name)
+        key = _kind(reversed(words)) if words else None
+        if key in (None, "t"):
+            continue
+        joints = min((k for k in shape or () if k > 0), default=0)
+        found.append(_Group(_written(name, str(key), words), str(key), joints, 0.5 + _score(words)))
+    return found
+
+
+def _numbered(names: list[str]) -> list[_Group]:
+    """Columns that differ in one number, which counts from 0 or 1."""
+    families: dict[tuple[str, str], set[int]] = {}
+    for name in names:
+        for m in re.finditer(r"\d+", name):
+            families.setdefault((name[: m.start()], name[m.end() :]), set()).add(int(m[0]))
+    found = []
+    for (before, after), numbers in families.items():
+        first = min(numbers)
+        if first > 1 or numbers != set(range(first, first + len(numbers))) or len(numbers) < 2:
+            continue
+        words = _words(f"{before} {after}")
+        key = _kind(words)
+        if key in (None, "t"):
+            continue
+        source = _written(f"{before}{{{'j' if first else 'j0'}}}{after}", str(key), words)
+        found.append(_Group(source, str(key), len(numbers), _score(words)))
+    return found
+
+
+def _named(names: list[str]) -> list[_Group]:
+    """Columns such as shoulder.pos, elbow.pos: what they have in common says what they are."""
+    families: dict[tuple[str, bool], list[str]] = {}
+    for name in names:
+        for m in (
+            re.fullmatch(r"(.+)[._/ ]([^._/ ]+)", name),
+            re.fullmatch(r"([^._/ ]+)[._/ ](.+)", name),
+        ):
+            if m is None:
+                continue
+            for part, last in ((m[2], True), (m[1], False)):
+                if _kind([part.lower()]) not in (None, "t"):
+                    families.setdefault((part, last), []).append(name)
+    found = []
+    for (part, _), listed in families.items():
+        members = list(dict.fromkeys(listed))
+        if len(members) < 2 or _numbered(members):
+            continue
+        key = str(_kind([part.lower()]))
+        source = f"[{', '.join(members)}]"
+        found.append(_Group(source, key, len(members), _score(_words(" ".join(members[:1]))) - 0.2))
+    return found
