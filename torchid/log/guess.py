@@ -16,7 +16,8 @@ _WORDS = {
     "i": r"i|cur|currents?|amps?",
     "q": r"q|pos|positions?|angles?|theta|jointpos|joints?|state",
 }
-_WANTED = re.compile(r"act|actual|meas|measured|msr|state|observation|obs")
+_WANTED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
+_PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?")
 _UNWANTED = re.compile(
     r"cmd|command(ed)?|des|desired|ref|reference|target|goal|set|action|tcp|tool|cart|ext|error"
 )
@@ -96,15 +97,17 @@ def _kind(words: Iterable[str]) -> str | None:
 
 def _score(words: list[str]) -> float:
     wanted = sum(bool(_WANTED.fullmatch(word)) for word in words)
+    wanted += any(_PLAIN.fullmatch(word) for word in words)
     return wanted - 2 * sum(bool(_UNWANTED.fullmatch(word)) for word in words) - 0.01 * len(words)
 
 
-def _written(name: str, key: str, words: list[str]) -> str:
+def _written(name: str, key: str) -> str:
     """The source as a mapping writes it: quoted if need be, with the unit that the name says."""
     quoted = (
         f"'{name}'" if re.search(r"[\s,\"=\[\]()*-]", name) and not name.startswith("[") else name
     )
-    unit = next((_UNITS[key][word] for word in words if word in _UNITS[key]), None)
+    said = [word.lower() for word in re.split(r"[^A-Za-z]+", name)]
+    unit = next((_UNITS[key][word] for word in said if word in _UNITS[key]), None)
     return f"{quoted} {unit}" if unit else quoted
 
 
@@ -114,7 +117,7 @@ def _singles(names: list[str]) -> list[_Group]:
     for name in names:
         words = _words(name.rsplit("/", 1)[-1])
         if _kind(words) == "t" and not re.search(r"\d", name.rsplit("/", 1)[-1]):
-            found.append(_Group(_written(name, "t", words), "t", 1, _score(_words(name))))
+            found.append(_Group(_written(name, "t"), "t", 1, _score(_words(name))))
     return found
 
 
@@ -132,7 +135,7 @@ def _arrays(table: Table, names: list[str]) -> list[_Group]:
         if key in (None, "t"):
             continue
         joints = min((k for k in shape or () if k > 0), default=0)
-        found.append(_Group(_written(name, str(key), words), str(key), joints, 0.5 + _score(words)))
+        found.append(_Group(_written(name, str(key)), str(key), joints, 0.5 + _score(words)))
     return found
 
 
@@ -151,7 +154,7 @@ def _numbered(names: list[str]) -> list[_Group]:
         key = _kind(words)
         if key in (None, "t"):
             continue
-        source = _written(f"{before}{{{'j' if first else 'j0'}}}{after}", str(key), words)
+        source = _written(f"{before}{{{'j' if first else 'j0'}}}{after}", str(key))
         found.append(_Group(source, str(key), len(numbers), _score(words)))
     return found
 

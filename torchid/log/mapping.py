@@ -181,9 +181,9 @@ def _built(key: str, columns: tuple[str, ...], unit: str, factors: tuple[float, 
     if not columns or not all(columns):
         raise LogError(f"the column mapping of {key} names no column.", expected=_EXAMPLE)
     if key == "t" and unit == "Hz":
-        rate = _number(columns[0], key)
-        if rate <= 0:
-            raise LogError("the sampling rate is not positive.", got=f"{rate:g} Hz")
+        rate = float(columns[0]) if re.fullmatch(_NUMBER, columns[0]) else 0.0
+        if not 0.0 < rate < float("inf"):
+            raise LogError("the sampling rate is not a positive number.", got=columns[0])
         return Source(columns, factors, unit, rate)
     scale = unit_factor(key, unit) if unit else 1.0
     if scale is None:
