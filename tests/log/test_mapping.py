@@ -119,7 +119,9 @@ def test_any_mapping_reads_back_the_same_log(tmp_path: Path, data: st.DataObject
     elif suffix == ".npz":
         # A zip has no files of such names: numbers stand for them.
         path = tmp_path / "a.npz"
-        short = {name: "c" + "abcdefghij"[k // 10] + "abcdefghij"[k % 10] for k, name in enumerate(names)}
+        short = {
+            name: "c" + "abcdefghij"[k // 10] + "abcdefghij"[k % 10] for k, name in enumerate(names)
+        }
         np.savez(path, **{short[name]: table[name] for name in names})
         entries = _listed(entries, short, own, n)
     else:
@@ -223,7 +225,9 @@ def test_stamps_since_1970_lose_nothing(tmp_path: Path, stamps: np.ndarray) -> N
 
 def test_time_that_was_not_recorded(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"q1": T, "q2": T})
-    assert read_log(path, columns="t=250 Hz").t.tolist() == pytest.approx([0, 4e-3, 8e-3, 12e-3, 16e-3])
+    assert read_log(path, columns="t=250 Hz").t.tolist() == pytest.approx(
+        [0, 4e-3, 8e-3, 12e-3, 16e-3]
+    )
 
 
 def test_labels_of_trajectories(tmp_path: Path) -> None:

@@ -151,8 +151,9 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
         found.append({m[1] for name in table.columns if (m := re.fullmatch(pattern, name))})
     values = set.intersection(*found)
     if not values:
+        absent = next((t for t, f in zip(texts, found, strict=True) if not f), " and ".join(texts))
         raise LogError(
-            f"'{table.path}' has no columns {texts[0]}, which the mapping names.",
+            f"'{table.path}' has no columns {absent}, which the mapping names.",
             available=table.described,
         )
     return sorted(values, key=natural)

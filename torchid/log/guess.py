@@ -73,7 +73,19 @@ def proposal(table: Table) -> str | None:
         fitting = [g for g in groups if g.key == key and (joints in (0, g.joints) or not g.joints)]
         if fitting and key not in has and not (key == "i" and any(p[:3] == "tau" for p in parts)):
             parts.append(f"{key}={max(fitting, key=lambda g: g.score).source}")
-    return ",".join(parts) or None
+    return _every_group(",".join(parts), times[0].source if "t" not in has else "", names) or None
+
+
+def _every_group(text: str, time: str, names: list[str]) -> str:
+    """With `*` for the number of a group, where there are several like it: demo_*/q."""
+    group = re.match(r"(.*?)\d+([/.].*)", time)
+    if group is None:
+        return text
+    before, after = (re.escape(part.split(" ")[0]) for part in group.groups())
+    if sum(re.fullmatch(rf"{before}\d+{after}", name) is not None for name in names) < 2:
+        return text
+    number = time[len(group[1]) : len(time) - len(group[2])]
+    return text.replace(f"{group[1]}{number}{group[2][0]}", f"{group[1]}*{group[2][0]}")
 
 
 def _own(table: Table, key: str) -> bool:

@@ -13,7 +13,7 @@ from torchid.log.mapping import Source
 from torchid.log.table import Table, natural
 
 _NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+)\}")
-_INDEXED = re.compile(r"(.+?)\[([^,\[\]]+),([^,\[\]]+|\[[\d,\s]+\])\]")
+_INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
 _EXACT = 2**53  # larger whole numbers are not all floats
 
 Index = slice | list[int]
