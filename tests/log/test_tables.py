@@ -294,6 +294,12 @@ def test_mapped_columns_are_checked(tmp_path: Path, columns: dict, message: str)
         read_log(path, columns="q=p")
 
 
+def test_only_bags_have_topics(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T, "q1": T})
+    with pytest.raises(LogError, match="has no topics"):
+        read_log(path, topic="/joint_states")
+
+
 def test_a_mapped_column_that_is_there_twice(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,p,p\n0,1,2\n1,2,3\n")
     with pytest.raises(LogError, match="two columns p"):

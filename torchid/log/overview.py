@@ -1,5 +1,6 @@
 """What a log is seen as: sampling, signals, ranges, units, and what is odd about it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.readers import open_log
 from torchid.log.sampling import SMALL_GAP
 from torchid.log.table import Request, Table
+from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor
 
 OUR_UNITS = {
@@ -145,13 +147,15 @@ def overview_record(seen: Overview) -> dict[str, Any]:
         "joints": log.n,
         "joint_names": list(seen.joints) or None,
         "samples": log.samples,
-        "trajectories": [dict(vars(timing)) for timing in seen.timing],
+        "trajectories": [
+            {name: _finite(value) for name, value in vars(timing).items()} for timing in seen.timing
+        ],
         "signals": [
             {
                 "signal": name,
                 "source": seen.sources[name],
                 "unit": OUR_UNITS[name],
-                "range": [[None if v != v else v for v in row] for row in values.tolist()],
+                "range": [[_finite(v) for v in row] for row in values.tolist()],
             }
             for name, values in seen.ranges.items()
         ],
@@ -160,6 +164,11 @@ def overview_record(seen: Overview) -> dict[str, Any]:
         "problem": seen.problem,
         "warnings": list(seen.warnings),
     }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _unused(table: Table | None, request: Request) -> tuple[str, ...]:
@@ -177,21 +186,27 @@ def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
         key = PREFIXES.get(name, name)
         source = mapped.get(key)
         if source is not None:
-            found[name] = _written(source)
+            found[name] = _written(key, source)
         elif table is not None and table.origins.get(key):
             found[name] = table.origins[key]
+        elif table is not None and key in table.columns:
+            found[name] = key
         else:
-            found[name] = key if name == "t" or log.n == 1 else f"{key}1..{key}{log.n}"
+            found[name] = f"{key}1" if log.n == 1 else f"{key}1..{key}{log.n}"
     return found
 
 
-def _written(source: Source) -> str:
-    columns = ", ".join(source.columns)
+def _written(key: str, source: Source) -> str:
     if source.rate is not None:
         return f"{source.rate:g} Hz"
-    factor = "" if set(source.factors) == {1.0} else ", ".join(f"{f:.6g}" for f in source.factors)
-    unit = f" [{source.unit}]" if source.unit else ""
-    return f"{columns}{unit}" + (f" x {factor}" if factor else "")
+    scale = unit_factor(key, source.unit) or 1.0
+    factors = [f"{factor / scale:.6g}" for factor in source.factors]
+    unit = f", in {source.unit}" if source.unit else ""
+    return (
+        ", ".join(source.columns)
+        + unit
+        + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
+    )
 
 
 def _timing(log: Log, k: int) -> Timing:

@@ -78,6 +78,8 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
                 raise LogError(f"{found} files take no column mapping.", got=str(path))
             return None, _READERS[found](path)
         table = found(path, request)
+        if request.topic is not None and table.topic is None:
+            raise LogError(f"'{path}' is no bag: it has no topics.", got=f"--topic {request.topic}")
         return table, log_from_table(table, request.columns)
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
