@@ -137,6 +137,7 @@ def test_a_bag_with_several_topics(command, folder, tmp_path):
     )
     assert result.code == 0
     assert "/a/states" in result.out
+    assert "rad or m" not in result.out  # the robot has no prismatic joint
     record = json.loads(target.read_text())
     assert record["files"][0]["topic"] == "/b/states"
     sources = {s["signal"]: s["source"] for s in record["signals"]}

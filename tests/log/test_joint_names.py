@@ -45,8 +45,22 @@ def test_numbers_where_names_do_not_fit() -> None:
     assert in_robot_order(sorted(many), (), "log")[0] == list(many)
 
 
+def test_a_shorter_robot_is_another_robot() -> None:
+    with pytest.raises(LogError, match="cannot be told"):
+        in_robot_order(PANDA, ("joint_1", "joint_2", "joint_3"), "log")
+    assert in_robot_order(PANDA, PANDA[:3], "log") == (list(PANDA[:3]), ())  # a chain of it
+
+
 @pytest.mark.parametrize(
-    "names", [UR, ("a", "b", "c", "d"), PANDA, ("a_1", "a_2", "b_1", "b_2"), ()]
+    "names",
+    [
+        UR,
+        ("a", "b", "c", "d"),
+        PANDA,
+        ("a_1", "a_2", "b_1", "b_2"),
+        ("shoulder", "w_1", "w_2", "w_3", "w_4"),
+        (),
+    ],
 )
 def test_what_cannot_be_told_is_refused(names: tuple[str, ...]) -> None:
     with pytest.raises(LogError, match="cannot be told") as info:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from torchid.errors import LogError
 from torchid.log.table import natural
 
+_HAND = re.compile(r"finger|gripper|hand|knuckle|jaw|thumb")
+
 
 def in_robot_order(
     names: Sequence[str], joints: Sequence[str], label: str
@@ -13,9 +15,10 @@ def in_robot_order(
     """Names of the recording, one for each joint of the robot, and what to say about it.
 
     A name fits a joint if it is the same, or ends in it, or the other way round
-    (`left_joint_1`, `joint1`). Where none fit, names that differ in one number only, as many as
-    the robot has joints, are taken in the order of that number. Names of other joints, of a
-    gripper say, are left out. Without a robot all names are taken, numbers in their order.
+    (`left_joint_1`, `joint1`); names of other joints are left out. Where they do not fit, names
+    that differ in their numbers only, as many as the robot has joints, are taken in the order of
+    the numbers if there are no others but a hand's. Without a robot all names are taken, numbers
+    in their order.
 
     Args:
         names: in the recording, in any order.
@@ -30,16 +33,16 @@ def in_robot_order(
         note = f"{label}: joints in the order of their names: {_listed(ordered)}"
         return ordered, (note,) if len(names) > 1 else ()
     found = [_fitting(joint, names) for joint in joints]
-    if all(found) and len(set(found)) == len(joints):
-        return [name for name in found if name], ()
+    fitting = [name for name in found if name]
+    if len(set(fitting)) == len(joints) and not _cut_short(fitting, joints, names):
+        return fitting, ()
     families: dict[str, list[str]] = {}
     for name in names:
-        families.setdefault(re.sub(r"\d+", "#", name), []).append(name)
-    right = [
-        f for f in families.values() if len(f) == len(joints) and ("#" in _shape(f) or len(f) == 1)
-    ]
-    if len(right) == 1:
-        ordered = sorted(right[0], key=natural)
+        if not _HAND.search(name.lower()):
+            families.setdefault(re.sub(r"\d+", "#", name), []).append(name)
+    right = [f for f, members in families.items() if "#" in f and len(members) == len(joints)]
+    if right and len(families) == 1:
+        ordered = sorted(families[right[0]], key=natural)
         return ordered, (
             f"{label}: its joints do not have the robot's names; taken in the order of their "
             f"numbers: {_listed(ordered)}",
@@ -49,13 +52,19 @@ def in_robot_order(
         got=_listed(names),
         expected=_listed(joints),
         hint="give the joints these names in the robot's description, or say which is which: "
-        '--columns "q=[.., ..],dq=[.., ..],tau=[.., ..]" with the names that '
-        "`torchid log show` lists",
+        f'--columns "q=[{_example(names)}.position, ..],tau=[{_example(names)}.effort, ..]"',
     )
 
 
-def _shape(names: Sequence[str]) -> str:
-    return re.sub(r"\d+", "#", names[0])
+def _cut_short(found: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> bool:
+    """Whether names that are not quite the robot's leave out some of their kind: another robot."""
+    kinds = {re.sub(r"\d+", "#", name) for name in found if "#" in re.sub(r"\d+", "#", name)}
+    others = {re.sub(r"\d+", "#", name) for name in names if name not in found}
+    return list(found) != list(joints) and bool(kinds & others)
+
+
+def _example(names: Sequence[str]) -> str:
+    return names[0] if names else "joint"
 
 
 def _fitting(joint: str, names: Sequence[str]) -> str | None:

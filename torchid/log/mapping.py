@@ -88,7 +88,7 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
         return given
     if isinstance(given, Mapping):
         return _from_dict(given, "columns")
-    if isinstance(given, Path) or "=" not in given and given.lower().endswith((".yaml", ".yml")):
+    if isinstance(given, Path) or ("=" not in given and given.lower().endswith((".yaml", ".yml"))):
         return _from_dict(_load(Path(given)), f"'{given}'")
     sources = {}
     for entry in _split(given, ","):

@@ -20,7 +20,7 @@ from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor
 
-OUR_UNITS = {
+_UNITS = {
     "t": "s",
     "q": "rad or m",
     "dq": "rad/s or m/s",
@@ -67,6 +67,7 @@ class Overview:
         joints: their names, "" where no file and no robot tells.
         sources: where each signal is from, in the file's words.
         timing: one a trajectory.
+        units: that each signal is taken to be in.
         ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
         unused: columns of the first file that were not taken.
         problem: why the identification would refuse the log, or None.
@@ -78,6 +79,7 @@ class Overview:
     joints: tuple[str, ...]
     sources: dict[str, str]
     timing: tuple[Timing, ...]
+    units: dict[str, str]
     ranges: dict[str, Float[Tensor, "n 2"]]
     unused: tuple[str, ...]
     problem: str | None
@@ -127,6 +129,7 @@ def look_at(
         joints=joints if len(joints) == log.n else (),
         sources=_sources(log, tables[0], request),
         timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
+        units=_units(None if robot_name is None else prismatic),
         ranges={name: _range(signal) for name, signal in log.signals.items()},
         unused=_unused(tables[0], request),
         problem=problem,
@@ -154,7 +157,7 @@ def overview_record(seen: Overview) -> dict[str, Any]:
             {
                 "signal": name,
                 "source": seen.sources[name],
-                "unit": OUR_UNITS[name],
+                "unit": seen.units[name],
                 "range": [[_finite(v) for v in row] for row in values.tolist()],
             }
             for name, values in seen.ranges.items()
@@ -169,6 +172,14 @@ def overview_record(seen: Overview) -> dict[str, Any]:
 def _finite(value: Any) -> Any:
     """JSON has no NaN and no infinity."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:
+    """Of revolute joints or prismatic ones; both where the robot has both or is not known."""
+    if prismatic is None or len(set(prismatic)) > 1:
+        return _UNITS
+    which = -1 if any(prismatic) else 0
+    return {name: unit.split(" or ")[which] for name, unit in _UNITS.items()}
 
 
 def _unused(table: Table | None, request: Request) -> tuple[str, ...]:

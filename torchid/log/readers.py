@@ -153,11 +153,18 @@ def _suffixes() -> list[str]:
 def _inside(folder: Path) -> list[str] | None:
     """The logs in a folder, at most ten, for an error message."""
     try:
-        found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in _suffixes())
+        found = sorted(p.name for p in folder.iterdir() if _is_log(p))
     except OSError:
         return None
     more = [f"and {len(found) - 10} more"] if len(found) > 10 else []
     return found[:10] + more or None
+
+
+def _is_log(path: Path) -> bool:
+    """Whether it looks like a log; most texts are none."""
+    if path.is_dir():
+        return any(fits(path) for fits, _ in _FOLDERS)
+    return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}
 
 
 _READERS: dict[str, Reader] = {}

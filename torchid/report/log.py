@@ -7,7 +7,7 @@ from rich.table import Table
 
 from torchid.gap.repeated import Repeat
 from torchid.log.model import JOINT_SIGNALS
-from torchid.log.overview import OUR_UNITS, Overview
+from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.identification import compact
 
@@ -75,10 +75,10 @@ def _signals(seen: Overview) -> Table:
     table = compact("signals")
     for heading in ("", "from", "taken as"):
         table.add_column(heading)
-    table.add_row("t", escape(seen.sources["t"]), OUR_UNITS["t"])
+    table.add_row("t", escape(seen.sources["t"]), seen.units["t"])
     for name in JOINT_SIGNALS:
         if name in seen.log.signals:
-            table.add_row(name, escape(seen.sources[name]), OUR_UNITS[name])
+            table.add_row(name, escape(seen.sources[name]), seen.units[name])
         elif _CONSEQUENCES[name]:
             table.add_row(name, "[dim]absent[/]", f"[dim]{_CONSEQUENCES[name]}[/]")
     return table
@@ -88,7 +88,7 @@ def _ranges(seen: Overview) -> Table:
     table = compact("smallest to largest")
     table.add_column("joint")
     for name in seen.ranges:
-        table.add_column(escape(f"{name} [{OUR_UNITS[name]}]"), justify="right")
+        table.add_column(escape(f"{name} [{seen.units[name]}]"), justify="right")
     for j in range(seen.log.n):
         label = f"{j + 1} {seen.joints[j]}" if seen.joints else str(j + 1)
         cells = (_interval(*values[j].tolist()) for values in seen.ranges.values())
