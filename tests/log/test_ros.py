@@ -151,6 +151,30 @@ def test_arrays_that_are_empty_or_partial(
         assert any(warning in w for w in read.warnings), read.warnings
 
 
+def test_every_message_in_another_order(tmp_path: Path, log: Log) -> None:
+    orders = [(0, 1, 2), (2, 0, 1), (1, 0, 2)]
+    lists = [messages_of(log, UR, order) for order in orders]
+    messages = [lists[k % 3][k] for k in range(60)]
+    messages.append(dict(messages[-1], stamp=messages[-1]["stamp"] + 10**7))
+    for field in ("position", "velocity", "effort"):
+        messages[-1][field] = messages[-1][field][:2]
+    messages[-1]["name"] = messages[-1]["name"][:2]
+    read = read_log(write_bag(tmp_path / "bag", "mcap", {TOPIC: messages}), joints=UR)
+    expect(read, log)
+    (warning,) = read.warnings
+    assert "1 messages with some of the joints are left out" in warning
+
+
+def test_velocity_in_some_messages_and_effort_in_the_others(tmp_path: Path, log: Log) -> None:
+    messages = messages_of(log, UR, (0, 1, 2))
+    without(messages, "effort", slice(0, None, 2))
+    without(messages, "velocity", slice(1, None, 2))
+    read = read_log(write_bag(tmp_path / "bag", "mcap", {TOPIC: messages}), joints=UR)
+    assert list(read.signals) == ["q", "tau"]
+    assert torch.equal(read.signals["tau"], log.signals["tau"][1::2])
+    assert any("no message has velocity and effort" in w for w in read.warnings)
+
+
 def test_no_positions_at_all(tmp_path: Path, log: Log) -> None:
     messages = without(messages_of(log, UR, (0, 1, 2)), "position", slice(None))
     path = write_bag(tmp_path / "bag", "mcap", {TOPIC: messages})

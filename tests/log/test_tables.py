@@ -283,6 +283,7 @@ def test_nothing_to_read_in_it(tmp_path: Path) -> None:
         ({"t": T, "p": T[:4]}, "another length than t"),
         ({"t": T, "p": np.zeros((5, 2, 2))}, "wrong number of dimensions"),
         ({"t": np.zeros((5, 2)), "p": T}, "wrong number of dimensions"),
+        ({"t": T, "p": T, "w": np.zeros((5, 2))}, "t is one column"),
     ],
 )
 def test_mapped_columns_are_checked(tmp_path: Path, columns: dict, message: str) -> None:
@@ -291,7 +292,7 @@ def test_mapped_columns_are_checked(tmp_path: Path, columns: dict, message: str)
     else:
         path = save(tmp_path / "a.npz", columns)
     with pytest.raises(LogError, match=message):
-        read_log(path, columns="q=p")
+        read_log(path, columns="q=p,t=w" if "w" in columns else "q=p")
 
 
 def test_only_bags_have_topics(tmp_path: Path) -> None:

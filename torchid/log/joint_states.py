@@ -4,8 +4,8 @@ Publishers differ: some list grippers with the arm, some send the arm in parts, 
 or effort empty or NaN, some forget the stamp.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +49,7 @@ class JointColumns:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Group:
     """Messages that list the same joints: time (T,) [ns], signals by name (T, k)."""
 
@@ -83,9 +83,7 @@ def joint_columns_of(
         largest = max(groups, key=lambda g: (len(g.names), len(g.time)))
         joints, notes = in_robot_order(largest.names, (), label)
     used = _covering(groups, joints)
-    others = [n for g in groups for n in g.names if n not in joints]
-    if others:
-        notes = (*notes, f"{label}: left out: {', '.join(dict.fromkeys(others))}")
+    warnings += _left_out(groups, used, joints, label)
     whole = used[0] if len(used) == 1 else _joined(used, label, warnings)
     whole, runs = _in_time(whole, label, warnings)
     arrays = _arrays(whole, joints, label, warnings)
@@ -95,16 +93,30 @@ def joint_columns_of(
     return JointColumns(arrays, tuple(joints), stamped, (*notes, *warnings))
 
 
+def _left_out(
+    groups: Sequence[_Group], used: Sequence[_Group], joints: Sequence[str], label: str
+) -> list[str]:
+    """What is said about joints and messages that are not taken."""
+    others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
+    said = [f"{label}: left out: {', '.join(others)}"] if others else []
+    partly = [g for g in groups if g not in used and set(g.names) & set(joints)]
+    if partly:
+        count = sum(len(g.time) for g in partly)
+        said.append(f"{label}: {count} messages with some of the joints are left out.")
+    return said
+
+
 def _groups(
     messages: list[JointState], stamped: bool, label: str, warnings: list[str]
 ) -> list[_Group]:
     """Messages by the joints they list, without those that cannot be used."""
     if messages and not stamped:
-        warnings.append(f"{label}: no time stamps in the messages; the time of receipt is taken.")
+        warnings.append(f"{label}: messages are not stamped; the time of receipt is taken.")
     byname: dict[tuple[str, ...], list[JointState]] = {}
     for message in messages:
         if len(message.names) == len(message.position) > 0:
-            byname.setdefault(message.names, []).append(message)
+            ordered = _sorted(message)
+            byname.setdefault(ordered.names, []).append(ordered)
     if not byname:
         raise LogError(
             f"{label} has no message with positions.",
@@ -115,6 +127,19 @@ def _groups(
     if unusable:
         warnings.append(f"{label}: {unusable} messages without positions are left out.")
     return [_group(names, group, stamped, label, warnings) for names, group in byname.items()]
+
+
+def _sorted(message: JointState) -> JointState:
+    """The message with its joints in the order of their names."""
+    order = sorted(range(len(message.names)), key=message.names.__getitem__)
+    if order == list(range(len(order))):
+        return message
+    signals = {
+        s: values[order] if len(values) == len(order) else values
+        for s in ("position", "velocity", "effort")
+        for values in [getattr(message, s)]
+    }
+    return message._replace(names=tuple(message.names[k] for k in order), **signals)
 
 
 def _group(
@@ -140,9 +165,12 @@ def _group(
             warnings.append(
                 f"{label}: {signal} is in {sum(there)} of {len(there)} messages: left out."
             )
-    keep = np.array(
-        [all(there) for there in zip(*present.values(), strict=True)] or [True] * len(messages)
-    )
+    keep = _having(present, len(messages))
+    if not keep.any():
+        # Half of the messages have one and half have the other: torque is what cannot be computed.
+        warnings.append(f"{label}: no message has velocity and effort: velocity is left out.")
+        del present["velocity"]
+        keep = _having(present, len(messages))
     if not keep.all():
         warnings.append(
             f"{label}: {int((~keep).sum())} of {len(keep)} messages have no "
@@ -152,6 +180,14 @@ def _group(
     time = np.array([m.stamp if stamped else m.received for m in kept], dtype=np.int64)
     signals = {s: np.stack([getattr(m, s) for m in kept]) for s in ("position", *present)}
     return _Group(names, time, signals)
+
+
+def _having(present: Mapping[str, Sequence[bool]], count: int) -> np.ndarray:
+    """(count,) whether a message has all the signals."""
+    having = np.ones(count, dtype=bool)
+    for there in present.values():
+        having &= np.array(there)
+    return having
 
 
 def _covering(groups: Sequence[_Group], joints: Sequence[str]) -> list[_Group]:
@@ -170,8 +206,7 @@ def _covering(groups: Sequence[_Group], joints: Sequence[str]) -> list[_Group]:
 
 def _joined(groups: Sequence[_Group], label: str, warnings: list[str]) -> _Group:
     """Joints that come in different messages, at the times of those that come most often."""
-    ordered = [replace(g, time=g.time[k], signals={s: v[k] for s, v in g.signals.items()})
-               for g in groups for k in [np.unique(g.time, return_index=True)[1]]]  # fmt: skip
+    ordered = [_picked(g, np.unique(g.time, return_index=True)[1]) for g in groups]
     first = max(g.time[0] for g in ordered)
     last = min(g.time[-1] for g in ordered)
     base = ordered[0].time[(ordered[0].time >= first) & (ordered[0].time <= last)]
@@ -207,9 +242,12 @@ def _in_time(group: _Group, label: str, warnings: list[str]) -> tuple[_Group, np
         warnings.append(f"{label}: {int(again.sum())} messages repeat a time stamp: left out.")
     if (steps[steps > -RESET_S * 1e9] < 0).any():
         warnings.append(f"{label}: messages are not in the order of their stamps: sorted.")
-    keep = order[~again]
-    signals = {s: v[keep] for s, v in group.signals.items()}
-    return _Group(group.names, group.time[keep], signals), run[~again]
+    return _picked(group, order[~again]), run[~again]
+
+
+def _picked(group: _Group, rows: np.ndarray) -> _Group:
+    signals = {s: v[rows] for s, v in group.signals.items()}
+    return _Group(group.names, group.time[rows], signals)
 
 
 def _arrays(

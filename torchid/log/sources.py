@@ -80,7 +80,7 @@ def _index(text: str) -> Index | None:
         return [int(text)]
     if re.fullmatch(r"\[[\d,\s]+\]", text):
         return [int(part) for part in text.strip("[]").split(",") if part.strip()] or None
-    if re.fullmatch(r"-?\d*:-?\d*(:-?\d+)?", text):
+    if re.fullmatch(r"-?\d*:-?\d*(:-?[1-9]\d*)?", text):
         return slice(*(int(part) if part else None for part in text.split(":")))
     return None
 
@@ -126,17 +126,14 @@ def _absent(
     )
 
 
-def time_of(source: Source, pieces: Sequence[Piece], arrays: Mapping, table: Table) -> np.ndarray:
+def time_of(
+    source: Source, pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> np.ndarray:
     """(T,) seconds from a column of numbers, of time stamps or of their text."""
-    label = f"'{table.path}': column {pieces[0].name}"
-    raw = _flat(pieces[0].of(arrays[pieces[0].name], label), label)
-    if len(pieces) > 1:
-        raise LogError(f"{label}: time is one column.", got=len(pieces))
-    return (
-        _seconds(raw, label) * source.factors[0]
-        if raw.dtype.kind in "mMO"
-        else (_near_zero(_numbers(raw, label)) * source.factors[0])
-    )
+    raw, label = _one_column("t", pieces, arrays, table)
+    if raw.dtype.kind in "mMO":
+        return _seconds(raw, label)
+    return _near_zero(_numbers(raw, label)) * source.factors[0]
 
 
 def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
@@ -158,10 +155,11 @@ def _near_zero(raw: np.ndarray) -> np.ndarray:
     return raw.astype(np.float64)
 
 
-def labels_of(pieces: Sequence[Piece], arrays: Mapping, table: Table) -> np.ndarray:
+def labels_of(
+    pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> np.ndarray:
     """(T,) whole numbers of trajectories; other labels are numbered as they come."""
-    label = f"'{table.path}': column {pieces[0].name}"
-    raw = _flat(pieces[0].of(arrays[pieces[0].name], label), label)
+    raw, _ = _one_column("traj", pieces, arrays, table)
     if raw.dtype.kind in "iuf":
         return raw
     known: dict[object, int] = {}
@@ -207,10 +205,18 @@ def oriented(array: np.ndarray, samples: int, label: str) -> np.ndarray:
     return array.T if array.shape[0] != samples and array.shape[1] == samples else array
 
 
-def _flat(array: np.ndarray, label: str) -> np.ndarray:
-    if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape):
-        return array.ravel()
-    raise LogError(f"{label} is not one column.", got=f"shape {array.shape}")
+def _one_column(
+    key: str, pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> tuple[np.ndarray, str]:
+    """(T,) of a source that must be one column, and what to call it."""
+    label = f"'{table.path}': column {pieces[0].name}"
+    array = pieces[0].of(arrays[pieces[0].name], label)
+    if len(pieces) > 1 or array.ndim not in (1, 2) or (array.ndim == 2 and 1 not in array.shape):
+        raise LogError(
+            f"'{table.path}': {key} is one column.",
+            got=", ".join(f"{p.name} {arrays[p.name].shape}" for p in pieces[:5]),
+        )
+    return array.ravel(), label
 
 
 def _numbers(array: np.ndarray, label: str) -> np.ndarray:
