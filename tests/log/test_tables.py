@@ -196,6 +196,10 @@ def test_text_without_header(tmp_path: Path) -> None:
             ["stamp_ns", "shoulder.pos", "elbow.pos", "shoulder.vel", "elbow.vel"],
             "t=stamp_ns ns,q=[shoulder.pos, elbow.pos],dq=[shoulder.vel, elbow.vel]",
         ),
+        (
+            ["ts", "pos base [deg]", "pos arm [deg]"],
+            "t=ts,q=['pos base [deg]', 'pos arm [deg]'] deg",
+        ),
         (["t", "q1", "q2", "effort_1", "effort_2", "x"], None),
         (["a", "b", "c"], None),
         (["time", "b1", "c1"], None),

@@ -60,7 +60,7 @@ def _read(table: Table, mapping: ColumnMapping) -> Log:
         columns["traj"] = labels_of(pieces["traj"], arrays, table)
     rest = {name: arrays[name] for name in own if name != "t"}
     columns |= _own_columns(table, rest, samples)
-    for key in sources.keys() - {"t", "traj"}:
+    for key in [key for key in sources if key not in ("t", "traj")]:
         values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
         columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
     return log_from_columns(columns, table.path)

@@ -4,17 +4,17 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from torchid.log.columns import PREFIXES, is_wanted
+from torchid.log.columns import is_wanted
 from torchid.log.table import Table
 
 # Words in the names of what is measured; the first kind that fits is taken.
 _WORDS = {
-    "t": r"t|time|timestamp|stamp|times|secs?|seconds|clock|tout|elapsed|time(s|ms|us|ns|sec)",
-    "ddq": r"ddq|qdd|qddot|acc|accel|accelerations?",
-    "dq": r"dq|qd|qdot|dpos|vel|velocity|velocities|speeds?|omega",
+    "t": r"t|ts|time|timestamp|stamp|times|secs?|seconds|clock|tout|elapsed|time(s|ms|us|ns|sec)",
+    "ddq": r"ddq|qdd|qddot|qacc|acc|accel|accelerations?",
+    "dq": r"dq|qd|qdot|qvel|dpos|vel|velocity|velocities|speeds?|omega",
     "tau": r"tau|eff|efforts?|torques?|trq|tq|moments?",
     "i": r"i|cur|currents?|amps?",
-    "q": r"q|pos|positions?|angles?|theta|jointpos|joints?|state",
+    "q": r"q|qpos|pos|positions?|angles?|theta|jointpos|joints?|state",
 }
 _WANTED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
 _PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?")
@@ -55,25 +55,19 @@ def proposal(table: Table) -> str | None:
     Columns that have our names need no mapping and are not in it.
     """
     names = [name for name in table.columns if not is_wanted(name)]
-    groups = [*_arrays(table, names), *_numbered(names), *_named(names)]
-    has = {key for key in ("t", *PREFIXES.values()) if _own(table, key)}
-    parts: list[str] = []
-    times = sorted((g for g in _singles(names)), key=lambda g: -g.score)
-    if "t" not in has:
-        if not times:
-            return None
-        parts.append(f"t={times[0].source}")
-    positions = sorted((g for g in groups if g.key == "q"), key=lambda g: -g.score)
-    if "q" not in has:
-        if not positions:
-            return None
-        parts.append(f"q={positions[0].source}")
-    joints = positions[0].joints if positions and "q" not in has else 0
-    for key in ("dq", "tau", "i"):
-        fitting = [g for g in groups if g.key == key and (joints in (0, g.joints) or not g.joints)]
-        if fitting and key not in has and not (key == "i" and any(p[:3] == "tau" for p in parts)):
-            parts.append(f"{key}={max(fitting, key=lambda g: g.score).source}")
-    return _every_group(",".join(parts), times[0].source if "t" not in has else "", names) or None
+    groups = [*_singles(names), *_arrays(table, names), *_numbered(names), *_named(names)]
+    chosen: dict[str, _Group] = {}
+    for key in ("t", "q", "dq", "tau", "i"):
+        joints = chosen["q"].joints if "q" in chosen else 0
+        fitting = [g for g in groups if g.key == key and (not joints or g.joints in (0, joints))]
+        if fitting and not _own(table, key):
+            chosen[key] = max(fitting, key=lambda g: g.score)
+    if any(key not in chosen and not _own(table, key) for key in ("t", "q")):
+        return None
+    if "tau" in chosen:
+        chosen.pop("i", None)
+    text = ",".join(f"{key}={group.source}" for key, group in chosen.items())
+    return _every_group(text, chosen["t"].source if "t" in chosen else "", names) or None
 
 
 def _every_group(text: str, time: str, names: list[str]) -> str:
@@ -113,14 +107,13 @@ def _score(words: list[str]) -> float:
     return wanted - 2 * sum(bool(_UNWANTED.fullmatch(word)) for word in words) - 0.01 * len(words)
 
 
-def _written(name: str, key: str) -> str:
+def _written(names: list[str], key: str) -> str:
     """The source as a mapping writes it: quoted if need be, with the unit that the name says."""
-    quoted = (
-        f"'{name}'" if re.search(r"[\s,\"=\[\]()*-]", name) and not name.startswith("[") else name
-    )
-    said = [word.lower() for word in re.split(r"[^A-Za-z]+", name)]
+    quoted = [f"'{n}'" if re.search(r"[\s,\"=\[\]()*-]", n) else n for n in names]
+    said = [word.lower() for word in re.split(r"[^A-Za-z]+", names[0])]
     unit = next((_UNITS[key][word] for word in said if word in _UNITS[key]), None)
-    return f"{quoted} {unit}" if unit else quoted
+    source = quoted[0] if len(names) == 1 else f"[{', '.join(quoted)}]"
+    return f"{source} {unit}" if unit else source
 
 
 def _singles(names: list[str]) -> list[_Group]:
@@ -129,7 +122,7 @@ def _singles(names: list[str]) -> list[_Group]:
     for name in names:
         words = _words(name.rsplit("/", 1)[-1])
         if _kind(words) == "t" and not re.search(r"\d", name.rsplit("/", 1)[-1]):
-            found.append(_Group(_written(name, "t"), "t", 1, _score(_words(name))))
+            found.append(_Group(_written([name], "t"), "t", 1, _score(_words(name))))
     return found
 
 
@@ -147,7 +140,7 @@ def _arrays(table: Table, names: list[str]) -> list[_Group]:
         if key in (None, "t"):
             continue
         joints = min((k for k in shape or () if k > 0), default=0)
-        found.append(_Group(_written(name, str(key)), str(key), joints, 0.5 + _score(words)))
+        found.append(_Group(_written([name], str(key)), str(key), joints, 0.5 + _score(words)))
     return found
 
 
@@ -166,30 +159,26 @@ def _numbered(names: list[str]) -> list[_Group]:
         key = _kind(words)
         if key in (None, "t"):
             continue
-        source = _written(f"{before}{{{'j' if first else 'j0'}}}{after}", str(key))
+        source = _written([f"{before}{{{'j' if first else 'j0'}}}{after}"], str(key))
         found.append(_Group(source, str(key), len(numbers), _score(words)))
     return found
 
 
 def _named(names: list[str]) -> list[_Group]:
     """Columns such as shoulder.pos, elbow.pos: what they have in common says what they are."""
-    families: dict[tuple[str, bool], list[str]] = {}
+    families: dict[str, list[str]] = {}
     for name in names:
-        for m in (
-            re.fullmatch(r"(.+)[._/ ]([^._/ ]+)", name),
-            re.fullmatch(r"([^._/ ]+)[._/ ](.+)", name),
-        ):
-            if m is None:
-                continue
-            for part, last in ((m[2], True), (m[1], False)):
-                if _kind([part.lower()]) not in (None, "t"):
-                    families.setdefault((part, last), []).append(name)
+        first, last = (
+            re.fullmatch(p, name) for p in (r"([^._/ ]+)[._/ ].+", r".+[._/ ]([^._/ ]+)")
+        )
+        for part in {m[1] for m in (first, last) if m is not None}:
+            if _kind([part.lower()]) not in (None, "t"):
+                families.setdefault(part, []).append(name)
     found = []
-    for (part, _), listed in families.items():
-        members = list(dict.fromkeys(listed))
+    for part, members in families.items():
         if len(members) < 2 or _numbered(members):
             continue
         key = str(_kind([part.lower()]))
-        source = f"[{', '.join(members)}]"
-        found.append(_Group(source, key, len(members), _score(_words(" ".join(members[:1]))) - 0.2))
+        score = _score(_words(members[0])) - 0.2
+        found.append(_Group(_written(members, key), key, len(members), score))
     return found
