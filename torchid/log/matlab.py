@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from torchid.errors import LogError
 from torchid.log.formats import damaged
@@ -17,7 +15,7 @@ from torchid.log.hdf5 import open_hdf5
 from torchid.log.table import Request, Table
 
 _PROBLEMS = (
-    MatReadError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError,
+    ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError,
     NotImplementedError, UnicodeDecodeError, OSError, struct.error, zlib.error,
 )  # fmt: skip
 
@@ -33,8 +31,12 @@ def matlab_table(path: Path, request: Request) -> Table:
         start = file.read(19)
     if start.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return _v73(path)
+    # Here, because it takes a moment to load and most logs are no .mat files.
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
     # What scipy raises where a file is damaged depends on where it is.
-    with damaged(path, "mat", *_PROBLEMS):
+    with damaged(path, "mat", MatReadError, *_PROBLEMS):
         content = loadmat(path, simplify_cells=True)
     arrays = dict(_arrays("", {k: v for k, v in content.items() if not k.startswith("__")}))
     if not arrays:
