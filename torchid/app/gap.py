@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app.options import (
+    Columns,
     Gain,
     HeldOut,
     HeldOutFraction,
@@ -18,6 +19,7 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    Topic,
     number,
     open_output,
     progress_bar,
@@ -57,6 +59,8 @@ def gap_command(
     ] = "auto",
     held_out: HeldOut = None,
     held_out_fraction: HeldOutFraction = 0.0,
+    columns: Columns = None,
+    topic: Topic = None,
     gain: Gain = None,
     max_effects: Annotated[
         int, typer.Option(min=1, help="Number of effects accepted at most.")
@@ -107,7 +111,7 @@ def gap_command(
     if held_out and held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     found = load_robot(robot, tip=tip)
-    log, apart = read_both(logs, held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found, columns, topic)
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from torchid.app.options import (
+    Columns,
     Device,
     Gain,
     HeldOut,
@@ -18,6 +19,7 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    Topic,
     cutoff_hz,
     device,
     effect_names,
@@ -58,6 +60,8 @@ def identify_command(
         Literal["all", "moving"],
         typer.Option(help="Rows fitted: all, or while the own joint moves."),
     ] = "all",
+    columns: Columns = None,
+    topic: Topic = None,
     gain: Gain = None,
     method: Annotated[
         Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
@@ -118,7 +122,7 @@ def identify_command(
         compiled=compiled,
     )
     found = load_robot(robot, tip=tip)
-    log, apart = read_both(logs, held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found, columns, topic)
     with progress_bar(output) as progress:
         result = identify(
             found,

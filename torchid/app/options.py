@@ -30,9 +30,22 @@ LogArguments = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG...",
-        help="Logs (.parquet, .csv, .npz): t, q1.., and dq1.., tau1.. or i1.. . "
-        "Several files are several trajectories.",
+        help="Logs (.parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets): t, q1.., and "
+        "dq1.., tau1.. or i1.., or --columns. Several are several trajectories.",
     ),
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="MAP|FILE.yaml",
+        help="Which columns of the logs are what, where they have other names: "
+        "`q=pos_{j} deg,tau=-eff_{j} mNm,t=stamp ns`, `q=state[:,0:7]`.",
+    ),
+]
+Topic = Annotated[
+    str | None,
+    typer.Option("--topic", metavar="NAME", help="ROS bags: the topic of joint states."),
 ]
 HeldOut = Annotated[
     list[Path] | None,
@@ -261,22 +274,34 @@ def effect_names(text: str) -> tuple[str, ...]:
     return tuple(column_kind(name.strip()).name for name in text.split(","))
 
 
-def read_logs(paths: list[Path], gain: str | None, n: int) -> "Log":
+def read_logs(
+    paths: list[Path],
+    gain: str | None,
+    robot: "Robot",
+    columns: str | None = None,
+    topic: str | None = None,
+) -> "Log":
     """Several files as the trajectories of one log; currents times the drive gains, if given."""
     import torch
 
     from torchid.log.readers import read_log
 
-    gains = None if gain is None else numbers("--gain", gain, n)
-    log = read_log(paths)
+    gains = None if gain is None else numbers("--gain", gain, robot.n)
+    log = read_log(paths, columns=columns, topic=topic, joints=robot.joint_names)
     return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
 
 
 def read_both(
-    logs: list[Path], held_out: list[Path] | None, gain: str | None, n: int
+    logs: list[Path],
+    held_out: list[Path] | None,
+    gain: str | None,
+    robot: "Robot",
+    columns: str | None = None,
+    topic: str | None = None,
 ) -> "tuple[Log, Log | None]":
     """The logs, and those held out, if any."""
-    return read_logs(logs, gain, n), read_logs(held_out, gain, n) if held_out else None
+    log = read_logs(logs, gain, robot, columns, topic)
+    return log, read_logs(held_out, gain, robot, columns, topic) if held_out else None
 
 
 def cutoff_hz(text: str) -> float | Literal["auto"] | None:

@@ -8,6 +8,7 @@ import typer
 
 from torchid.app.identify import EFFECTS
 from torchid.app.options import (
+    Columns,
     Device,
     Gain,
     Json,
@@ -19,6 +20,7 @@ from torchid.app.options import (
     Seed,
     Threads,
     Tip,
+    Topic,
     cutoff_hz,
     device,
     effect_names,
@@ -55,6 +57,8 @@ def payload_command(
             help="Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.",
         ),
     ] = "auto",
+    columns: Columns = None,
+    topic: Topic = None,
     gain: Gain = None,
     rows: Annotated[
         Literal["all", "moving"],
@@ -97,7 +101,8 @@ def payload_command(
         signs=signs,
     )
     found = load_robot(robot, tip=tip)
-    empty, full = read_logs(logs, gain, found.n), read_logs(loaded, gain, found.n)
+    empty = read_logs(logs, gain, found, columns, topic)
+    full = read_logs(loaded, gain, found, columns, topic)
     where = device(device_name)
     with progress_bar(output) as progress:
         without = identify(found, empty, settings=settings, device=where, progress=progress)

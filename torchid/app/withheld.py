@@ -9,6 +9,7 @@ import typer
 from torchid.app.gap import names, searched
 from torchid.app.options import (
     LARGEST_SEED,
+    Columns,
     Gain,
     HeldOut,
     Json,
@@ -19,6 +20,7 @@ from torchid.app.options import (
     RobotArgument,
     Seed,
     Tip,
+    Topic,
     open_output,
     progress_bar,
     read_both,
@@ -225,6 +227,8 @@ def own_command(
     parameters: Annotated[
         Literal["trusted", "free", "auto"], typer.Option(help="As for `torchid gap`.")
     ] = "auto",
+    columns: Columns = None,
+    topic: Topic = None,
     gain: Gain = None,
     plant: Annotated[
         str,
@@ -258,7 +262,7 @@ def own_command(
 
     settings = GapSettings(background=names(background), parameters=parameters, seed=seed)
     found = load_robot(robot, tip=tip)
-    log, apart = read_both(logs, held_out, gain, found.n)
+    log, apart = read_both(logs, held_out, gain, found, columns, topic)
     with progress_bar(output) as progress:
         result = check_own(
             found,

@@ -114,12 +114,12 @@ def _some(names: Sequence[str]) -> list[str]:
 def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     if values.dtype.kind not in "iuf":
         raise LogError(
-            f"'{path}': column {name} is not numeric.", got=_sample(values), expected="numbers"
+            f"'{path}': column {name} is not numeric.", got=sample_of(values), expected="numbers"
         )
     return np.array(values, dtype=np.float64)  # a copy: arrow's buffers are read-only
 
 
-def _sample(values: np.ndarray) -> str:
+def sample_of(values: np.ndarray) -> str:
     """The type of a column and one of its values that is not a number."""
     for value in values.ravel().tolist():
         try:
@@ -177,10 +177,3 @@ def _trajectories(
         return np.zeros(samples, dtype=np.int64), (path.stem,)
     numbers = np.repeat(np.arange(len(order)), lengths)
     return numbers, tuple(f"{path.stem}[traj={i}]" for i in order)
-
-
-def refuse_repeated(names: Sequence[str], path: Path) -> None:
-    """Raise LogError if a column that is wanted is there twice."""
-    twice = sorted({name for name in names if is_wanted(name) and names.count(name) > 1})
-    if twice:
-        raise LogError(f"'{path}' has two columns {twice[0]}.", got=", ".join(twice))

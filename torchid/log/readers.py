@@ -1,44 +1,88 @@
-"""Logs from and to files: .parquet, .csv, .npz, and whatever `register_reader` adds.
+"""Logs from and to files and folders.
 
-The columns are those of `torchid.log.columns`.
+Read: .parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets; whatever `register_reader` adds.
+Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
+(`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from torchid.errors import LogError
 from torchid.files import atomic_write
+from torchid.log.assemble import log_from_table
 from torchid.log.columns import Columns, columns_of, log_from_columns
+from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
-    read_csv,
-    read_npz,
-    read_parquet,
+    npz_table,
+    parquet_table,
     write_csv,
     write_npz,
     write_parquet,
 )
+from torchid.log.hdf5 import hdf5_table
+from torchid.log.lerobot import is_lerobot, lerobot_table
+from torchid.log.mapping import ColumnMapping, read_mapping
+from torchid.log.matlab import matlab_table
 from torchid.log.model import Log
+from torchid.log.ros import bag_table, is_bag_folder
+from torchid.log.table import Request, Table
 
 Reader = Callable[[Path], Log]
+Opener = Callable[[Path, Request], Table]
 
-__all__ = ["log_from_columns", "read_log", "register_reader", "write_log"]
+__all__ = ["log_from_columns", "open_log", "read_log", "register_reader", "write_log"]
 
 
-def read_log(paths: str | Path | Sequence[str | Path]) -> Log:
+def read_log(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    columns: str | Path | Mapping[str, Any] | ColumnMapping | None = None,
+    topic: str | None = None,
+    joints: Sequence[str] = (),
+) -> Log:
     """Read one log, or several as the trajectories of one.
 
     Args:
-        paths: a file, or files; the suffix chooses the reader.
+        paths: a file or folder, or several; the suffix chooses the reader.
+        columns: which columns are what, where they have other names than ours: text, a yaml file,
+            or a dict (see `torchid.log.mapping`).
+        topic: of the joint states in a bag with several.
+        joints: names of the robot's joints in order, by which the joints of a bag or a LeRobot
+            dataset are found; without them the order of their names is taken, with a warning.
 
     Raises:
         LogError: a file is missing, is not what its suffix says, or lacks columns; or the files
             do not go together.
+        MissingExtraError: the package that reads this format is not installed.
     """
     files = [paths] if isinstance(paths, str | Path) else list(paths)
     if not files:
         raise LogError("no log is given.", expected="at least one file", available=_suffixes())
-    return Log.concatenate([_read_file(Path(file)) for file in files])
+    mapping = None if columns is None else read_mapping(columns)
+    request = Request(mapping, topic, tuple(joints))
+    return Log.concatenate([open_log(Path(file), request)[1] for file in files])
+
+
+def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
+    """One file or folder as a Log, and as the table it was; None from a registered reader.
+
+    Raises:
+        As `read_log`.
+    """
+    found = _find(path)
+    try:
+        if isinstance(found, str):
+            if request.columns is not None:
+                raise LogError(f"{found} files take no column mapping.", got=str(path))
+            return None, _READERS[found](path)
+        table = found(path, request)
+        if request.topic is not None and table.topic is None:
+            raise LogError(f"'{path}' is no bag: it has no topics.", got=f"--topic {request.topic}")
+        return table, log_from_table(table, request.columns)
+    except OSError as error:
+        raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
 
 
 def register_reader(suffix: str, function: Reader) -> None:
@@ -74,44 +118,68 @@ def write_log(log: Log, path: str | Path) -> None:
         writer(columns_of(log), file)
 
 
-def _read_file(path: Path) -> Log:
+def _find(path: Path) -> Opener | str:
+    """What opens a file or folder; the suffix, where it is a registered reader."""
     if path.is_dir():
-        raise LogError(f"'{path}' is a folder.", expected="a log", available=_inside(path))
+        for fits, opener in _FOLDERS:
+            if fits(path):
+                return opener
+        raise LogError(
+            f"'{path}' is a folder.",
+            expected="a log, a bag with metadata.yaml, or a LeRobot dataset with meta/info.json",
+            available=_inside(path),
+        )
     if not path.exists():
         raise LogError(
             f"log '{path}' does not exist.",
             available=_inside(path.parent) if path.parent.is_dir() else None,
         )
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
+    suffix = path.suffix.lower()
+    if suffix not in _READERS and suffix not in _TABLES:
         raise LogError(
             f"'{path}' has a suffix that no reader is registered for.",
             got=path.suffix or "no suffix",
             available=_suffixes(),
         )
-    try:
-        if path.is_file() and path.stat().st_size == 0:
-            raise LogError(f"'{path}' is empty.")
-        return reader(path)
-    except OSError as error:
-        raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
+    if path.is_file() and path.stat().st_size == 0:
+        raise LogError(f"'{path}' is empty.")
+    return suffix if suffix in _READERS else _TABLES[suffix]
 
 
 def _suffixes() -> list[str]:
-    return sorted(_READERS)
+    return sorted({*_READERS, *_TABLES})
 
 
 def _inside(folder: Path) -> list[str] | None:
     """The logs in a folder, at most ten, for an error message."""
     try:
-        found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in _READERS)
+        found = sorted(p.name for p in folder.iterdir() if _is_log(p))
     except OSError:
         return None
     more = [f"and {len(found) - 10} more"] if len(found) > 10 else []
     return found[:10] + more or None
 
 
-_READERS: dict[str, Reader] = {".parquet": read_parquet, ".csv": read_csv, ".npz": read_npz}
+def _is_log(path: Path) -> bool:
+    """Whether it looks like a log; most texts are none."""
+    if path.is_dir():
+        return any(fits(path) for fits, _ in _FOLDERS)
+    return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}
+
+
+_READERS: dict[str, Reader] = {}
+_FOLDERS: tuple[tuple[Callable[[Path], bool], Opener], ...] = (
+    (is_lerobot, lerobot_table),
+    (is_bag_folder, bag_table),
+)
+_TABLES: dict[str, Opener] = {
+    ".parquet": parquet_table,
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), csv_table),
+    ".npz": npz_table,
+    ".mat": matlab_table,
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), hdf5_table),
+    **dict.fromkeys((".bag", ".mcap", ".db3"), bag_table),
+}
 _WRITERS: dict[str, Callable[[Columns, IO[bytes]], None]] = {
     ".parquet": write_parquet,
     ".csv": write_csv,

@@ -1,0 +1,184 @@
+"""`torchid log show`, and the options that say how a log is read."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.log.recordings import messages_of, write_bag
+from torchid.log.columns import columns_of
+from torchid.log.readers import read_log, write_log
+
+DEG = math.pi / 180
+
+
+@pytest.fixture
+def foreign(folder, tmp_path) -> tuple[Path, str]:
+    """The check log under other names, in degrees and milliseconds; its mapping."""
+    log = read_log(folder / "check.csv")
+    columns = {"time_ms": 1e3 * log.t.numpy()}
+    for k in range(3):
+        columns[f"pos_{k}"] = log.q[:, k].numpy() / DEG
+        columns[f"eff_{k}"] = -1e3 * log.signals["tau"][:, k].numpy()
+    rows = np.stack(list(columns.values()), 1)
+    path = tmp_path / "theirs.csv"
+    lines = [";".join(columns), *(";".join(repr(float(x)) for x in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path, "t=time_ms ms,q=pos_{j0} deg,tau=-eff_{j0} mNm"
+
+
+def test_show(command, folder, tmp_path):
+    target = tmp_path / "log.json"
+    result = command("log", "show", folder / "fit.parquet", "--json", target)
+    assert result.code == 0
+    assert "3 joints, 2 trajectories" in result.out
+    record = json.loads(target.read_text())
+    assert record["schema"] == "torchid.log/1"
+    log = read_log(folder / "fit.parquet")
+    assert record["samples"] == log.samples
+    assert [t["rate"] for t in record["trajectories"]] == pytest.approx([100.0, 100.0])
+    assert [t["duration"] for t in record["trajectories"]] == pytest.approx(log.duration)
+    ranges = {s["signal"]: s["range"] for s in record["signals"]}
+    assert ranges["q"][1] == pytest.approx([float(log.q[:, 1].min()), float(log.q[:, 1].max())])
+    assert record["absent"] == ["dq", "ddq", "current"]
+    assert record["problem"] is None
+
+
+def test_convert(command, folder, foreign, tmp_path):
+    path, columns = foreign
+    target = tmp_path / "ours.parquet"
+    result = command("log", "show", path, "--columns", columns, "--out", target)
+    assert result.code == 0
+    assert "pos_{j0}, in deg" in result.out
+    ours, log = read_log(target), read_log(folder / "check.csv")
+    for name in ("q", "tau"):
+        torch.testing.assert_close(ours.signals[name], log.signals[name], rtol=1e-14, atol=0.0)
+    torch.testing.assert_close(ours.t, log.t, rtol=1e-14, atol=0.0)
+    before = target.read_bytes()
+    assert command("log", "show", path, "--out", target).code == 1
+    assert target.read_bytes() == before
+
+
+def test_a_proposed_mapping_works(command, foreign):
+    path, _ = foreign
+    result = command("log", "show", path)
+    assert result.code == 1
+    proposed = result.err.split('--columns "')[1].split('"')[0]
+    assert proposed == "t=time_ms ms,q=pos_{j0},tau=eff_{j0}"
+    result = command("log", "show", path, "--columns", proposed, "--robot", "3r_friction")
+    assert result.code == 0
+    assert "cannot be used as it is" in result.out
+    assert "looks like degrees" in result.out
+
+
+def test_steps_back_and_gaps_are_counted(command, folder, tmp_path):
+    columns = columns_of(read_log(folder / "check.csv"))
+    t = columns["t"].copy()
+    t[200:] += 0.5
+    t[100], t[101] = t[101], t[100]
+    log = read_log(folder / "check.csv").replace(t=torch.from_numpy(t))
+    write_log(log, tmp_path / "a.parquet")
+    target = tmp_path / "log.json"
+    result = command("log", "show", tmp_path / "a.parquet", "--json", target)
+    assert result.code == 0
+    record = json.loads(target.read_text())
+    (timing,) = record["trajectories"]
+    assert (timing["gaps"], timing["backwards"]) == (1, 1)
+    assert timing["longest"] == pytest.approx(0.51)
+    assert "time does not increase" in record["problem"]
+    assert "cannot be used as it is" in result.out
+
+
+def test_a_log_with_holes_is_shown(command, folder, tmp_path):
+    columns = {
+        name: column.copy() for name, column in columns_of(read_log(folder / "check.csv")).items()
+    }
+    for name in ("t", "q2", "tau1"):
+        columns[name][5:9] = np.nan
+    columns["tau3"][:] = np.inf
+    np.savez(tmp_path / "a.npz", **columns)
+    target = tmp_path / "log.json"
+    result = command("log", "show", tmp_path / "a.npz", "--json", target)
+    assert result.code == 0
+    record = json.loads(target.read_text())
+    assert "column t has 4 values that are empty, NaN" in record["problem"]
+    ranges = {s["signal"]: s["range"] for s in record["signals"]}
+    assert ranges["tau"][2] == [None, None]
+    assert ranges["q"][1] == [np.nanmin(columns["q2"]), np.nanmax(columns["q2"])]
+
+
+def test_repeats_are_shown(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    write_log(log, tmp_path / "again.csv")
+    target = tmp_path / "log.json"
+    result = command("log", "show", folder / "check.csv", tmp_path / "again.csv", "--json", target)
+    assert "repeated motion" in result.out
+    record = json.loads(target.read_text())
+    found = [r for r in record["repeats"] if (r["first"], r["second"]) == ("check", "again")]
+    assert sum(r["duration"] for r in found) > 0.8 * log.duration[0]
+    assert all(r["start_first"] == pytest.approx(r["start_second"], abs=1e-6) for r in found)
+
+
+def test_a_bag_with_several_topics(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    names = ["joint_1", "joint_2", "joint_3"]
+    topics = {name: messages_of(log, names, (2, 0, 1)) for name in ("/a/states", "/b/states")}
+    path = write_bag(tmp_path / "bag", "mcap", topics)
+    result = command("log", "show", path)
+    assert result.code == 1
+    for name in topics:
+        assert name in result.err
+    target = tmp_path / "log.json"
+    result = command(
+        "log", "show", path, "--topic", "/b/states", "--robot", "3r_friction", "--json", target
+    )
+    assert result.code == 0
+    assert "/a/states" in result.out
+    assert "rad or m" not in result.out  # the robot has no prismatic joint
+    record = json.loads(target.read_text())
+    assert record["files"][0]["topic"] == "/b/states"
+    sources = {s["signal"]: s["source"] for s in record["signals"]}
+    assert sources == {"q": "position", "tau": "effort"}
+    assert record["signals"][0]["range"][2] == pytest.approx(
+        [float(log.q[:, 2].min()), float(log.q[:, 2].max())]
+    )
+
+
+@pytest.mark.parametrize("kind", ["mapping", "bag"])
+def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, kind):
+    """What is identified is the same but for the rounding of units and time stamps."""
+    path, columns = foreign
+    options = ["--columns", columns]
+    if kind == "bag":
+        log = read_log(folder / "check.csv")
+        names = ["joint_1", "joint_2", "joint_3"]
+        path = write_bag(
+            tmp_path / "bag", "ros1", {"/joint_states": messages_of(log, names, (1, 2, 0))}
+        )
+        options = []
+    results = []
+    for log_path, given in ((folder / "check.csv", []), (path, options)):
+        target = tmp_path / "result.json"
+        result = command(
+            "identify", "3r_friction", log_path, *given, "--cutoff", "8", "--json", target
+        )
+        assert result.code == 0, result.err
+        results.append([p["value"] for p in json.loads(target.read_text())["parameters"]])
+    assert results[1] == pytest.approx(results[0], rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["identify"], ["gap"], ["payload", "--loaded", "x.csv"], ["withheld", "own"]]
+)
+def test_every_command_that_reads_logs_takes_the_mapping(command, foreign, arguments):
+    """It is refused for the unit, before anything is computed."""
+    path, _ = foreign
+    name, *rest = arguments
+    first = [name, *rest[:1]] if name == "withheld" else [name]
+    more = [] if name == "withheld" else rest
+    result = command(*first, "3r_friction", path, *more, "--columns", "q=pos_{j0} furlong")
+    assert result.code == 1
+    assert "q cannot be in this unit" in result.err

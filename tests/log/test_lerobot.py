@@ -1,0 +1,140 @@
+"""LeRobot datasets: episodes, time, and which part of the state is which."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+import torch
+
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+
+from .examples import uniform
+from .recordings import write_lerobot
+
+ARM = ["shoulder", "elbow", "wrist"]
+DEG = np.pi / 180
+
+
+@pytest.fixture
+def log() -> Log:
+    parts = [uniform(3, samples=60 + 10 * k, step=0.02) for k in range(3)]
+    return Log.concatenate(parts)
+
+
+def with_gripper(signal: torch.Tensor) -> np.ndarray:
+    return torch.cat([signal, 50 + signal[:, :1]], 1).numpy()
+
+
+def close(a: torch.Tensor, b: torch.Tensor) -> bool:
+    """As close as the float32 of a dataset allows."""
+    return torch.allclose(a, b, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+@pytest.mark.parametrize("nested", [False, True])
+def test_episodes_are_trajectories(tmp_path: Path, log: Log, version: str, nested: bool) -> None:
+    names = [f"{name}.pos" for name in (*ARM, "gripper")]
+    features = {
+        "observation.state": (names, with_gripper(log.q)),
+        "observation.effort": ([*ARM, "gripper"], with_gripper(log.signals["tau"])),
+        "action": (names, with_gripper(log.q + 1)),
+    }
+    path = write_lerobot(tmp_path / "set", version, log, features)
+    if nested:
+        info = json.loads((path / "meta" / "info.json").read_text())
+        for name in features:
+            info["features"][name]["names"] = {"motors": info["features"][name]["names"]}
+        (path / "meta" / "info.json").write_text(json.dumps(info))
+    read = read_log(path, joints=("elbow", "shoulder", "wrist"))
+    order = [1, 0, 2]
+    assert read.names == ("set[traj=0]", "set[traj=1]", "set[traj=2]")
+    assert torch.equal(read.trajectory, log.trajectory)
+    for part in read.trajectories():
+        assert torch.allclose(part.t, 0.02 * torch.arange(part.samples), rtol=1e-15)
+    assert close(read.q, log.q[:, order])
+    assert close(read.signals["tau"], log.signals["tau"][:, order])
+    assert read.dq is None
+    (warning,) = read.warnings
+    assert "taken for radians" in warning
+    whole = read_log(path)
+    assert whole.n == 4
+
+
+def test_everything_in_the_state(tmp_path: Path, log: Log) -> None:
+    """Positions, velocities and torques of one vector, told by the ends of their names."""
+    kinds = {".pos": log.q, ".vel": log.signals["dq"], ".effort": log.signals["tau"]}
+    names = [f"{name}{ending}" for name in ARM for ending in kinds]
+    values = torch.stack(list(kinds.values()), -1).flatten(1).numpy()
+    path = write_lerobot(tmp_path / "set", "v3.0", log, {"observation.state": (names, values)})
+    read = read_log(path, joints=ARM)
+    assert close(read.q, log.q)
+    assert close(read.signals["dq"], log.signals["dq"])
+    assert close(read.signals["tau"], log.signals["tau"])
+
+
+def test_names_that_are_not_the_robots(tmp_path: Path, log: Log) -> None:
+    features = {"observation.state": ([*ARM, "gripper"], with_gripper(log.q))}
+    path = write_lerobot(tmp_path / "set", "v2.1", log, features)
+    read = read_log(path, joints=("a", "b", "c"))
+    assert close(read.q, log.q)
+    assert any("order of the dataset: shoulder, elbow, wrist" in w for w in read.warnings)
+    with pytest.raises(LogError, match="cannot be told") as info:
+        read_log(path, joints=("a", "b"))
+    assert "q=observation.state[:,0:2]" in str(info.value.hint)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "q=observation.state[:,0:3] deg",
+        "q=[observation.state.shoulder, observation.state.elbow, observation.state.wrist] deg",
+    ],
+)
+def test_mapping(tmp_path: Path, log: Log, text: str) -> None:
+    features = {"observation.state": ([*ARM, "gripper"], with_gripper(log.q / DEG))}
+    path = write_lerobot(tmp_path / "set", "v3.0", log, features)
+    read = read_log(path, columns=text, joints=("a", "b"))
+    assert close(read.q, log.q)
+    assert read.trajectory_count == 3
+    assert read.warnings == ()
+
+
+def test_a_state_without_names(tmp_path: Path, log: Log) -> None:
+    features = {"observation.state": (None, log.q.numpy())}
+    path = write_lerobot(tmp_path / "set", "v3.0", log, features)
+    assert close(read_log(path, joints=("a", "b", "c")).q, log.q)
+    assert close(read_log(path).q, log.q)
+
+
+def test_what_is_wrong_with_it(tmp_path: Path, log: Log) -> None:
+    features = {"observation.state": (ARM, log.q.numpy())}
+    path = write_lerobot(tmp_path / "set", "v3.0", log, features)
+    with pytest.raises(LogError, match="no column 'nothing'") as info:
+        read_log(path, columns="q=nothing")
+    assert "observation.state (? x 3)" in (info.value.available or ())
+    file = path / "data" / "chunk-000" / "file-000.parquet"
+    table = pyarrow.parquet.read_table(file)
+    pyarrow.parquet.write_table(table.drop_columns("frame_index"), file)
+    with pytest.raises(LogError, match="no column frame_index"):
+        read_log(path)
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(LogError, match="is damaged"):
+        read_log(path)
+    file.unlink()
+    with pytest.raises(LogError, match="no parquet files"):
+        read_log(path)
+    for content in ("{", "{}", '{"fps": 0, "features": {}}', '{"fps": 30, "features": 3}'):
+        (path / "meta" / "info.json").write_text(content)
+        with pytest.raises(LogError, match="cannot be used"):
+            read_log(path)
+
+
+def test_no_state(tmp_path: Path, log: Log) -> None:
+    path = write_lerobot(tmp_path / "set", "v3.0", log, {"action": (ARM, log.q.numpy())})
+    with pytest.raises(LogError, match="no column q1") as info:
+        read_log(path)
+    assert "action (? x 3)" in (info.value.available or ())

@@ -1,0 +1,241 @@
+"""Column mappings: what is written is what is read, whatever the columns are called."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from torchid.errors import LogError
+from torchid.log.columns import columns_of
+from torchid.log.mapping import KEYS, read_mapping
+from torchid.log.readers import read_log
+from torchid.log.units import UNITS, unit_factor
+
+from .examples import same, snapshot, uniform
+from .test_readers import save
+
+T = 0.1 * np.arange(5)
+DEG = math.pi / 180
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "factors"),
+    [
+        ("q=pos_{j}", ("pos_{j}",), (1.0,)),
+        ("q = pos_{j} deg", ("pos_{j}",), (DEG,)),
+        ("q=-pos_{j} deg", ("pos_{j}",), (-DEG,)),
+        ("q=pos_{j} rev /4096", ("pos_{j}",), (2 * math.pi / 4096,)),
+        ("q=pos_{j}*2e-3", ("pos_{j}",), (2e-3,)),
+        ("q=pos_{j} mrad *[1,-1]", ("pos_{j}",), (1e-3, -1e-3)),
+        ("q=state[:,0:7] deg", ("state[:,0:7]",), (DEG,)),
+        ("q=state[:,[2,0,1]]", ("state[:,[2,0,1]]",), (1.0,)),
+        ("q=[a, b.c, 'd e']", ("a", "b.c", "d e"), (1.0,)),
+        ("q='Joint {j} (deg), a' deg", ("Joint {j} (deg), a",), (DEG,)),
+        ("q=data/demo_*/q", ("data/demo_*/q",), (1.0,)),
+    ],
+)
+def test_what_a_source_may_be(text: str, columns: tuple, factors: tuple) -> None:
+    source = read_mapping(text).sources["q"]
+    assert source is not None
+    assert source.columns == columns
+    assert source.factors == pytest.approx(factors, rel=1e-15)
+
+
+def test_several_entries_aliases_and_none() -> None:
+    mapping = read_mapping("time=stamp ns, current=cur_{j} mA ,dq=none,t" + "raj=run")
+    assert set(mapping.sources) == {"t", "i", "dq", "traj"}
+    assert mapping.sources["dq"] is None
+    assert mapping.sources["t"].factors == (1e-9,)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("pos_{j}", "without `=`"),
+        ("", "without `=`"),
+        ("p=pos_{j}", "unknown column"),
+        ("q=a,q=b", "gives q twice"),
+        ("q=", "names no column"),
+        ("q=pos_{j} furlong", "cannot be in this unit"),
+        ("dq=pos_{j} deg", "cannot be in this unit"),
+        ("t=0 Hz", "not a positive number"),
+        ("q=pos_{j} *0", "not a number"),
+        ("q=pos_{j} *[1,x]", "not a number"),
+        ("nowhere.yaml", "cannot be read"),
+    ],
+)
+def test_what_cannot_be_understood(text: str, message: str) -> None:
+    with pytest.raises(LogError, match=message):
+        read_mapping(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "factor"),
+    [
+        ("tau", "N m", 1.0), ("tau", "mN.m", 1e-3), ("ddq", "rad/s2", 1.0), ("ddq", "deg/s²", DEG),
+        ("dq", "°/s", DEG), ("dq", "rpm", math.pi / 30), ("t", "µs", 1e-6), ("t", "sec", 1.0),
+        ("dq", "rad/sec", 1.0), ("q", "(deg)", DEG), ("q", "mm", 1e-3), ("i", "mA", 1e-3),
+        ("tau", "MNm", None), ("q", "s", None),
+    ],
+)  # fmt: skip
+def test_units_as_people_write_them(kind: str, unit: str, factor: float | None) -> None:
+    assert unit_factor(kind, unit) == pytest.approx(factor)
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_any_mapping_reads_back_the_same_log(tmp_path: Path, data: st.DataObject) -> None:
+    """Other names, in another order of columns, in other units, in any format."""
+    n = data.draw(st.integers(1, 12))
+    log = uniform(n, samples=data.draw(st.integers(2, 6)))
+    suffix = data.draw(st.sampled_from([".csv", ".parquet", ".npz"]))
+    table: dict[str, np.ndarray] = {"q_ref1": log.t.numpy(), "note": log.t.numpy()}
+    entries = []
+    own = columns_of(log)
+    for key in ("t", "q", "dq", "ddq", "tau", "i"):
+        unit = data.draw(st.sampled_from(["", *UNITS[key]]))
+        sign = data.draw(st.sampled_from([1.0, -1.0]))
+        pattern, start = data.draw(st.sampled_from([("{j}", 1), ("{j0}", 0)]))
+        name = data.draw(st.sampled_from(["{}_x{}", "A {} [y]{}", "1.{}-{}", "{}({}),z", "ü{}/{}"]))
+        factor = sign * (UNITS[key][unit] if unit else 1.0)
+        columns = [key] if key == "t" else [f"{key}{k + 1}" for k in range(n)]
+        for k, column in enumerate(columns):
+            label = name.format(key, "" if key == "t" else k + start)
+            table[label] = own[column] / factor
+        source = name.format(key, "" if key == "t" else pattern)
+        entries.append(f"{key}={'-' if sign < 0 else ''}'{source}' {unit}".rstrip())
+    names = data.draw(st.permutations(list(table)))
+    if suffix == ".csv":
+        path = tmp_path / "a.csv"
+        rows = np.stack([table[name] for name in names], 1)
+        lines = [";".join(names), *(";".join(repr(float(x)) for x in row) for row in rows)]
+        path.write_text("\n".join(lines) + "\n")
+    elif suffix == ".npz":
+        # A zip has no files of such names: numbers stand for them.
+        path = tmp_path / "a.npz"
+        short = {
+            name: "c" + "abcdefghij"[k // 10] + "abcdefghij"[k % 10] for k, name in enumerate(names)
+        }
+        np.savez(path, **{short[name]: table[name] for name in names})
+        entries = _listed(entries, short, own, n)
+    else:
+        path = save(tmp_path / "a.parquet", {name: table[name] for name in names})
+    read = read_log(path, columns=",".join(entries))
+    for name, signal in (log.signals | {"t": log.t}).items():
+        torch.testing.assert_close(getattr(read, name), signal, rtol=1e-14, atol=0.0)
+
+
+def _listed(entries: list[str], short: dict[str, str], own: dict, n: int) -> list[str]:
+    """The same mapping as lists of columns."""
+    out = []
+    for entry in entries:
+        key, _, value = entry.partition("=")
+        sign = "-" if value.startswith("-") else ""
+        _, pattern, unit = value.split("'")
+        numbers = [""] if key == "t" else range(1, n + 1) if "{j}" in pattern else range(n)
+        names = [short[pattern.replace("{j}", str(k)).replace("{j0}", str(k))] for k in numbers]
+        out.append(f"{key}={sign}[{', '.join(names)}]{unit}")
+    return out
+
+
+def test_yaml_says_the_same(tmp_path: Path) -> None:
+    save(tmp_path / "a.csv", {"ms": 1e3 * T, "p0": T, "p1": 2 * T, "left": T, "right": 3 * T})
+    (tmp_path / "map.yaml").write_text(
+        "t: ms ms\nq: {columns: 'p{j0}', unit: deg, factor: [2, -1]}\ntau: [right, left]\n"
+    )
+    for columns in (tmp_path / "map.yaml", str(tmp_path / "map.yaml")):
+        log = read_log(tmp_path / "a.csv", columns=columns)
+        assert torch.allclose(log.q, torch.tensor(DEG * np.stack([2 * T, -2 * T], 1)))
+        assert log.tau is not None
+        assert torch.equal(log.tau, torch.tensor(np.stack([3 * T, T], 1)))
+    text = read_log(tmp_path / "a.csv", columns="t=ms ms,q=p{j0} deg *[2,-1],tau=[right,left]")
+    assert same(text, snapshot(log))
+    given_ = {"t": "ms ms", "q": {"columns": "p{j0}", "unit": "deg", "factor": [2, -1]},
+              "tau": ["right", "left"]}  # fmt: skip
+    assert same(read_log(tmp_path / "a.csv", columns=given_), snapshot(log))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("- q", "is not a mapping"), ("q: {from: a}", "cannot be understood"), ("q: [", "cannot be")],
+)
+def test_yaml_that_is_no_mapping(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "map.yaml").write_text(content)
+    with pytest.raises(LogError, match=message):
+        read_mapping(tmp_path / "map.yaml")
+
+
+def test_our_names_need_no_mapping_and_give_way_to_it(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T, "q1": T, "dq1": T, "tau1": T, "better": 2 * T})
+    log = read_log(path, columns="tau=better,dq=none")
+    assert list(log.signals) == ["q", "tau"]
+    assert log.tau is not None
+    assert torch.equal(log.tau[:, 0], torch.tensor(2 * T))
+
+
+def test_numbering(tmp_path: Path) -> None:
+    columns = {"t": T} | {f"p{k:02d}": k * T for k in (3, 1, 2, 10, 11, 12)}
+    path = save(tmp_path / "a.csv", columns)
+    log = read_log(path, columns="q=p{1..3}")
+    assert log.q[1].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    log = read_log(path, columns="q=p{10..12}")
+    assert log.q[1].tolist() == pytest.approx([1.0, 1.1, 1.2])
+    with pytest.raises(LogError, match=r"no columns p\{j\} in order") as info:
+        read_log(path, columns="q=p{j}")
+    assert "p01, p02, p03, p10" in str(info.value)
+    save(path, {"t": T, "p0": T, "p1": T})
+    with pytest.raises(LogError, match=r"\{j0\} counts from 0: q=p\{j0\}"):
+        read_log(path, columns="q=p{j}")
+
+
+def test_absent_columns_are_told_with_the_nearest(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T, "position_1": T, "effort_1": T})
+    with pytest.raises(LogError, match="no column 'position1'") as info:
+        read_log(path, columns="q=[position1]")
+    assert info.value.available == ["t", "position_1", "effort_1"]
+    assert "nearest: position_1" in str(info.value)
+
+
+def test_factors_must_be_as_many_as_joints(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T, "p1": T, "p2": T})
+    with pytest.raises(LogError, match="another number of factors"):
+        read_log(path, columns="q=p{j} *[1,2,3]")
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        np.array([f"2024-05-01T12:00:0{k}.250" for k in range(5)], dtype=object),
+        np.datetime64("2024-05-01T12:00:00.25", "ns") + np.arange(5) * np.timedelta64(1, "s"),
+        1_700_000_000_250_000_001 + np.arange(5) * 10**9,
+    ],
+    ids=["text", "timestamps", "nanoseconds"],
+)
+def test_stamps_since_1970_lose_nothing(tmp_path: Path, stamps: np.ndarray) -> None:
+    path = save(tmp_path / "a.parquet", {"when": stamps, "q1": T})
+    log = read_log(path, columns=f"t=when{' ns' if stamps.dtype.kind == 'i' else ''}")
+    assert log.t.tolist() == pytest.approx([0, 1, 2, 3, 4], abs=1e-12)
+
+
+def test_time_that_was_not_recorded(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"q1": T, "q2": T})
+    assert read_log(path, columns="t=250 Hz").t.tolist() == pytest.approx(
+        [0, 4e-3, 8e-3, 12e-3, 16e-3]
+    )
+
+
+def test_labels_of_trajectories(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.parquet", {"t": T, "q1": T, "run": ["b", "b", "a", "a", "a"]})
+    log = read_log(path, columns="traj=run")
+    assert log.trajectory.tolist() == [0, 0, 1, 1, 1]
+
+
+def test_every_key_has_units_and_its_own_unit_is_one() -> None:
+    for key in KEYS:
+        assert next(iter(UNITS[key].values()), 1.0) == 1.0

@@ -1,0 +1,180 @@
+"""A Log from a table: columns that have our names, and those that a mapping gives other sources."""
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from torchid.errors import LogError
+from torchid.log.columns import PREFIXES, is_wanted, log_from_columns
+from torchid.log.guess import proposal
+from torchid.log.mapping import ColumnMapping, Source
+from torchid.log.model import Log
+from torchid.log.sources import Piece, labels_of, oriented, resolve, signal_of, time_of
+from torchid.log.table import Table, natural
+
+_ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
+
+
+def log_from_table(table: Table, mapping: ColumnMapping | None = None) -> Log:
+    """The Log of a table.
+
+    Args:
+        table: of any format.
+        mapping: for columns that do not have our names; it goes before those that do.
+
+    Raises:
+        LogError: a column is missing (the message proposes a mapping where it can guess one),
+            or is not what `log_from_columns` expects.
+    """
+    mapping = mapping or ColumnMapping({})
+    try:
+        values = _wildcards(table, mapping)
+        if values is None:
+            log = _read(table, mapping)
+        else:
+            log = Log.concatenate([_read_part(table, mapping, value) for value in values])
+    except LogError as error:
+        raise _with_help(error, table) if error.available is not None else error from None
+    return log.replace(
+        source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *table.warnings)))
+    )
+
+
+def _read(table: Table, mapping: ColumnMapping) -> Log:
+    sources, pieces, own = _plan(table, mapping)
+    needed = _needed(pieces, own)
+    twice = [name for name in needed if name in table.repeated]
+    if twice:
+        raise LogError(f"'{table.path}' has two columns {twice[0]}.", got=", ".join(twice))
+    arrays = table.read(needed)
+    columns: dict[str, np.ndarray] = {}
+    if "t" in sources and sources["t"].rate is None:
+        columns["t"] = time_of(sources["t"], pieces["t"], arrays, table)
+    elif "t" in own:
+        columns |= _own_columns(table, {"t": arrays["t"]}, -1)
+    samples = len(columns["t"]) if "t" in columns else _longest(arrays)
+    if "t" in sources and sources["t"].rate is not None:
+        columns["t"] = np.arange(samples) / sources["t"].rate
+    if "traj" in sources:
+        columns["traj"] = labels_of(pieces["traj"], arrays, table)
+    rest = {name: arrays[name] for name in own if name != "t"}
+    columns |= _own_columns(table, rest, samples)
+    for key in [key for key in sources if key not in ("t", "traj")]:
+        values = signal_of(key, sources[key], pieces[key], arrays, samples, table)
+        columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
+    return log_from_columns(columns, table.path)
+
+
+def unused_columns(table: Table, mapping: ColumnMapping | None = None) -> list[str]:
+    """The columns that `log_from_table` leaves where they are."""
+    mapping = mapping or ColumnMapping({})
+    values = _wildcards(table, mapping)
+    parts = [mapping] if values is None else [mapping.at(value) for value in values]
+    taken = {name for part in parts for name in _needed(*_plan(table, part)[1:])}
+    return [name for name in table.columns if name not in taken]
+
+
+def _plan(
+    table: Table, mapping: ColumnMapping
+) -> tuple[dict[str, Source], dict[str, tuple[Piece, ...]], list[str]]:
+    """The sources of a mapping, what they name, and the columns that have our names."""
+    sources = {key: source for key, source in mapping.sources.items() if source is not None}
+    pieces = {key: resolve(key, source, table) for key, source in sources.items()}
+    return sources, pieces, _own_names(table, mapping)
+
+
+def _needed(pieces: Mapping[str, tuple[Piece, ...]], own: list[str]) -> list[str]:
+    named = [piece.name for group in pieces.values() for piece in group]
+    return list(dict.fromkeys([*own, *named]))
+
+
+def _own_names(table: Table, mapping: ColumnMapping) -> list[str]:
+    """The columns that have our names and that the mapping does not replace."""
+    arrays = _ARRAYS if table.arrays else {}
+    return [
+        name
+        for name in table.columns
+        if (is_wanted(name) or name in arrays) and _key(name) not in mapping.sources
+    ]
+
+
+def _key(name: str) -> str:
+    return _ARRAYS.get(name, re.sub(r"\d+$", "", name))
+
+
+def _own_columns(
+    table: Table, arrays: Mapping[str, np.ndarray], samples: int
+) -> dict[str, np.ndarray]:
+    """Columns t, q1, q2, ... of arrays that have our names: (T,) is one, (T, n) are n."""
+    columns: dict[str, np.ndarray] = {}
+    for name, array in arrays.items():
+        signal, label = _ARRAYS.get(name), f"'{table.path}': array {name}"
+        column = array.ndim == 1 or (array.ndim == 2 and 1 in array.shape)
+        if signal is None and not column:
+            raise LogError(
+                f"{label} has the wrong number of dimensions.",
+                got=f"shape {array.shape}",
+                expected="(samples,)",
+            )
+        whole = oriented(array if signal else array.ravel(), samples, label)
+        for k in range(whole.shape[1]):
+            own = name if signal is None else f"{signal}{k + 1}"
+            if own in columns:
+                raise LogError(f"'{table.path}' gives {own} twice, as an array and alone.")
+            columns[own] = whole[:, k]
+    return columns
+
+
+def _longest(arrays: Mapping[str, np.ndarray]) -> int:
+    """The number of samples where no column tells the time."""
+    return max((max(array.shape) for array in arrays.values() if array.ndim), default=0)
+
+
+def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
+    """What `*` in the mapping may stand for, in order; None where there is no `*`."""
+    texts = [
+        re.sub(r"\[[^\]]*,.*\]$", "", column)
+        for source in mapping.sources.values()
+        if source is not None
+        for column in source.columns
+        if "*" in column and column not in table.columns
+    ]
+    if not texts:
+        return None
+    found: list[set[str]] = []
+    for text in texts:
+        start, *ends = re.split(r"\*", re.sub(r"\{[^}]*\}", "\0", text))
+        pattern = "(.+?)".join(
+            re.escape(part).replace("\0", r"\d+") for part in (start, ends[0])
+        ) + "".join(r"\1" + re.escape(part).replace("\0", r"\d+") for part in ends[1:])
+        found.append({m[1] for name in table.columns if (m := re.fullmatch(pattern, name))})
+    values = set.intersection(*found)
+    if not values:
+        absent = next((t for t, f in zip(texts, found, strict=True) if not f), " and ".join(texts))
+        raise LogError(
+            f"'{table.path}' has no columns {absent}, which the mapping names.",
+            available=table.described,
+        )
+    return sorted(values, key=natural)
+
+
+def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
+    log = _read(table, mapping.at(value))
+    names = [name.replace(table.path.stem, f"{table.path.stem}[{value}]", 1) for name in log.names]
+    return log.replace(names=tuple(names))
+
+
+def _with_help(error: LogError, table: Table) -> LogError:
+    """The same error with all columns, and a mapping that would do where one can be guessed."""
+    guessed = proposal(table)
+    hints = [error.hint, None if guessed is None else f'perhaps --columns "{guessed}"']
+    available = table.described
+    more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
+    return LogError(
+        error.problem,
+        got=error.got,
+        expected=error.expected,
+        available=[*available[:60], *more],
+        hint="; ".join(h for h in hints if h) or None,
+    )

@@ -1,0 +1,212 @@
+"""LeRobot datasets, v2.1 and v3: a folder with meta/info.json and parquet files in data/.
+
+Episodes are trajectories. Time is frame_index / fps, because the recorded float32 stamps jitter.
+"""
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchid.errors import LogError
+from torchid.log.formats import read_parquet_columns
+from torchid.log.joint_names import in_robot_order
+from torchid.log.table import Request, Shape, Table
+
+_COUNTED = ("episode_index", "frame_index")
+# Which features, and which of their elements, are what.
+_FEATURES = {
+    "q": ("observation.state", "observation.position", "observation.joint_position"),
+    "dq": ("observation.velocity", "observation.joint_velocity", "observation.state"),
+    "tau": ("observation.effort", "observation.torque", "observation.state"),
+    "i": ("observation.current", "observation.state"),
+}
+_ENDINGS = {
+    "q": r"pos|position|qpos|q",
+    "dq": r"vel|velocity|speed|qvel|dq",
+    "tau": r"eff|effort|torque|tau",
+    "i": r"cur|current",
+}
+
+
+def is_lerobot(path: Path) -> bool:
+    """Whether a folder is a LeRobot dataset."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def lerobot_table(path: Path, request: Request) -> Table:
+    """The table of a dataset: features as arrays, their elements as columns `feature.name`.
+
+    q is the elements of observation.state whose names end in `.pos`, or all of it if no name says
+    what it is; torque is observation.effort, or elements that end in `.effort` or `.torque`.
+
+    Raises:
+        LogError: no data, or the robot's joints cannot be found in the state.
+    """
+    info = _info(path)
+    features = {n: f for n, f in info["features"].items() if _is_numeric(f)}
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise LogError(f"'{path}' has no parquet files in its folder data.")
+    elements = {name: _names(feature) for name, feature in features.items()}
+    columns: dict[str, Shape | None] = {"t": (-1,), "traj": (-1,)}
+    places: dict[str, tuple[str, list[int] | None]] = {}
+    for name, names in elements.items():
+        columns[name] = (-1, len(names)) if len(names) > 1 else (-1,)
+        places[name] = (name, None)
+        if features[name].get("names") and len(names) > 1:
+            columns |= {f"{name}.{element}": (-1,) for element in names}
+            places |= {f"{name}.{e}": (name, [k]) for k, e in enumerate(names)}
+    chosen, joints, warnings = _joint_signals(path, elements, request)
+    columns |= {key: (-1, len(index)) for key, (_, index) in chosen.items()}
+    places.update(chosen)
+
+    def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
+        needed = [places[name][0] for name in wanted if name in places]
+        table = _sorted(path, files, dict.fromkeys(needed), float(info["fps"]))
+        return {
+            name: table[name] if name not in places else _part(table, *places[name])
+            for name in wanted
+        }
+
+    kind = f"LeRobot {info.get('codebase_version', 'dataset')}"
+    return Table(
+        path,
+        kind,
+        columns,
+        read,
+        arrays=True,
+        joints=joints,
+        origins={"t": "frame_index / fps", **{key: chosen[key][0] for key in chosen}},
+        warnings=warnings,
+    )
+
+
+def _info(path: Path) -> dict[str, Any]:
+    try:
+        info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+        if not float(info["fps"]) > 0 or not isinstance(info["features"], dict):
+            raise ValueError("fps or features are not what they should be")
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(
+            f"'{path}' has a meta/info.json that cannot be used.", got=repr(error)[:200],
+            expected="fps and features",
+        ) from error  # fmt: skip
+    return dict(info)
+
+
+def _is_numeric(feature: Any) -> bool:
+    return (
+        isinstance(feature, dict)
+        and re.fullmatch(r"u?int\d+|float\d+|bool", str(feature.get("dtype"))) is not None
+        and len(feature.get("shape") or [1]) == 1
+    )
+
+
+def _names(feature: dict[str, Any]) -> list[str]:
+    """Names of a feature's elements: a list, or {"motors": list}; numbers where there are none."""
+    names = feature.get("names")
+    while isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    size = int((feature.get("shape") or [1])[0])
+    if isinstance(names, list) and len(names) == size:
+        return [str(name) for name in names]
+    return [str(k) for k in range(size)]
+
+
+def _joint_signals(
+    path: Path, elements: dict[str, list[str]], request: Request
+) -> tuple[dict[str, tuple[str, list[int]]], tuple[str, ...], tuple[str, ...]]:
+    """Feature and elements of q, dq, tau and i, the joints' names, and warnings."""
+    if request.maps("q"):
+        return {}, (), ()
+    found: dict[str, tuple[str, list[int]]] = {}
+    joints: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    for key, features in _FEATURES.items():
+        for feature in features:
+            named = _elements_of(key, elements.get(feature, []), feature == "observation.state")
+            if not named or (key != "q" and not found):
+                continue
+            if key == "q":
+                chosen, warnings = _in_order(path, feature, list(named), request.joints)
+                joints = tuple(chosen)
+            if all(joint in named for joint in joints):
+                found[key] = (feature, [named[joint] for joint in joints])
+                break
+    if found:
+        what = f"'{path}': q is {found['q'][0]}, and is taken for radians; LeRobot drivers record "
+        warnings = (
+            *warnings,
+            f'{what}degrees or percent too: --columns "q={found["q"][0]}[:,0:{len(joints)}] deg"',
+        )
+    return found, joints, warnings
+
+
+def _elements_of(key: str, names: Sequence[str], mixed: bool) -> dict[str, int]:
+    """Joint -> position in a feature, of the elements that are positions (or velocities, ..)."""
+    ending = re.compile(rf"(.+)[._/]({_ENDINGS[key]})", re.IGNORECASE)
+    of_kind = {m[1]: k for k, name in enumerate(names) if (m := ending.fullmatch(name))}
+    other = re.compile(rf".+[._/]({'|'.join(_ENDINGS.values())})", re.IGNORECASE)
+    if of_kind or any(other.fullmatch(name) for name in names):
+        return of_kind
+    # Names that say nothing: the whole of the feature, unless it is the state, which is positions.
+    return {} if mixed and key != "q" else {name: k for k, name in enumerate(names)}
+
+
+def _in_order(
+    path: Path, feature: str, names: list[str], joints: Sequence[str]
+) -> tuple[list[str], tuple[str, ...]]:
+    """The robot's joints among the names of a feature; a dataset's own order is base to tip."""
+    if not joints:
+        return names, ()
+    try:
+        return in_robot_order(names, joints, f"'{path}', {feature}")
+    except LogError:
+        arm = [name for name in names if "gripper" not in name.lower()]
+        if len(arm) != len(joints):
+            raise LogError(
+                f"'{path}': which elements of {feature} are the robot's joints cannot be told.",
+                got=", ".join(names[:30]),
+                expected=", ".join(joints),
+                hint=f'say it: --columns "q={feature}[:,0:{len(joints)}]", counted from 0',
+            ) from None
+    return arm, (
+        f"'{path}': the elements of {feature} do not have the robot's names; taken in the order of "
+        f"the dataset: {', '.join(arm)}",
+    )
+
+
+def _sorted(
+    path: Path, files: Sequence[Path], names: Sequence[str] | dict[str, None], fps: float
+) -> dict[str, np.ndarray]:
+    """Features of all files in the order of episodes and frames, with t and traj."""
+    parts = []
+    for file in files:
+        try:
+            parts.append(read_parquet_columns(file, [*dict.fromkeys([*_COUNTED, *names])]))
+        except LogError:
+            raise
+        except OSError as error:
+            raise LogError(f"'{file}' cannot be read: {error.strerror or error}") from error
+        missing = [name for name in (*_COUNTED, *names) if name not in parts[-1]]
+        if missing:
+            raise LogError(f"'{file}' has no column {missing[0]}.", available=list(parts[-1]))
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((table["frame_index"].ravel(), table["episode_index"].ravel()))
+    table = {name: values[order] for name, values in table.items()}
+    table["t"] = table["frame_index"].ravel() / fps
+    table["traj"] = table["episode_index"].ravel()
+    return table
+
+
+def _part(table: dict[str, np.ndarray], feature: str, index: list[int] | None) -> np.ndarray:
+    array = table[feature]
+    if index is None:
+        return array
+    if array.ndim == 1:
+        return array[:, None][:, index]
+    return array[:, index[0]] if len(index) == 1 else array[:, index]

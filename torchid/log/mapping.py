@@ -1,0 +1,239 @@
+"""Which columns of somebody else's table are t, q, dq, ddq, tau, i and traj, and in which units.
+
+As text, entries are separated by commas:
+
+    q=pos_{j} deg, dq=vel_{j} deg/s, tau=-eff_{j} mNm, t=stamp ns
+
+An entry is KEY=SOURCE, with a minus before the source for the other sign, a unit after it, and a
+factor `*0.001` (or ` /1000`) at the end; `*[1,-1,1]` is one factor a joint. A source is
+
+    pos_{j}                one column a joint, counted from 1; {j0} from 0, {2..7} these numbers
+    joint_pos              an array (samples, joints), or a column
+    state[:,0:7]           some columns of an array, counted from 0 as in Python
+    [shoulder, elbow]      named columns, in the robot's order
+    'Joint {j} (deg)'      a name with spaces, commas or brackets
+
+`*` in a source stands for anything, and every value of it is a trajectory (`demo_*/q`); `t=500 Hz`
+makes up the time where none is recorded; `none` leaves out what would be taken by its name.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchid.errors import LogError
+from torchid.log.units import UNITS, unit_factor
+
+KEYS = tuple(UNITS)
+_ALIASES = {"current": "i", "time": "t"}
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_FACTOR = re.compile(rf"(?:\s*\*|\s+/)\s*({_NUMBER}|\[[^\]]*\])\s*$")
+_EXAMPLE = "q=pos_{j} deg,tau=eff_{j},t=time ms"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one signal comes from.
+
+    Attributes:
+        columns: a column, an array, or a pattern; several: one a joint.
+        factors: to our units and sign: one, or one a joint.
+        unit: as it was written; empty if it was not.
+        rate: of samples without time stamps [Hz]; t only.
+    """
+
+    columns: tuple[str, ...]
+    factors: tuple[float, ...] = (1.0,)
+    unit: str = ""
+    rate: float | None = None
+
+    def at(self, value: str) -> "Source":
+        """The source with `*` replaced."""
+        columns = tuple(column.replace("*", value) for column in self.columns)
+        return Source(columns, self.factors, self.unit, self.rate)
+
+
+@dataclass(frozen=True)
+class ColumnMapping:
+    """Sources by key (`KEYS`); None for what is to be left out.
+
+    Attributes:
+        sources: by key.
+        text: as it was given.
+    """
+
+    sources: Mapping[str, Source | None]
+    text: str = ""
+
+    def at(self, value: str) -> "ColumnMapping":
+        """The mapping with `*` replaced."""
+        changed = {k: None if s is None else s.at(value) for k, s in self.sources.items()}
+        return ColumnMapping(changed, self.text)
+
+
+def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> ColumnMapping:
+    """A mapping from text, a yaml file, or a dict like its content.
+
+    In yaml a value is the text of an entry, a list of columns, or
+    {columns: .., unit: .., factor: ..}.
+
+    Raises:
+        LogError: an unknown key or unit, or something that cannot be read.
+    """
+    if isinstance(given, ColumnMapping):
+        return given
+    if isinstance(given, Mapping):
+        return _from_dict(given, "columns")
+    if isinstance(given, Path) or ("=" not in given and given.lower().endswith((".yaml", ".yml"))):
+        return _from_dict(_load(Path(given)), f"'{given}'")
+    sources = {}
+    for entry in _split(given, ","):
+        key, equals, value = entry.partition("=")
+        if not equals:
+            raise LogError(
+                "--columns has an entry without `=`.",
+                got=entry.strip() or given,
+                expected=f"KEY=SOURCE, such as {_EXAMPLE}, or a yaml file",
+            )
+        key = _key(key, "--columns")
+        if key in sources:
+            raise LogError(f"--columns gives {key} twice.", got=given)
+        sources[key] = _source(key, value)
+    return ColumnMapping(sources, given)
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise LogError(
+            f"the column mapping '{path}' cannot be read.", got=str(error).splitlines()[0]
+        ) from error
+    if not isinstance(content, Mapping):
+        raise LogError(
+            f"the column mapping '{path}' is not a mapping.",
+            got=type(content).__name__,
+            expected="lines such as `q: pos_{j} deg`",
+        )
+    return content
+
+
+def _from_dict(content: Mapping[str, Any], name: str) -> ColumnMapping:
+    sources: dict[str, Source | None] = {}
+    for given, value in content.items():
+        key = _key(str(given), name)
+        if value is None:
+            sources[key] = None
+        elif isinstance(value, str | int | float):
+            sources[key] = _source(key, str(value))
+        elif isinstance(value, list):
+            sources[key] = _built(key, tuple(str(c) for c in value), "", (1.0,))
+        elif isinstance(value, Mapping) and value.keys() <= {"columns", "unit", "factor"}:
+            columns, factor = value.get("columns", ""), value.get("factor", 1.0)
+            names = columns if isinstance(columns, list) else [columns]
+            factors = factor if isinstance(factor, list) else [factor]
+            numbers = tuple(_number(f, key) for f in factors)
+            unit = str(value.get("unit") or "")
+            sources[key] = _built(key, tuple(str(c) for c in names), unit, numbers)
+        else:
+            raise LogError(
+                f"{name}: {key} cannot be understood.",
+                got=value,
+                expected="`pos_{j} deg`, a list of columns, or {columns: .., unit: .., factor: ..}",
+            )
+    return ColumnMapping(sources, str(dict(content)))
+
+
+def _key(text: str, name: str) -> str:
+    key = _ALIASES.get(text.strip(), text.strip())
+    if key not in KEYS:
+        raise LogError(f"{name} maps an unknown column.", got=text.strip(), available=KEYS)
+    return key
+
+
+def _source(key: str, text: str) -> Source | None:
+    """One entry's value (see the module)."""
+    rest = text.strip()
+    if rest == "none":
+        return None
+    factors: tuple[float, ...] = (1.0,)
+    found = _FACTOR.search(rest)
+    if found:
+        factors = _numbers(found[1], key)
+        if found[0].lstrip().startswith("/"):
+            factors = tuple(1 / f for f in factors)
+        rest = rest[: found.start()]
+    if rest.startswith("-"):
+        factors, rest = tuple(-f for f in factors), rest[1:].lstrip()
+    name, unit = _name_and_unit(rest)
+    if name.startswith("[") and name.endswith("]"):
+        columns = tuple(_unquoted(c.strip()) for c in _split(name[1:-1], ","))
+    else:
+        columns = (_unquoted(name),)
+    return _built(key, columns, unit, factors)
+
+
+def _built(key: str, columns: tuple[str, ...], unit: str, factors: tuple[float, ...]) -> Source:
+    if not columns or not all(columns):
+        raise LogError(f"the column mapping of {key} names no column.", expected=_EXAMPLE)
+    if key == "t" and unit == "Hz":
+        rate = float(columns[0]) if re.fullmatch(_NUMBER, columns[0]) else 0.0
+        if not 0.0 < rate < float("inf"):
+            raise LogError("the sampling rate is not a positive number.", got=columns[0])
+        return Source(columns, factors, unit, rate)
+    scale = unit_factor(key, unit) if unit else 1.0
+    if scale is None:
+        raise LogError(
+            f"{key} cannot be in this unit.",
+            got=unit,
+            available=[*UNITS[key], "Hz (t=500 Hz)"] if key == "t" else list(UNITS[key]),
+            hint="quote names that have spaces: q='Joint {j} pos' deg; a factor: *0.001",
+        )
+    return Source(columns, tuple(scale * f for f in factors), unit)
+
+
+def _name_and_unit(text: str) -> tuple[str, str]:
+    """Split at the first space outside quotes and brackets."""
+    name, *unit = _split(text, " ", most=1)
+    return name, unit[0].strip() if unit else ""
+
+
+def _unquoted(text: str) -> str:
+    return text[1:-1] if len(text) > 1 and text[0] in "'\"`" and text[-1] == text[0] else text
+
+
+def _split(text: str, separator: str, most: int | None = None) -> list[str]:
+    """Split outside quotes and brackets."""
+    parts, depth, quote = [""], 0, ""
+    for c in text:
+        if quote:
+            quote = "" if c == quote else quote
+        elif c in "'\"`":
+            quote = c
+        elif c in "[{(":
+            depth += 1
+        elif c in "]})":
+            depth -= 1
+        elif c == separator and depth == 0 and (most is None or len(parts) <= most):
+            parts.append("")
+            continue
+        parts[-1] += c
+    return parts
+
+
+def _numbers(text: str, key: str) -> tuple[float, ...]:
+    return tuple(_number(part, key) for part in text.strip("[] ").split(","))
+
+
+def _number(text: object, key: str) -> float:
+    try:
+        value = float(str(text))
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf") or value == 0.0:
+        raise LogError(f"the factor of {key} is not a number.", got=text, expected="such as *0.001")
+    return value

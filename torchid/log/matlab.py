@@ -1,0 +1,72 @@
+"""Tables in MATLAB's .mat files: arrays, and the fields of structs, `struct.field`."""
+
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchid.errors import LogError
+from torchid.log.formats import damaged
+from torchid.log.hdf5 import open_hdf5
+from torchid.log.table import Request, Table
+
+_PROBLEMS = (
+    ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError,
+    NotImplementedError, UnicodeDecodeError, OSError, struct.error, zlib.error,
+)  # fmt: skip
+
+
+def matlab_table(path: Path, request: Request) -> Table:
+    """The table of a .mat file, up to v7.2 by scipy, v7.3 by h5py.
+
+    Raises:
+        MissingExtraError: v7.3, and h5py is not installed.
+        LogError: no .mat file, or there is no array of numbers in it.
+    """
+    with open(path, "rb") as file:
+        start = file.read(19)
+    if start.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        return _v73(path)
+    # Here, because it takes a moment to load and most logs are no .mat files.
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    # What scipy raises where a file is damaged depends on where it is.
+    with damaged(path, "mat", MatReadError, *_PROBLEMS):
+        content = loadmat(path, simplify_cells=True)
+    arrays = dict(_arrays("", {k: v for k, v in content.items() if not k.startswith("__")}))
+    if not arrays:
+        raise LogError(
+            f"'{path}' has no array of numbers.",
+            got=", ".join(k for k in content if not k.startswith("__")) or "nothing",
+            expected="arrays, or structs of arrays; save timeseries and tables as arrays",
+        )
+    shapes = {name: array.shape for name, array in arrays.items()}
+    return Table(
+        path, "MATLAB", shapes, lambda names: {name: arrays[name] for name in names}, arrays=True
+    )
+
+
+def _v73(path: Path) -> Table:
+    purpose = f"reading '{path}' (MATLAB v7.3; `save -v7` writes a file that needs nothing more)"
+    table = open_hdf5(path, "MATLAB v7.3", purpose, matlab=True)
+    dotted = {name.replace("/", "."): name for name in table.columns if name[0] != "#"}
+
+    def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
+        arrays = table.read([dotted[name] for name in wanted])
+        return {name: arrays[dotted[name]] for name in wanted}
+
+    return replace(table, columns={n: table.columns[k] for n, k in dotted.items()}, read=read)
+
+
+def _arrays(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays of numbers by name; structs within structs have dots."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _arrays(f"{prefix}{name}.", value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and 1 <= value.ndim <= 2:
+            yield f"{prefix}{name}", value

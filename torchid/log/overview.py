@@ -1,0 +1,248 @@
+"""What a log is seen as: sampling, signals, ranges, units, and what is odd about it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.errors import LogError
+from torchid.log.assemble import unused_columns
+from torchid.log.checks import check_log
+from torchid.log.columns import PREFIXES
+from torchid.log.mapping import Source
+from torchid.log.model import JOINT_SIGNALS, Log
+from torchid.log.readers import open_log
+from torchid.log.sampling import SMALL_GAP
+from torchid.log.table import Request, Table
+from torchid.log.units import unit_factor
+from torchid.typing import Float, Tensor
+
+_UNITS = {
+    "t": "s",
+    "q": "rad or m",
+    "dq": "rad/s or m/s",
+    "ddq": "rad/s² or m/s²",
+    "tau": "N m or N",
+    "current": "A",
+}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The time stamps of one trajectory.
+
+    Attributes:
+        name: of the trajectory.
+        samples: number of them.
+        start: first time stamp [s].
+        duration: from first to last [s].
+        rate: of the mean step other than gaps [Hz]; None where that is not positive.
+        jitter: standard deviation of the steps other than gaps [s].
+        gaps: number of steps longer than three median steps.
+        longest: step [s].
+        backwards: number of steps that are zero or negative.
+    """
+
+    name: str
+    samples: int
+    start: float
+    duration: float
+    rate: float | None
+    jitter: float
+    gaps: int
+    longest: float
+    backwards: int
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What files were read as.
+
+    Attributes:
+        log: as read, nothing changed.
+        tables: one a file; None from a registered reader.
+        joints: their names, "" where no file and no robot tells.
+        sources: where each signal is from, in the file's words.
+        timing: one a trajectory.
+        units: that each signal is taken to be in.
+        ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
+        unused: columns of the first file that were not taken.
+        problem: why the identification would refuse the log, or None.
+        warnings: of reading, and of `check_log`.
+    """
+
+    log: Log
+    tables: tuple[Table | None, ...]
+    joints: tuple[str, ...]
+    sources: dict[str, str]
+    timing: tuple[Timing, ...]
+    units: dict[str, str]
+    ranges: dict[str, Float[Tensor, "n 2"]]
+    unused: tuple[str, ...]
+    problem: str | None
+    warnings: tuple[str, ...]
+
+
+def look_at(
+    paths: Sequence[Path],
+    request: Request,
+    *,
+    robot_name: str | None = None,
+    position_limits: Float[Tensor, "n 2"] | None = None,
+    prismatic: Sequence[bool] = (),
+) -> Overview:
+    """Read logs and say what is in them.
+
+    Args:
+        paths: as for `read_log`.
+        request: mapping, topic, names of the robot's joints.
+        robot_name: of the robot they are checked for; without it they are checked as far as that
+            goes.
+        position_limits, prismatic: as for `check_log`.
+
+    Raises:
+        LogError: the files cannot be read.
+    """
+    opened = [open_log(path, request) for path in paths]
+    log = Log.concatenate([one for _, one in opened])
+    tables = tuple(table for table, _ in opened)
+    n = len(request.joints) or log.n
+    problem: str | None = None
+    found: tuple[str, ...] = ()
+    try:
+        found = check_log(
+            log,
+            n=n,
+            robot_name=robot_name or "of this log",
+            position_limits=position_limits,
+            prismatic=prismatic,
+        )
+    except LogError as error:
+        problem = str(error)
+    joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())
+    return Overview(
+        log=log,
+        tables=tables,
+        joints=joints if len(joints) == log.n else (),
+        sources=_sources(log, tables[0], request),
+        timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
+        units=_units(None if robot_name is None else prismatic),
+        ranges={name: _range(signal) for name, signal in log.signals.items()},
+        unused=_unused(tables[0], request),
+        problem=problem,
+        warnings=tuple(dict.fromkeys((*log.warnings, *found))),
+    )
+
+
+def overview_record(seen: Overview) -> dict[str, Any]:
+    """The schema torchid.log/1."""
+    log = seen.log
+    return {
+        "schema": "torchid.log/1",
+        "files": [
+            {"path": str(t.path), "format": t.kind, "topic": t.topic, "columns": t.described}
+            for t in seen.tables
+            if t is not None
+        ],
+        "joints": log.n,
+        "joint_names": list(seen.joints) or None,
+        "samples": log.samples,
+        "trajectories": [
+            {name: _finite(value) for name, value in vars(timing).items()} for timing in seen.timing
+        ],
+        "signals": [
+            {
+                "signal": name,
+                "source": seen.sources[name],
+                "unit": seen.units[name],
+                "range": [[_finite(v) for v in row] for row in values.tolist()],
+            }
+            for name, values in seen.ranges.items()
+        ],
+        "absent": [name for name in JOINT_SIGNALS if name not in log.signals],
+        "unused": list(seen.unused),
+        "problem": seen.problem,
+        "warnings": list(seen.warnings),
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:
+    """Of revolute joints or prismatic ones; both where the robot has both or is not known."""
+    if prismatic is None or len(set(prismatic)) > 1:
+        return _UNITS
+    which = -1 if any(prismatic) else 0
+    return {name: unit.split(" or ")[which] for name, unit in _UNITS.items()}
+
+
+def _unused(table: Table | None, request: Request) -> tuple[str, ...]:
+    # A bag and a dataset list every joint on its own again.
+    if table is None or table.origins:
+        return ()
+    return tuple(unused_columns(table, request.columns))
+
+
+def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
+    """By signal: the columns of the file, with the unit and factor they were given."""
+    mapped = request.columns.sources if request.columns else {}
+    found: dict[str, str] = {}
+    for name in ("t", *log.signals):
+        key = PREFIXES.get(name, name)
+        source = mapped.get(key)
+        if source is not None:
+            found[name] = _written(key, source)
+        elif table is not None and table.origins.get(key):
+            found[name] = table.origins[key]
+        elif table is not None and key in table.columns:
+            found[name] = key
+        else:
+            found[name] = f"{key}1" if log.n == 1 else f"{key}1..{key}{log.n}"
+    return found
+
+
+def _written(key: str, source: Source) -> str:
+    if source.rate is not None:
+        return f"{source.rate:g} Hz"
+    scale = unit_factor(key, source.unit) or 1.0
+    factors = [f"{factor / scale:.6g}" for factor in source.factors]
+    unit = f", in {source.unit}" if source.unit else ""
+    return (
+        ", ".join(source.columns)
+        + unit
+        + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
+    )
+
+
+def _timing(log: Log, k: int) -> Timing:
+    t = log.t[log.slices()[k]]
+    steps = t.diff()
+    if len(steps) == 0:
+        return Timing(log.names[k], len(t), float(t[0]), 0.0, None, 0.0, 0, 0.0, 0)
+    median = float(steps.median())
+    gap = steps > SMALL_GAP * median
+    usual = steps[~gap]
+    return Timing(
+        name=log.names[k],
+        samples=len(t),
+        start=float(t[0]),
+        duration=float(t[-1] - t[0]),
+        rate=1.0 / float(usual.mean()) if median > 0 else None,
+        jitter=float(usual.std(correction=0)) if len(usual) else 0.0,
+        gaps=int(gap.sum()) if median > 0 else 0,
+        longest=float(steps.max()),
+        backwards=int((steps <= 0).sum()),
+    )
+
+
+def _range(signal: Float[Tensor, "T n"]) -> Float[Tensor, "n 2"]:
+    finite = torch.isfinite(signal)
+    low = torch.where(finite, signal, torch.inf).amin(0)
+    high = torch.where(finite, signal, -torch.inf).amax(0)
+    return torch.where(finite.any(0)[:, None], torch.stack([low, high], -1), torch.nan)

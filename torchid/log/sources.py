@@ -1,0 +1,225 @@
+"""From the sources of a mapping to columns t, q1, q2, ... in our units."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from torchid.errors import LogError
+from torchid.log.columns import sample_of
+from torchid.log.mapping import Source
+from torchid.log.table import Table, natural
+
+_NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+)\}")
+_INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
+_EXACT = 2**53  # larger whole numbers are not all floats
+
+Index = slice | list[int]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A column, an array, or some columns or rows of one."""
+
+    name: str
+    columns: Index | None = None
+    rows: Index | None = None
+
+    def of(self, array: np.ndarray, label: str) -> np.ndarray:
+        """The part of the array."""
+        if self.columns is None and self.rows is None:
+            return array
+        if array.ndim != 2:
+            raise LogError(f"{label} is no table to take columns of.", got=f"shape {array.shape}")
+        index = self.columns if self.columns is not None else self.rows
+        part = array if self.columns is not None else array.T
+        if isinstance(index, list) and max(index) >= part.shape[1]:
+            raise LogError(f"{label} has no column {max(index)}.", got=f"shape {array.shape}")
+        found = part[:, index]
+        if found.shape[1] == 0:
+            raise LogError(f"{label}: no column is left.", got=f"shape {array.shape}")
+        return found
+
+
+def resolve(key: str, source: Source, table: Table) -> tuple[Piece, ...]:
+    """What a source names in a table.
+
+    Raises:
+        LogError: it is not there; the message lists what is, the nearest names first.
+    """
+    if source.rate is not None:
+        return ()
+    if len(source.columns) == 1 and (pattern := _NUMBERED.search(source.columns[0])):
+        return tuple(Piece(name) for name in _numbered(key, source.columns[0], pattern[1], table))
+    return tuple(_piece(key, column, table) for column in source.columns)
+
+
+def _piece(key: str, text: str, table: Table) -> Piece:
+    if text in table.columns:
+        return Piece(text)
+    found = _INDEXED.fullmatch(text)
+    if found is None or found[1] not in table.columns:
+        raise _absent(key, found[1] if found else text, table)
+    rows, columns = _index(found[2]), _index(found[3])
+    if rows is None or columns is None or (rows == slice(None)) == (columns == slice(None)):
+        raise LogError(
+            f"--columns: {key} cannot be understood.",
+            got=text,
+            expected=f"columns {found[1]}[:,0:7] or {found[1]}[:,[2,0,1]], counted from 0; "
+            f"{found[1]}[0:7,:] where they are rows",
+        )
+    name = found[1]
+    return Piece(name, columns=columns) if rows == slice(None) else Piece(name, rows=rows)
+
+
+def _index(text: str) -> Index | None:
+    text = text.strip()
+    if re.fullmatch(r"\d+", text):
+        return [int(text)]
+    if re.fullmatch(r"\[[\d,\s]+\]", text):
+        return [int(part) for part in text.strip("[]").split(",") if part.strip()] or None
+    if re.fullmatch(r"-?\d*:-?\d*(:-?[1-9]\d*)?", text):
+        return slice(*(int(part) if part else None for part in text.split(":")))
+    return None
+
+
+def _numbered(key: str, text: str, numbers: str, table: Table) -> list[str]:
+    """The columns of a pattern with {j}, {j0} or {2..7}."""
+    parts = [re.escape(part) for part in _NUMBERED.sub("\0", text).split("\0")]
+    # The same number wherever it stands; leading zeros do not matter.
+    pattern = re.compile(r"0*(\d+)".join(parts[:2]) + "".join(r"0*\1" + p for p in parts[2:]))
+    found = {int(m[1]): name for name in table.columns if (m := pattern.fullmatch(name))}
+    if ".." in numbers:
+        first, last = (int(part) for part in numbers.split(".."))
+        wanted = list(range(first, last + 1))
+    else:
+        start = 1 if numbers == "j" else 0
+        wanted = list(range(start, start + len(found)))
+    if not found or not wanted or not all(k in found for k in wanted):
+        got = sorted(found.values(), key=natural)
+        hint = None
+        if 0 in found and numbers == "j":
+            hint = f"{{j0}} counts from 0: {key}={text.replace('{j}', '{j0}')}"
+        elif found and ".." not in numbers:
+            ks = sorted(found)
+            hint = f"a range picks some: {_NUMBERED.sub(f'{{{ks[0]}..{ks[-1]}}}', text)}"
+        raise _absent(key, text, table, got=", ".join(got[:20]) or None, hint=hint)
+    return [found[k] for k in wanted]
+
+
+def _absent(
+    key: str, text: str, table: Table, got: str | None = None, hint: str | None = None
+) -> LogError:
+    plain = {re.sub(r"\d+", "", name).lower(): name for name in table.columns}
+    wanted = re.sub(r"\d+", "", _NUMBERED.sub("", text)).lower()
+    near = [plain[name] for name in get_close_matches(wanted, list(plain), n=3, cutoff=0.5)]
+    if near and hint is None:
+        hint = f"nearest: {', '.join(near)}"
+    what = f"no columns {text} in order" if _NUMBERED.search(text) else f"no column '{text}'"
+    return LogError(
+        f"'{table.path}' has {what}, which the mapping of {key} names.",
+        got=got,
+        available=table.described,
+        hint=hint,
+    )
+
+
+def time_of(
+    source: Source, pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> np.ndarray:
+    """(T,) seconds from a column of numbers, of time stamps or of their text."""
+    raw, label = _one_column("t", pieces, arrays, table)
+    if raw.dtype.kind in "mMO":
+        return _seconds(raw, label)
+    return _near_zero(_numbers(raw, label)) * source.factors[0]
+
+
+def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
+    """Seconds of time stamps or durations, from the first stamp on."""
+    if raw.dtype.kind == "O":
+        try:
+            raw = np.array(raw, dtype="datetime64[ns]")
+        except ValueError:
+            _numbers(raw, label)
+    if raw.dtype.kind == "M":
+        raw = raw - raw[:1]
+    return raw / np.timedelta64(1, "ns") * 1e-9
+
+
+def _near_zero(raw: np.ndarray) -> np.ndarray:
+    """Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round."""
+    if raw.dtype.kind in "iu" and len(raw) and int(np.abs(raw).max()) > _EXACT:
+        raw = raw - raw[0]
+    return raw.astype(np.float64)
+
+
+def labels_of(
+    pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> np.ndarray:
+    """(T,) whole numbers of trajectories; other labels are numbered as they come."""
+    raw, _ = _one_column("traj", pieces, arrays, table)
+    if raw.dtype.kind in "iuf":
+        return raw
+    known: dict[object, int] = {}
+    return np.array([known.setdefault(value, len(known)) for value in raw.tolist()])
+
+
+def signal_of(
+    key: str, source: Source, pieces: Sequence[Piece], arrays: Mapping, samples: int, table: Table
+) -> np.ndarray:
+    """(T, n) of a joint signal in our units."""
+    parts = []
+    for piece in pieces:
+        label = f"'{table.path}': column {piece.name}"
+        part = _numbers(piece.of(arrays[piece.name], label), label)
+        parts.append(oriented(part, samples, label))
+    if len({len(part) for part in parts}) > 1 or len(parts[0]) != samples:
+        lengths = [f"{piece.name}: {len(part)}" for piece, part in zip(pieces, parts, strict=True)]
+        raise LogError(
+            f"'{table.path}': the columns of {key} have another length than t.",
+            got=", ".join(lengths[:10]),
+            expected=samples,
+        )
+    whole = np.concatenate(parts, 1).astype(np.float64)
+    if len(source.factors) not in (1, whole.shape[1]):
+        raise LogError(
+            f"the mapping of {key} has another number of factors than columns.",
+            got=len(source.factors),
+            expected=f"1 or {whole.shape[1]}",
+        )
+    return whole if source.factors == (1.0,) else whole * np.array(source.factors)
+
+
+def oriented(array: np.ndarray, samples: int, label: str) -> np.ndarray:
+    """(T, n), also where the file has it the other way round, or one column only."""
+    if array.ndim == 1:
+        return array[:, None]
+    if array.ndim != 2:
+        raise LogError(
+            f"{label} has the wrong number of dimensions.",
+            got=f"shape {array.shape}",
+            expected="(samples,) or (samples, joints)",
+        )
+    return array.T if array.shape[0] != samples and array.shape[1] == samples else array
+
+
+def _one_column(
+    key: str, pieces: Sequence[Piece], arrays: Mapping[str, np.ndarray], table: Table
+) -> tuple[np.ndarray, str]:
+    """(T,) of a source that must be one column, and what to call it."""
+    label = f"'{table.path}': column {pieces[0].name}"
+    array = pieces[0].of(arrays[pieces[0].name], label)
+    if len(pieces) > 1 or array.ndim not in (1, 2) or (array.ndim == 2 and 1 not in array.shape):
+        raise LogError(
+            f"'{table.path}': {key} is one column.",
+            got=", ".join(f"{p.name} {arrays[p.name].shape}" for p in pieces[:5]),
+        )
+    return array.ravel(), label
+
+
+def _numbers(array: np.ndarray, label: str) -> np.ndarray:
+    if array.dtype.kind not in "iuf":
+        raise LogError(f"{label} is not numeric.", got=sample_of(array), expected="numbers")
+    return array

@@ -1,0 +1,81 @@
+"""What a file holds before it is a Log: named arrays, some of them under our names."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from torchid.log.mapping import ColumnMapping
+
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Request:
+    """How a log is to be read.
+
+    Attributes:
+        columns: which columns are what, where they have other names than ours.
+        topic: of the joint states in a bag.
+        joints: names of the robot's joints in order, where the robot is known; empty otherwise.
+    """
+
+    columns: ColumnMapping | None = None
+    topic: str | None = None
+    joints: tuple[str, ...] = ()
+
+    def maps(self, key: str) -> bool:
+        """Whether the mapping says where `key` is."""
+        return self.columns is not None and key in self.columns.sources
+
+
+@dataclass(frozen=True)
+class Table:
+    """Named arrays of a file, read when asked for.
+
+    Attributes:
+        path: of the file or folder.
+        kind: of the file, for people: "csv", "ROS bag", ...
+        columns: shape of each array as far as it is known before reading; -1 for a size that is
+            not, None where nothing is.
+        read: arrays by name, each (T,) or (T, k).
+        arrays: whether q, dq, .. may be arrays (T, n) instead of columns q1, q2, ..
+        repeated: columns that are there more than once.
+        joints: names of the joints of q, where the file tells.
+        topic: of a bag, the one that was read.
+        origins: what t, q, dq, .. are in the file's words, where the format itself says so.
+        warnings: what was noticed, one sentence each.
+    """
+
+    path: Path
+    kind: str
+    columns: Mapping[str, Shape | None]
+    read: Callable[[Sequence[str]], dict[str, np.ndarray]]
+    arrays: bool = False
+    repeated: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    topic: str | None = None
+    origins: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def described(self) -> list[str]:
+        """The columns for an error message, with the size of those that are arrays."""
+        return [_described(name, shape) for name, shape in self.columns.items()]
+
+
+def _described(name: str, shape: Shape | None) -> str:
+    if shape is None or len(shape) < 2:
+        return name
+    return f"{name} ({' x '.join('?' if k < 0 else str(k) for k in shape)})"
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """A key that sorts numbers within names by their value: joint2 before joint10."""
+    return [
+        (0, int(part), "") if part.isdigit() else (1, 0, part)
+        for part in re.split(r"(\d+)", text)
+        if part
+    ]
