@@ -119,7 +119,7 @@ class _Bodies:
 
 def _expand_includes(root: Any, folder: Path) -> None:
     """Put the content of included files in the place of each <include>."""
-    while found := next(root.iter("{*}include"), None):
+    while (found := next(root.iter("{*}include"), None)) is not None:
         path = folder / (found.get("file") or "")
         try:
             data = path.read_bytes()
@@ -179,8 +179,11 @@ def _write_inertial(body: Any, parameters: InertialParameters, i: int, name: str
 
 def _write_massless(body: Any, moved_by: str) -> None:
     node = _inertial_of(body)
-    node.addprevious(comment(f"its inertial is part of that of body '{moved_by}'"))
-    node.getprevious().tail = body.text if (body.text or "").strip() == "" else None
+    said = comment(f"its inertial is part of that of body '{moved_by}'")
+    before = node.getprevious()
+    if before is None or before.text != said.text:  # of an earlier export
+        node.addprevious(said)
+        said.tail = body.text if (body.text or "").strip() == "" else None
     node.set("pos", "0 0 0")
     node.set("mass", "0")
     node.set("diaginertia", "0 0 0")

@@ -10,8 +10,10 @@ from lxml import etree
 
 from torchid.errors import TorchidError
 
-MARK = "torchid export:"
-"""How the comments begin that an export writes, and replaces in a file that has them."""
+HEAD = "torchid export:"
+"""How the comment at the top of an export begins, which a later export replaces."""
+MARK = "torchid:"
+"""How its other comments begin."""
 _PROLOG = re.compile(rb"\A(?:\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*", re.DOTALL)
 
 
@@ -123,9 +125,9 @@ def _before(element: Any) -> str:
     return "" if parent is None else parent.text or ""
 
 
-def comment(words: str) -> Any:
+def comment(words: str, mark: str = MARK) -> Any:
     """A comment that says so; what XML forbids in comments is written otherwise."""
-    safe = re.sub(r"-(?=-)|-\Z", "- ", f" {MARK} {words} ")
+    safe = re.sub(r"-(?=-)|-\Z", "- ", f" {mark} {words} ")
     return etree.Comment(safe)
 
 
@@ -137,7 +139,7 @@ def replace(node: Any, other: Any) -> None:
 
 def set_head(root: Any, words: str) -> None:
     """A comment as the root's first child, in place of that of an earlier export."""
-    for node in [n for n in root.iter(etree.Comment) if (n.text or "").strip().startswith(MARK)]:
+    for node in [n for n in root.iter(etree.Comment) if (n.text or "").strip().startswith(HEAD)]:
         parent, previous = node.getparent(), node.getprevious()
         if parent is None:
             continue
@@ -146,7 +148,7 @@ def set_head(root: Any, words: str) -> None:
         else:
             parent.text = node.tail
         parent.remove(node)
-    insert(root, comment(words), first=True)
+    insert(root, comment(words, HEAD), first=True)
 
 
 def relocated(reference: str, old: Path, new: Path) -> str:
