@@ -103,6 +103,4 @@ def exported(
     if original is not None:
         found = Original(original, load_robot(original, tip=tip), tip)
     dynamics = Dynamics(robot, "robot", "the parameters of a test")
-    return export(
-        dynamics, to, folder, "out", nominal=robot, original=found, geometry="none"
-    )
+    return export(dynamics, to, folder, "out", nominal=robot, original=found, geometry="none")

@@ -1,4 +1,4 @@
-"""MJCF: classes of defaults, compiler settings, included files and shapes do not change a result."""
+"""MJCF: defaults of classes, compiler settings, included files and shapes change nothing."""
 
 from pathlib import Path
 
@@ -42,7 +42,9 @@ def known_torque(robot, q, dq, ddq):  # type: ignore[no-untyped-def]
     return tau
 
 
-@pytest.mark.parametrize("robot", [*(arm(n) for n in ISSUE_ARMS), mixed_arm()], ids=lambda r: r.name)
+@pytest.mark.parametrize(
+    "robot", [*(arm(n) for n in ISSUE_ARMS), mixed_arm()], ids=lambda r: r.name
+)
 def test_a_new_file(robot, tmp_path):
     robot = with_other(robot)
     done = exported(robot, "mjcf", tmp_path)

@@ -95,7 +95,7 @@ def test_numbers_are_exact(tmp_path):
     original = write_urdf(tmp_path)
     robot = with_other(load_robot(original))
     done = exported(robot, "urdf", tmp_path, original)
-    joint = etree.parse(str(done.files[0])).find("//joint[@name='j1']/dynamics")
+    joint = etree.parse(str(done.files[0])).getroot().find("joint[@name='j1']/dynamics")
     assert float(joint.get("damping")) == 0.123456789012345
     assert float(joint.get("friction")) == 1 / 3
     again = load_robot(done.files[0])
@@ -221,7 +221,7 @@ def test_exporting_an_export_changes_its_head_only(tmp_path):
 
 
 @settings(
-    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 10_000), scale=st.sampled_from([1e-4, 1.0, 1e3]))
 def test_random_bodies_survive_the_round_trip(seed, scale, tmp_path):

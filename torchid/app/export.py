@@ -90,6 +90,7 @@ def export_command(
         geometry=geometry,
         force=force,
         seed=seed,
+        keep=[Path(file) for file in (result, robot) if file is not None],
     )
     _show(done, output)
     output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
@@ -115,8 +116,13 @@ def _read(
     from torchid.robot.library import load_robot
 
     if is_robot(result):
-        own = load_robot(result, tip=_tip(tip, result))
-        named = own if robot is None else load_robot(robot, tip=_tip(tip, robot))
+        # A tip is for the files that can branch; where none can, the reader refuses it.
+        names = [result] if robot is None else [result, robot]
+        trees = [name for name in names if Path(name).suffix.lower() in _SUFFIX.values()]
+        own, *others = [
+            load_robot(name, tip=tip if name in trees or not trees else None) for name in names
+        ]
+        named = others[0] if others else own
         return robot_dynamics(own, result), own, _original(named, to, tip)
     path = Path(result)
     data = load(path)
@@ -126,11 +132,6 @@ def _read(
     else:
         found = base_dynamics(path, arm)
     return found, arm, _original(arm, to, tip)
-
-
-def _tip(tip: str | None, robot: str) -> str | None:
-    """A tip is for the files that can branch."""
-    return tip if Path(robot).suffix.lower() in _SUFFIX.values() else None
 
 
 def _original(robot: "Robot", to: str, tip: str | None) -> "Original | None":

@@ -28,38 +28,57 @@ _RIGID = "rigid body"
 def check_pinocchio(
     path: Path, robot: Robot, joints: Sequence[JointDynamics], motion: Motion
 ) -> Comparison:
-    """Pinocchio's rnea on a URDF, and the damping and friction that it read.
+    """Pinocchio's rnea, and the joint attributes that it read.
+
+    Of MJCF it reads a part only, so there it can confirm a file and not refute it.
 
     Args:
-        path: the URDF.
+        path: a URDF or MJCF.
         robot: as written.
         joints: attributes as written.
         motion: states.
     """
-    what = f"{_RIGID}; damping, friction"
+    mjcf = path.suffix.lower() == ".xml"
+    names = ("damping", "armature") if mjcf else ("damping", "friction")
+    what = f"{_RIGID}; {', '.join(names)}"
     try:
         pin = import_module("pinocchio")
     except ImportError:
         return missing("Pinocchio", what, "not installed")
     reader = f"Pinocchio {pin.__version__}"
     try:
-        model = pin.buildModelFromUrdf(str(path))
+        build = pin.buildModelFromMJCF if mjcf else pin.buildModelFromUrdf
+        model = build(str(path))
     except Exception as error:  # its own exception types differ between versions
         return missing(reader, what, f"cannot load the file: {_line(error)}")
+    ids = [int(model.getJointId(name)) for name in robot.joint_names]
+    if max(ids) >= model.njoints:
+        return missing(reader, what, "does not have all of the joints")
+    if not bool((robot.require_parameters("an export").mass > 0).all()):
+        return missing(reader, what, "takes positive masses only")
+    aside = _only_chain(pin, model, robot, ids)
+    rows = [model.joints[k].idx_v for k in ids]
+    read = {"damping": model.damping, "armature": model.armature, "friction": _friction(model)}
+    written = {name: [getattr(j, name) for j in joints] for name in names}
+    wrong = _attributes_differ({k: (read[k], rows, v) for k, v in written.items()})
+    model.armature = np.zeros(model.nv)
+    torque = _pinocchio_torque(pin, model, ids, motion)
+    found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
+    found = _with_note(found, wrong, aside)
+    if mjcf and not found.ok:
+        return missing(reader, what, "reads the file otherwise than MuJoCo does")
+    return found
+
+
+def _only_chain(pin: Any, model: Any, robot: Robot, ids: Sequence[int]) -> list[str]:
+    """Gravity as the robot's, and no masses off the chain; what these were, in words."""
     model.gravity.linear = robot.gravity.numpy()
-    ids = [model.getJointId(name) for name in robot.joint_names]
     aside = []
     for k in [k for k in range(1, model.njoints) if k not in ids]:
         if model.inertias[k].mass > 0 and model.parents[k] in ids:
             aside.append(f"what joint '{model.names[k]}' moves, off the chain")
         model.inertias[k] = pin.Inertia.Zero()
-    torque = _pinocchio_torque(pin, model, ids, motion)
-    rows = [model.joints[k].idx_v for k in ids]
-    given = {"damping": [j.damping for j in joints], "friction": [j.friction for j in joints]}
-    read = {"damping": model.damping, "friction": _friction(model)}
-    note = _attributes_differ({k: (read[k], rows, v) for k, v in given.items()})
-    found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
-    return _with_note(found, note, aside)
+    return aside
 
 
 def _pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:

@@ -1,5 +1,6 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -56,6 +57,7 @@ def export(
     geometry: str | None = None,
     force: bool = False,
     seed: int = 0,
+    keep: Sequence[Path] = (),
 ) -> Export:
     """Write dynamics to `folder`, once what was written has been reloaded and compared.
 
@@ -70,6 +72,7 @@ def export(
         geometry: group of bounds, or `none`, of the check (see `check_sets`).
         force: write infeasible parameters, too.
         seed: of the states of the comparison.
+        keep: files that are never overwritten, beside those of the robot and the original.
 
     Raises:
         TorchidError: infeasible parameters that are not forced, frames that are not the original's,
@@ -77,7 +80,8 @@ def export(
             Nothing is left then, and files that were there before stay.
     """
     path = folder / f"{name}{SUFFIXES[to]}"
-    _refuse_original(path, original)
+    originals = [] if original is None else [original.path]
+    _refuse_overwriting(path, [*keep, Path(nominal.source), *originals])
     physical = dynamics.base is None or to not in ("csv", "c")
     written = dynamics.robot
     if dynamics.base is not None and physical:
@@ -105,10 +109,10 @@ def export(
     )
 
 
-def _refuse_original(path: Path, original: Original | None) -> None:
-    if original is not None and path.resolve() == original.path.resolve():
+def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
+    if any(path.resolve() == source.resolve() for source in sources):
         raise TorchidError(
-            f"the export would take the place of the original '{original.path}'.",
+            f"the export would take the place of the original '{path}'.",
             hint="another --name, or another folder by --out",
         )
 

@@ -8,6 +8,8 @@ import torch
 from lxml import etree
 from torch import Tensor
 
+from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.registry import Valued
 from torchid.export.exact_text import number, roll_pitch_yaw_of, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import TENSOR, refuse_moment_without_mass
@@ -47,6 +49,19 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     _ends(fixed, parent, tool)
     etree.indent(root)
     return XmlFile(root, DECLARATION)
+
+
+def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]:
+    """Effects with bodies' parameters in the frames that `new_urdf` gives the links."""
+    out: list[Valued] = []
+    for effect, values in pairs:
+        moved = values
+        if isinstance(effect, Payload | LinkInertia):
+            link = robot.n - 1 if isinstance(effect, Payload) else effect.joint
+            pi = torch.tensor(values, dtype=torch.float64)
+            moved = move(pi, robot.after[link].double()).tolist()
+        out.append((effect, moved))
+    return tuple(out)
 
 
 def _element(parent: Any, tag: str, **attributes: str) -> Any:

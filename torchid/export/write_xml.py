@@ -17,7 +17,7 @@ from torchid.export.mjcf_edit import edited_mjcf
 from torchid.export.mjcf_new import new_mjcf
 from torchid.export.staging import staged
 from torchid.export.urdf_edit import edited_urdf
-from torchid.export.urdf_new import new_urdf
+from torchid.export.urdf_new import in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
@@ -61,17 +61,20 @@ def write_xml(
         names = original.robot
         robot = replace(robot, joint_names=names.joint_names, link_names=names.link_names)
     joints, rest = split(robot, mjcf=mjcf)
+    known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
+    if original is None and not mjcf:
+        rest = in_joint_frames(rest, robot)
     file = _file(robot, joints, mjcf, path.parent, original)
     # A URDF has no gravity; its reader takes -9.81 along z.
-    known = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
-    gravity = None if known else robot.gravity.tolist()
+    usual = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
+    gravity = None if usual else robot.gravity.tolist()
     beside = bool(rest) or gravity is not None
     side = sidecar_path(path)
     set_head(file.root, _head(dynamics, robot, rest, side.name if beside else None))
     sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity)
     draft = Draft(
         {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None},
-        tuple(pair for pair in nominal_effects(robot) if pair not in rest),
+        known,
         rest,
         notes=_notes(robot, original),
     )
@@ -82,8 +85,8 @@ def write_xml(
             f"torchid {__version__}", "torque with all effects", motion, dynamics.torque(motion),
             robot_torque(again, motion),
         )  # fmt: skip
-        engines = [] if mjcf else [check_pinocchio(files[path.name], robot, joints, motion)]
-        engines.append(check_mujoco(files[path.name], robot, joints, motion))
+        main = files[path.name]
+        engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
         return draft, kept([own, *engines])
 
 
