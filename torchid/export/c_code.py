@@ -21,10 +21,11 @@ static double sign(double x)
 }
 """
 _REPRESENTATIVE = """\
-The result is a set of base parameters: the {b} combinations of the {p} parameters on which the
-torque depends. The numbers in LINK[][] below are ONE REPRESENTATIVE of them: the independent
-parameters carry the base parameters' values and the others are 0. They are not physical (masses can
-be zero or negative), no link weighs that; only their torque means something. Base parameters:
+The result is a set of base parameters: the {b} combinations of the {p} parameters on which
+the torque depends. The 10 n numbers in LINK[][] below are ONE REPRESENTATIVE of them: the
+independent parameters carry the base parameters' values, and the others are 0. They are not
+physical (masses can be zero or negative, and no link weighs that): only the torque that they
+give means something. The base parameters, effects' coefficients included:
 """
 _SET = """\
 The numbers in LINK[][] below are {title}: physical parameters,

@@ -20,7 +20,7 @@ from torchid.export.xml_tree import (
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.robot.tree import Chain, choose_chain
+from torchid.robot.tree import choose_chain
 from torchid.robot.urdf import urdf_tree
 from torchid.robot.xml_numbers import parse_xml
 
@@ -62,12 +62,6 @@ def edited_urdf(
     return file
 
 
-def off_chain(chain: Chain, names: Sequence[str]) -> list[str]:
-    """Links that the chain neither moves nor stands on."""
-    on = {name for group in chain.groups for name in group.poses}
-    return [name for name in names if name not in on]
-
-
 def _take_away(link: Any, moved_by: str) -> None:
     for inertial in children(link, "inertial"):
         mass = child(inertial, "mass")
@@ -80,8 +74,7 @@ def _write_inertial(link: Any, parameters: InertialParameters, i: int, name: str
     refuse_moment_without_mass(parameters, i, name)
     inertial = child_or_new(link, "inertial", first=True)
     place = child_or_new(inertial, "origin", first=True)
-    for old in ("quat_xyzw", "rpy", "xyz"):
-        place.attrib.pop(old, None)
+    place.attrib.pop("quat_xyzw", None)
     place.set("xyz", text(parameters.com[i]))
     place.set("rpy", "0 0 0")
     child_or_new(inertial, "mass").set("value", number(parameters.mass[i]))

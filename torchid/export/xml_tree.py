@@ -2,9 +2,10 @@
 
 import os
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lxml import etree
 
@@ -14,10 +15,20 @@ HEAD = "torchid export:"
 """How the comment at the top of an export begins, which a later export replaces."""
 MARK = "torchid:"
 """How its other comments begin."""
-_PROLOG = re.compile(rb"\A(?:\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*", re.DOTALL)
+_PROLOG = re.compile(rb"(?:\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*", re.DOTALL)
+_MARKUP = re.compile(
+    rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<[^/!?](?:[^>\"']|\"[^\"]*\"|'[^']*')*>", re.DOTALL
+)
 
 
-@dataclass(frozen=True)
+class _Written(NamedTuple):
+    """How an element's start tag is written in the file, and its attributes there."""
+
+    tag: bytes
+    attributes: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
 class XmlFile:
     """A parsed file, and what lxml does not keep of it.
 
@@ -26,6 +37,7 @@ class XmlFile:
         before, after: what stands around it, as it is written there.
         encoding: of the file.
         crlf: whether lines end as on Windows.
+        written: start tags as they are in the file, by element.
     """
 
     root: Any
@@ -33,15 +45,41 @@ class XmlFile:
     after: bytes = b"\n"
     encoding: str = "utf-8"
     crlf: bool = False
+    written: Mapping[Any, _Written] = field(default_factory=dict)
 
     def to_bytes(self) -> bytes:
-        """The file's content in its own encoding."""
+        """The file's content in its own encoding; tags that were not edited as they were."""
         body = etree.tostring(
             self.root, encoding=self.encoding, xml_declaration=False, with_tail=False
         )
         if self.crlf:
             body = body.replace(b"\n", b"\r\n")
+        elements = list(self.root.iter(etree.Element))
+        if len(elements) == len(_start_tags(body)):
+            following = iter(elements)
+            body = _MARKUP.sub(lambda found: self._tag(found.group(), following), body)
         return self.before + body + self.after
+
+    def _tag(self, markup: bytes, following: Iterator[Any]) -> bytes:
+        """A start tag as in the file, where it still says the same; other markup as it is."""
+        if not _is_start(markup):
+            return markup
+        element = next(following)
+        old = self.written.get(element)
+        if old is None or old.attributes != dict(element.attrib):
+            return markup
+        start = old.tag[:-2].rstrip() if old.tag.endswith(b"/>") else old.tag[:-1]
+        if old.tag.endswith(b"/>") == markup.endswith(b"/>"):
+            return old.tag
+        return start + (b"/>" if markup.endswith(b"/>") else b">")
+
+
+def _is_start(markup: bytes) -> bool:
+    return markup[1:2] not in (b"!", b"?")
+
+
+def _start_tags(data: bytes) -> list[bytes]:
+    return [markup for markup in _MARKUP.findall(data) if _is_start(markup)]
 
 
 def read_xml(path: Path) -> XmlFile:
@@ -53,10 +91,16 @@ def read_xml(path: Path) -> XmlFile:
     root = parsed(data, path)
     found = _PROLOG.match(data)
     before = b"" if found is None else found.group()
-    end = data.rfind(b"</")
+    name = f"{root.prefix}:{local(root)}" if root.prefix else local(root)
+    end = data.rfind(f"</{name}".encode())
     after = data[data.find(b">", end) + 1 :]
+    tags, elements = _start_tags(data[len(before) :]), list(root.iter(etree.Element))
+    written = {}
+    if len(tags) == len(elements):
+        pairs = zip(elements, tags, strict=True)
+        written = {element: _Written(tag, dict(element.attrib)) for element, tag in pairs}
     encoding = root.getroottree().docinfo.encoding or "utf-8"
-    return XmlFile(root, before, after, encoding, b"\r\n" in data)
+    return XmlFile(root, before, after, encoding, b"\r\n" in data, written)
 
 
 def parsed(data: bytes, path: Path) -> Any:
