@@ -1,6 +1,7 @@
 """What can be exported: identifications, sets, extractions, robots; and what is refused."""
 
 import json
+import sys
 from dataclasses import replace
 
 import pytest
@@ -241,6 +242,17 @@ def test_the_yaml_is_lossless(tmp_path, name):
     done = exported(robot, "yaml", tmp_path)
     assert done.comparisons[0].difference == 0.0
     assert len(done.in_file) == len(FRICTION)
+
+
+def test_packages_that_are_not_installed_are_told(tmp_path, monkeypatch):
+    for package in ("mujoco", "pinocchio"):
+        monkeypatch.setitem(sys.modules, package, None)
+    own, *others = exported(with_other(arm("3r")), "urdf", tmp_path).comparisons
+    assert own.ok
+    assert [(c.difference, c.note) for c in others] == [(None, "not installed")] * 2
+    with pytest.raises(TorchidError, match=r"torchid\[mjcf\]"):
+        exported(with_other(arm("3r")), "mjcf", tmp_path)
+    assert not (tmp_path / "out.xml").exists()
 
 
 def test_states_are_within_limits():

@@ -55,10 +55,22 @@ def edited_mjcf(
     file = read_xml(original)
     _expand_includes(file.root, original.parent)
     _neutral_compiler(file.root)
+    _write_chain(_Bodies(file.root, str(original)), robot, joints, _in_degrees(file.root))
+    if gravity:
+        option = child(file.root, "option")
+        option = new_child(file.root, "option", first=True) if option is None else option
+        option.set("gravity", text(robot.gravity))
+    if folder.resolve() != original.parent.resolve():
+        _relocate(file.root, original.parent, folder)
+    return file
+
+
+def _write_chain(
+    bodies: "_Bodies", robot: Robot, joints: Sequence[JointDynamics], degrees: bool
+) -> None:
+    """Inertials and joints of the chain; a body with several joints is several links."""
     parameters = robot.require_parameters("an export")
-    degrees = _in_degrees(file.root)
     waiting: list[int] = []
-    bodies = _Bodies(file.root, str(original))
     for i, name in enumerate(robot.link_names):
         waiting.append(i)
         body = bodies.find(name)
@@ -77,13 +89,6 @@ def edited_mjcf(
         waiting = []
     if waiting:
         raise bodies.not_written(robot.link_names[-1])
-    if gravity:
-        option = child(file.root, "option")
-        option = new_child(file.root, "option", first=True) if option is None else option
-        option.set("gravity", text(robot.gravity))
-    if folder.resolve() != original.parent.resolve():
-        _relocate(file.root, original.parent, folder)
-    return file
 
 
 class _Bodies:

@@ -7,7 +7,7 @@ from pathlib import Path
 from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
-from torchid.errors import TorchidError
+from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
 from torchid.export.draft import Draft, kept
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
@@ -94,6 +94,8 @@ def _read_back(staged_path: Path, path: Path, tip: str | None) -> Robot:
     """The robot of the file, under its hidden name."""
     try:
         return load_robot(staged_path, tip=tip)
+    except MissingExtraError:
+        raise
     except TorchidError as error:
         raise TorchidError(
             "what was written cannot be read back, so nothing was kept.",
