@@ -188,6 +188,14 @@ def test_friction_loss_is_coulomb_friction(tmp_path):
     ]
 
 
+def test_a_spring_is_an_effect(tmp_path):
+    robot = one_joint(tmp_path, 'stiffness="4" springref="0.2"')
+    (spring,) = robot.effects
+    assert (spring["effect"], spring["joint"], spring["k"]) == ("joint_spring", 1, 4.0)
+    assert spring["c0"] == pytest.approx(-0.8, rel=1e-14)
+    assert robot.warnings == ()
+
+
 @pytest.mark.parametrize(
     ("joint", "actuators", "torque"),
     [
@@ -208,7 +216,6 @@ def test_torque_limits(tmp_path, joint, actuators, torque):
 @pytest.mark.parametrize(
     ("joint", "rest", "option", "words"),
     [
-        ('stiffness="4" springref="0.2"', "", "", "spring (stiffness 4, at rest at 0.2)"),
         ("", '<equality><joint joint1="j"/></equality>', "", "1 equality constraint"),
         ("", '<tendon><fixed><joint joint="j" coef="1"/></fixed></tendon>', "", "1 tendon"),
         ("", "", '<option density="1000"/>', "fluid"),

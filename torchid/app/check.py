@@ -202,12 +202,13 @@ def _write_nearest(
 
     from torchid.feasibility.sets import to_record
     from torchid.files import atomic_write
+    from torchid.robot.library import reference
 
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:
         with atomic_write(path, "w") as stream:
-            stream.write(json.dumps(to_record(nearest.sets.part(good), check.robot.name), indent=1))
-            stream.write("\n")
+            sets = to_record(nearest.sets.part(good), check.robot.name, reference(check.robot))
+            stream.write(json.dumps(sets, indent=1) + "\n")
     else:
         data["warnings"].append(f"no feasible set was found: {path} was not written")
 

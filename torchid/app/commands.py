@@ -10,6 +10,7 @@ from torchid.app.atlas import atlas_command
 from torchid.app.check import check_command
 from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
+from torchid.app.export import export_command
 from torchid.app.extract import extract_command
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
@@ -40,6 +41,7 @@ app.command("atlas")(atlas_command)
 app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
 app.command("gap")(gap_command)
+app.command("export")(export_command)
 app.command("study")(study_command)
 app.add_typer(withheld_app, name="withheld")
 app.command("demo")(demo_command)

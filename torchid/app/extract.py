@@ -235,13 +235,15 @@ def _write(
     from torchid.files import atomic_write
     from torchid.report.extraction import extraction_record
     from torchid.report.figures import save
+    from torchid.robot.library import reference
 
     data: dict[str, Any] = extraction_record(found, proof, notes)
     output.write_json(data, "extraction.json")
     if output.folder is None:
         return
     with atomic_write(output.folder / "sets.json", "w") as stream:
-        stream.write(json.dumps(to_record(found.sets, found.problem.robot.name), indent=1) + "\n")
+        arm = found.problem.robot
+        stream.write(json.dumps(to_record(found.sets, arm.name, reference(arm)), indent=1) + "\n")
     if found.search is not None:
         from torchid.report.extraction import search_figure
 

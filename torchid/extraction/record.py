@@ -7,6 +7,7 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import Feasibility
+from torchid.robot.library import reference
 from torchid.typing import Float, Tensor
 
 SCHEMA = "torchid.extraction/1"
@@ -21,6 +22,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     total = problem.conditions.total_mass.tolist()
     return {
         "robot": problem.robot.name,
+        "robot_source": reference(problem.robot),
         "loss": target.loss,
         "bounds": problem.bounds.name,
         "base_names": list(target.base.names),

@@ -98,8 +98,14 @@ def joined(parts: Sequence[ParameterSets]) -> ParameterSets:
     )
 
 
-def to_record(sets: ParameterSets, robot: str) -> dict[str, Any]:
-    """JSON-ready data, lossless: masses, first moments and inertias about the link frames."""
+def to_record(sets: ParameterSets, robot: str, source: str | None = None) -> dict[str, Any]:
+    """JSON-ready data, lossless: masses, first moments and inertias about the link frames.
+
+    Args:
+        sets: of one robot.
+        robot: its name.
+        source: its built-in name or file (`torchid.robot.library.reference`), if known.
+    """
     first = torch.cumsum(torch.tensor([0] + [len(e.coefficients) for e in sets.effects]), 0)
     entries = []
     for k, name in enumerate(sets.ids):
@@ -124,7 +130,8 @@ def to_record(sets: ParameterSets, robot: str) -> dict[str, Any]:
                 "effects": effects,
             }
         )
-    return {"schema": SCHEMA, "robot": robot, "sets": entries}
+    known = {} if source is None else {"robot_source": source}
+    return {"schema": SCHEMA, "robot": robot, **known, "sets": entries}
 
 
 def read_sets(path: Path, robot: Robot) -> ParameterSets:

@@ -10,6 +10,7 @@ from typing import Any
 
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Errors
+from torchid.robot.library import reference
 
 SCHEMA = "torchid.identification/1"
 
@@ -20,6 +21,7 @@ def record(result: Identification) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "robot": result.robot.name,
+        "robot_source": reference(result.robot),
         "n_base": result.base.n_rigid,
         "parameters": [_parameter(result, k) for k in range(result.base.n_rigid)],
         "effects": _effects(result),

@@ -131,9 +131,15 @@ def _intervals(rows: Sequence[Interval | None]) -> Tensor | None:
 
 
 def _effects(joints: Sequence[TreeJoint]) -> tuple[Mapping[str, Any], ...]:
-    return tuple(
+    linear = tuple(
         MappingProxyType({"effect": effect, "joint": i, symbol: getattr(joint, field)})
         for effect, symbol, field in _EFFECTS
         for i, joint in enumerate(joints, start=1)
         if getattr(joint, field)
     )
+    springs = (
+        {"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest}
+        for i, joint in enumerate(joints, start=1)
+        if (k := joint.stiffness)
+    )
+    return (*linear, *(MappingProxyType(spring) for spring in springs))

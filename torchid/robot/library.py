@@ -5,6 +5,7 @@ from pathlib import Path
 from torchid.errors import RobotError
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
+from torchid.robot.sidecar import with_sidecar
 from torchid.robot.yaml_file import read_yaml
 
 _SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
@@ -49,10 +50,16 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
 
-        return read_urdf(path, tip=tip)
+        return with_sidecar(read_urdf(path, tip=tip), path)
     from torchid.robot.mjcf import read_mjcf
 
-    return read_mjcf(path, tip=tip)
+    return with_sidecar(read_mjcf(path, tip=tip), path)
+
+
+def reference(robot: Robot) -> str:
+    """What to call a robot so that `load_robot` finds it again: its built-in name, or its file."""
+    path = Path(robot.source)
+    return path.stem if path.parent == _folder() else robot.source
 
 
 def _refuse_tip(tip: str | None, name: str) -> None:

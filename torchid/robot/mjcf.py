@@ -1,7 +1,7 @@
 """Read MJCF through MuJoCo's own compiler: defaults, includes and geometry inertias are its work.
 
-The compiled model is float64. What MuJoCo has beyond rigid bodies, linear damping, dry friction
-and armature on independent joints is told in `warnings`.
+The compiled model is float64. What MuJoCo has beyond rigid bodies, linear damping and springs,
+dry friction and armature on independent joints is told in `warnings`.
 """
 
 from collections.abc import Iterable
@@ -30,7 +30,7 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
     Link frames are MuJoCo's body frames. Bodies without joints are merged into the body that
     moves them. A body with several joints becomes a chain of massless links, named
     `body/joint`, that ends in the body. q is MuJoCo's qpos (`ref` is in the kinematics). Damping,
-    frictionloss and armature become `effects`; gravity is the model's option.
+    frictionloss, armature and springs become `effects`; gravity is the model's option.
 
     Args:
         path: the file.
@@ -168,6 +168,8 @@ class _Bodies:
             damping=float(model.dof_damping[dof]),
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
+            stiffness=float(model.jnt_stiffness[joint]),
+            rest=float(model.qpos_spring[int(model.jnt_qposadr[joint])]),
         )
 
 
@@ -238,12 +240,6 @@ def _warnings(mujoco: Any, model: Any) -> list[str]:
     out = []
     joints = _names(mujoco, model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt, "joint")
     for joint, name in enumerate(joints):
-        if model.jnt_stiffness[joint]:
-            rest = float(model.qpos_spring[int(model.jnt_qposadr[joint])])
-            out.append(
-                f"joint '{name}' has a spring (stiffness {model.jnt_stiffness[joint]:g}, at rest "
-                f"at {rest:g}): it is not modelled"
-            )
         dof = int(model.jnt_dofadr[joint])
         if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
             getattr(model, "jnt_stiffnesspoly", ()), joint

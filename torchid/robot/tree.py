@@ -42,6 +42,8 @@ class TreeJoint:
         damping: [N m s/rad or N s/m].
         friction: Coulomb friction [N m or N].
         armature: inertia reflected from the rotor [kg m^2 or kg].
+        stiffness: of a spring between parent and child [N m/rad or N/m].
+        rest: position at which that spring is at rest [rad or m].
         refused: why this joint cannot be part of a chain, or None.
     """
 
@@ -59,6 +61,8 @@ class TreeJoint:
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
     refused: str | None = None
 
     @property

@@ -58,7 +58,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         tool=tool,
         limits=_limits(data.get("limits") or {}, n, source),
         parameters=_parameters(data.get("parameters"), n, source),
-        effects=_effects(data.get("effects") or (), n, source),
+        effects=read_effects(data.get("effects") or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=_bounds(data.get("bounds") or {}, source),
         source=source,
@@ -116,7 +116,8 @@ def _parameters(data: Any, n: int, source: str) -> InertialParameters | None:
     return parameters
 
 
-def _effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...]:
+def read_effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...]:
+    """Records of effects on existing joints, from the parsed yaml; `source` names it in errors."""
     if not isinstance(data, Sequence) or isinstance(data, str):
         raise RobotError(f"{source}: effects must be a list of records.", got=data)
     for record in data:

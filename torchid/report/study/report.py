@@ -14,6 +14,7 @@ from torchid.report.study.page import page
 from torchid.report.study.sheets import rich_table
 from torchid.report.study.tables import all_sheets
 from torchid.report.study.verdict import headline
+from torchid.robot.library import reference
 from torchid.study.result import Study
 
 __all__ = ["headline", "tables", "write_study"]
@@ -63,6 +64,11 @@ def _named(sets: ParameterSets, scenario: str) -> ParameterSets:
 
 def _write_sets(sets: ParameterSets, study: Study, path: Path) -> Path:
     with atomic_write(path) as stream:
-        json.dump(to_record(sets, study.robot.name), stream, indent=1, allow_nan=False)
+        json.dump(
+            to_record(sets, study.robot.name, reference(study.robot)),
+            stream,
+            indent=1,
+            allow_nan=False,
+        )
         stream.write("\n")
     return path

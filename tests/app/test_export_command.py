@@ -1,0 +1,95 @@
+"""`torchid export` from the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.export.arms import write_urdf
+from torchid.app.commands import app
+from torchid.errors import TorchidError
+from torchid.robot.library import load_robot
+from torchid.robot.writer import write_robot
+
+runner = CliRunner()
+
+
+def run(*arguments: object) -> str:
+    """Output of a command that succeeds; a TorchidError is raised as it is."""
+    done = runner.invoke(app, ["export", *map(str, arguments)])
+    if isinstance(done.exception, TorchidError):
+        raise done.exception
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize("to", ["urdf", "mjcf", "yaml", "csv", "c"])
+def test_every_format(tmp_path, to):
+    record = tmp_path / "r.json"
+    out = tmp_path / "out"
+    said = run("3r", "--to", to, "--out", out, "--json", record)
+    assert "agrees" in said
+    assert "written: the parameters of 3r" in said
+    data = json.loads(record.read_text())
+    assert data["schema"] == "torchid.export/1"
+    assert (data["what"], data["format"], data["feasible"]) == ("robot", to, True)
+    assert all(Path(file).is_file() for file in data["files"])
+    assert all(c["ok"] for c in data["checks"] if c["ok"] is not None)
+    assert (out / f"export_{to}.json").is_file()
+
+
+def test_sets_into_the_users_file(tmp_path):
+    """check --nearest writes feasible sets that know their robot; they go into its URDF."""
+    urdf = write_urdf(tmp_path)
+    sets = tmp_path / "sets.json"
+    from torchid.feasibility.sets import nominal_set, to_record
+
+    robot = load_robot(urdf)
+    sets.write_text(json.dumps(to_record(nominal_set(robot), robot.name, str(urdf))))
+    out = tmp_path / "out"
+    said = run(sets, "--to", "urdf", "--out", out, "--name", "mine", "--geometry", "none")
+    assert (out / "mine.urdf").is_file()
+    assert "<!-- a comment -->" in (out / "mine.urdf").read_text()
+    assert "the set 'arm'" in said.replace("\n", " ")
+    with pytest.raises(TorchidError, match="no such set"):
+        run(sets, "--to", "urdf", "--out", out, "--set", "z")
+
+
+def test_an_infeasible_robot_needs_force(tmp_path):
+    with pytest.raises(TorchidError, match="inertia_3"):
+        run("kuka_lwr4", "--to", "urdf", "--out", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    said = run("kuka_lwr4", "--to", "urdf", "--out", tmp_path, "--force", "--quiet")
+    assert said == ""
+    data = json.loads((tmp_path / "export_urdf.json").read_text())
+    assert data["feasible"] is False
+    assert "inertia_3" in data["reasons"]
+    assert any("infeasible" in w for w in data["warnings"])
+
+
+def test_a_corrected_model_goes_into_the_users_file(tmp_path):
+    """The yaml of gap --save-model, with the file that it came from."""
+    urdf = write_urdf(tmp_path)
+    model = tmp_path / "corrected.yaml"
+    write_robot(load_robot(urdf), model)
+    run(model, "--robot", urdf, "--to", "urdf", "--out", tmp_path / "o", "--geometry", "none")
+    assert "package://none.stl" in (tmp_path / "o" / "arm.urdf").read_text()
+    with pytest.raises(TorchidError, match="take the place"):
+        run(model, "--to", "yaml", "--out", tmp_path, "--name", "corrected")
+    with pytest.raises(TorchidError, match="--tip chooses a chain"):
+        run(model, "--to", "yaml", "--out", tmp_path, "--tip", "l4")
+
+
+@pytest.mark.parametrize("name", ["a/b", "", ".x", ".."])
+def test_names_of_files(tmp_path, name):
+    with pytest.raises(TorchidError, match="--name"):
+        run("3r", "--to", "yaml", "--out", tmp_path, "--name", name)
+
+
+def test_bad_input(tmp_path):
+    with pytest.raises(TorchidError, match="cannot be read"):
+        run(tmp_path / "none.json", "--to", "c")
+    with pytest.raises(TorchidError, match="does not exist"):
+        run(tmp_path / "none.urdf", "--to", "c")
+    assert runner.invoke(app, ["export", "3r", "--to", "sdf"]).exit_code == 2

@@ -1,0 +1,164 @@
+"""`torchid export`: a result's dynamics in the formats of other programs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, open_output
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.export.dynamics import Dynamics
+    from torchid.export.export import Export
+    from torchid.export.write_xml import Original
+    from torchid.robot.model import Robot
+
+_SUFFIX = {"urdf": ".urdf", "mjcf": ".xml"}
+
+
+def export_command(
+    result: Annotated[
+        str,
+        typer.Argument(
+            metavar="RESULT",
+            help="JSON of `torchid identify` or `extract`, a file of parameter sets, the .yaml of "
+            "`torchid gap --save-model`, or any robot.",
+        ),
+    ],
+    to: Annotated[
+        Literal["urdf", "mjcf", "yaml", "csv", "c"], typer.Option("--to", help="Format to write.")
+    ],
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="Robot of the result, and the file that a copy is edited of; the one that RESULT "
+            "records.",
+        ),
+    ] = None,
+    chosen: Annotated[
+        str | None,
+        typer.Option(
+            "--set",
+            metavar="ID",
+            help="Set of a file of several; the feasible one of least loss.",
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Of the file, without suffix; the robot's name."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write infeasible parameters, too.")
+    ] = False,
+    geometry: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GROUP|none",
+            help="Bounds of the centres of mass that count in the check, as for `torchid check`.",
+        ),
+    ] = None,
+    tip: Tip = None,
+    json_file: Json = None,
+    out: Out = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+) -> None:
+    """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
+
+    Every file is reloaded, also by Pinocchio and MuJoCo where they are installed, and its torque
+    compared with the result's; what does not agree is not kept. Without --out, it is written to
+    the present folder.
+
+    Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
+    """
+    output = open_output(json_file, out, quiet, threads)
+    from torchid.export.export import export
+    from torchid.report.export import export_record
+
+    dynamics, nominal, original = _read(result, robot, chosen, tip, geometry, to)
+    done = export(
+        dynamics,
+        to,
+        Path() if out is None else out,
+        _file_name(name, nominal),
+        nominal=nominal,
+        original=original,
+        geometry=geometry,
+        force=force,
+        seed=seed,
+        keep=[Path(file) for file in (result, robot) if file is not None],
+    )
+    _show(done, output)
+    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
+
+
+def _read(
+    result: str,
+    robot: str | None,
+    chosen: str | None,
+    tip: str | None,
+    geometry: str | None,
+    to: str,
+) -> "tuple[Dynamics, Robot, Original | None]":
+    """The dynamics, the robot they belong to, and the file to edit a copy of."""
+    from torchid.export.results import (
+        base_dynamics,
+        is_robot,
+        load,
+        robot_dynamics,
+        robot_of,
+        set_dynamics,
+    )
+    from torchid.robot.library import load_robot
+
+    if is_robot(result):
+        # A tip is for the files that can branch; where none can, the reader refuses it.
+        names = [result] if robot is None else [result, robot]
+        trees = [name for name in names if Path(name).suffix.lower() in _SUFFIX.values()]
+        own, *others = [
+            load_robot(name, tip=tip if name in trees or not trees else None) for name in names
+        ]
+        named = others[0] if others else own
+        return robot_dynamics(own, result), own, _original(named, to, tip)
+    path = Path(result)
+    data = load(path)
+    arm = robot_of(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+    if "sets" in data:
+        found = set_dynamics(path, data, arm, chosen, geometry)
+    else:
+        found = base_dynamics(path, arm)
+    return found, arm, _original(arm, to, tip)
+
+
+def _original(robot: "Robot", to: str, tip: str | None) -> "Original | None":
+    """The robot's file, where it is of the format that is written."""
+    from torchid.export.write_xml import Original
+
+    path = Path(robot.source)
+    if path.suffix.lower() != _SUFFIX.get(to):
+        return None
+    return Original(path, robot, tip)
+
+
+def _file_name(name: str | None, robot: "Robot") -> str:
+    if name is None:
+        return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
+    if not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("--name is the name of a file, without folder.", got=name)
+    return name
+
+
+def _show(done: "Export", output: Output) -> None:
+    from rich.markup import escape
+
+    from torchid.report.export import comparison_table, effect_lines, headline, warnings
+
+    output.say(comparison_table(done))
+    for line in effect_lines(done):
+        output.say(escape(line))
+    output.warn(warnings(done))
+    output.say(f"\nwritten: {escape(headline(done))}")

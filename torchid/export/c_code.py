@@ -1,0 +1,180 @@
+"""A robot's inverse dynamics as a C99 file that needs nothing but <math.h>."""
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchid import __version__
+from torchid.effects.registry import nominal_effects
+from torchid.export.c_effects import EffectCode, effect_code
+from torchid.export.c_rigid import HELPERS, RECURSION
+from torchid.export.dynamics import Dynamics
+from torchid.export.exact_text import number
+from torchid.robot.model import JointType, Robot
+
+_SIGN = """\
+static double sign(double x)
+{
+    return (double)((x > 0.0) - (x < 0.0));
+}
+"""
+_REPRESENTATIVE = """\
+The result is a set of base parameters: the {b} combinations of the {p} parameters on which
+the torque depends. The 10 n numbers in LINK[][] below are ONE REPRESENTATIVE of them: the
+independent parameters carry the base parameters' values, and the others are 0. They are not
+physical (masses can be zero or negative, and no link weighs that): only the torque that they
+give means something. The base parameters, effects' coefficients included:
+"""
+_SET = """\
+The numbers in LINK[][] below are {title}: physical parameters,
+one of many sets with the same torque.
+"""
+
+
+class CFile(NamedTuple):
+    """C source, its header, and the effects that are not in it (in words)."""
+
+    source: str
+    header: str
+    left_out: tuple[str, ...]
+
+
+def identifier(name: str) -> str:
+    """A name that C takes."""
+    found = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"robot_{found}" if not found or found[0].isdigit() else found
+
+
+def c_file(dynamics: Dynamics, file_name: str) -> CFile:
+    """The C file of tau = Y_R(q, dq, ddq) beta and of the effects that have a closed form.
+
+    `<name>_rigid` is the rigid body's torque, by recursive Newton-Euler (eqs. 2.12-2.14 of the
+    report), which is linear in the parameters and equals Y_R beta for any set that has the base
+    parameters beta; `<name>_torque` adds the effects.
+
+    Args:
+        dynamics: what to write.
+        file_name: without suffix; functions are named so, too.
+    """
+    robot, name = dynamics.robot, identifier(file_name)
+    code = effect_code(robot, nominal_effects(robot), f"{name}_rigid")
+    left_out = tuple(words for _, words in code.left_out)
+    parts = [
+        _comment(_about(dynamics, file_name, left_out)),
+        f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n}\n',
+        _constants(robot),
+        HELPERS,
+        RECURSION.format(name=name, n=robot.n),
+        *([_SIGN] if any("sign(" in line for line in code.first + code.later) else []),
+        _torque(name, robot.n, code),
+    ]
+    return CFile("\n".join(parts), _header(name, dynamics), left_out)
+
+
+def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[str]) -> str:
+    robot = dynamics.robot
+    units = [
+        f"q[{i}] {'[m], torque [N]' if kind is JointType.PRISMATIC else '[rad], torque [N m]'}: "
+        f"{name}"
+        for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True))
+    ]
+    lines = [
+        f"{file_name}.c: inverse dynamics of '{robot.name}', written by torchid {__version__}.",
+        f"Obtained from {dynamics.title}.",
+        "",
+        "tau = Y_R(q, dq, ddq) beta + effects, torque positive along the joint's axis.",
+        *units,
+        "Frames: link i moves about (along) the z axis of its joint frame; BEFORE[i] is the pose",
+        "of joint frame i in link frame i-1 (the base for i = 0), AFTER[i] that of link frame i in",
+        "the moved joint frame. GRAVITY is in axes of the base [m/s^2].",
+        "",
+        *_numbers(dynamics),
+    ]
+    if left_out:
+        lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
+        lines += [f"  {words}" for words in left_out]
+    return "\n".join(lines)
+
+
+def _numbers(dynamics: Dynamics) -> list[str]:
+    """What LINK[][] holds."""
+    if dynamics.base is None:
+        return _SET.format(title=dynamics.title).splitlines()
+    base = dynamics.base.base
+    said = _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
+    rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
+    return said + [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
+
+
+def _comment(words: str) -> str:
+    safe = words.replace("*/", "* /").replace("/*", "/ *")
+    # A line that ends in a backslash would continue in the next.
+    lines = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in safe.splitlines()]
+    return "/*\n" + "\n".join(lines) + "\n */"
+
+
+def _constants(robot: Robot) -> str:
+    prismatic = ", ".join(str(int(k is JointType.PRISMATIC)) for k in robot.joint_types)
+    pi = robot.require_parameters("an export").pi.double()
+    links = "\n".join(
+        f"    {{{', '.join(number(v) for v in row)}}}, /* {_plain(name)} */"
+        for row, name in zip(pi.tolist(), robot.link_names, strict=True)
+    )
+    gravity = ", ".join(number(v) for v in robot.gravity.tolist())
+    return (
+        f"static const int PRISMATIC[N] = {{{prismatic}}};\n"
+        f"static const double GRAVITY[3] = {{{gravity}}};\n"
+        f"static const double BEFORE[N][3][4] = {_poses(robot.before)};\n"
+        f"static const double AFTER[N][3][4] = {_poses(robot.after)};\n"
+        "/* m [kg], m c (3) [kg m], J (xx xy xz yy yz zz) about the frame's origin [kg m^2] */\n"
+        f"static const double LINK[N][10] = {{\n{links}\n}};\n"
+    )
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w .:-]", "_", name, flags=re.ASCII)
+
+
+def _poses(poses: Tensor) -> str:
+    rows = [
+        "    {" + ", ".join(f"{{{', '.join(number(v) for v in row)}}}" for row in pose[:3]) + "}"
+        for pose in poses.double().tolist()
+    ]
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def _torque(name: str, n: int, code: EffectCode) -> str:
+    body = [f"{name}_rigid(q, dq, ddq, tau);", *code.first]
+    local = []
+    if code.later:
+        body += [f"for (i = 0; i < {n}; i++) loaded[i] = tau[i];", *code.later]
+        local.append(f"double loaded[{n}];")
+    if code.uses_rigid:
+        local.append(f"double moved[{n}], here[{n}], there[{n}];")
+    if local:
+        local.append("int i;")
+    lines = "".join(f"    {line}\n" for line in [*local, *body])
+    return f"{_signature(name, n)}\n{{\n{lines}}}\n"
+
+
+def _signature(name: str, n: int) -> str:
+    signals = ", ".join(f"const double {x}[{n}]" for x in ("q", "dq", "ddq"))
+    start = f"void {name}_torque("
+    return f"{start}{signals},\n{' ' * len(start)}double tau[{n}])"
+
+
+def _header(name: str, dynamics: Dynamics) -> str:
+    n = dynamics.robot.n
+    guard = f"{name.upper()}_H"
+    signature = _signature(name, n)
+    rigid = signature.replace(f"{name}_torque(", f"{name}_rigid(")
+    return (
+        f"/* Inverse dynamics of '{_plain(dynamics.robot.name)}': see the .c file. */\n"
+        f"#ifndef {guard}\n#define {guard}\n\n#define {name.upper()}_JOINTS {n}\n\n"
+        '#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
+        f"/* torque of the rigid body */\n{rigid};\n"
+        f"/* torque of the rigid body with all effects */\n{signature};\n\n"
+        "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
+    )

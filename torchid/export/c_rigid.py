@@ -1,0 +1,139 @@
+"""The part of the C file that is the same for every arm: the recursive Newton-Euler algorithm."""
+
+HELPERS = """\
+static void cross(const double a[3], const double b[3], double out[3])
+{
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* out += a x b */
+static void add_cross(const double a[3], const double b[3], double out[3])
+{
+    double c[3];
+    int k;
+    cross(a, b, c);
+    for (k = 0; k < 3; k++) out[k] += c[k];
+}
+
+/* out = R v, with the rotation in the first three columns of a pose */
+static void turn(const double R[3][4], const double v[3], double out[3])
+{
+    int k;
+    for (k = 0; k < 3; k++) out[k] = R[k][0] * v[0] + R[k][1] * v[1] + R[k][2] * v[2];
+}
+
+/* out = R' v */
+static void turn_back(const double R[3][4], const double v[3], double out[3])
+{
+    int k;
+    for (k = 0; k < 3; k++) out[k] = R[0][k] * v[0] + R[1][k] * v[1] + R[2][k] * v[2];
+}
+
+/* v turned about z by the angle whose cosine and sine are c and s */
+static void turn_z(double c, double s, double v[3])
+{
+    const double x = v[0], y = v[1];
+    v[0] = c * x - s * y;
+    v[1] = s * x + c * y;
+}
+
+/* a += wd x r + w x (w x r): acceleration of the point r of a body */
+static void to_point(const double w[3], const double wd[3], const double r[3], double a[3])
+{
+    double v[3];
+    add_cross(wd, r, a);
+    cross(w, r, v);
+    add_cross(w, v, a);
+}
+"""
+
+RECURSION = """\
+void {name}_rigid(const double q[{n}], const double dq[{n}], const double ddq[{n}], double tau[{n}])
+{{
+    double w[N][3], wd[N][3], a[N][3];  /* angular velocity, angular and linear acceleration of the
+                                           link frames, in their own axes; gravity is in a */
+    double w0[3] = {{0.0, 0.0, 0.0}}, wd0[3] = {{0.0, 0.0, 0.0}}, a0[3];
+    double force[3] = {{0.0, 0.0, 0.0}}, moment[3] = {{0.0, 0.0, 0.0}};
+    int i, k;
+
+    /* From the base to the tip: motion. */
+    for (k = 0; k < 3; k++) a0[k] = -GRAVITY[k];
+    for (i = 0; i < N; i++) {{
+        const double c = PRISMATIC[i] ? 1.0 : cos(q[i]), s = PRISMATIC[i] ? 0.0 : sin(q[i]);
+        const double before[3] = {{BEFORE[i][0][3], BEFORE[i][1][3], BEFORE[i][2][3]}};
+        const double after[3] = {{AFTER[i][0][3], AFTER[i][1][3], AFTER[i][2][3]}};
+        double wj[3], wdj[3], aj[3];
+
+        to_point(w0, wd0, before, a0);
+        turn_back(BEFORE[i], w0, wj);
+        turn_back(BEFORE[i], wd0, wdj);
+        turn_back(BEFORE[i], a0, aj);
+        if (PRISMATIC[i]) {{
+            const double slide[3] = {{0.0, 0.0, q[i]}};
+            to_point(wj, wdj, slide, aj);
+            aj[0] += 2.0 * wj[1] * dq[i];
+            aj[1] -= 2.0 * wj[0] * dq[i];
+            aj[2] += ddq[i];
+        }} else {{
+            turn_z(c, -s, wj);
+            turn_z(c, -s, wdj);
+            turn_z(c, -s, aj);
+            wdj[0] += wj[1] * dq[i];
+            wdj[1] -= wj[0] * dq[i];
+            wdj[2] += ddq[i];
+            wj[2] += dq[i];
+        }}
+        to_point(wj, wdj, after, aj);
+        turn_back(AFTER[i], wj, w[i]);
+        turn_back(AFTER[i], wdj, wd[i]);
+        turn_back(AFTER[i], aj, a[i]);
+        for (k = 0; k < 3; k++) {{
+            w0[k] = w[i][k];
+            wd0[k] = wd[i][k];
+            a0[k] = a[i][k];
+        }}
+    }}
+
+    /* From the tip to the base: forces, and moments about the frames' origins. */
+    for (i = N - 1; i >= 0; i--) {{
+        const double *p = LINK[i], *h = &LINK[i][1];
+        const double c = PRISMATIC[i] ? 1.0 : cos(q[i]), s = PRISMATIC[i] ? 0.0 : sin(q[i]);
+        const double before[3] = {{BEFORE[i][0][3], BEFORE[i][1][3], BEFORE[i][2][3]}};
+        const double after[3] = {{AFTER[i][0][3], AFTER[i][1][3], AFTER[i][2][3]}};
+        const double J[3][4] = {{{{p[4], p[5], p[6], 0.0}},
+                                {{p[5], p[7], p[8], 0.0}},
+                                {{p[6], p[8], p[9], 0.0}}}};
+        double f[3], m[3], v[3];
+
+        /* f = m a + wd x h + w x (w x h),  m = J wd + w x (J w) + h x a */
+        for (k = 0; k < 3; k++) f[k] = p[0] * a[i][k];
+        to_point(w[i], wd[i], h, f);
+        turn(J, wd[i], m);
+        turn(J, w[i], v);
+        add_cross(w[i], v, m);
+        add_cross(h, a[i], m);
+        for (k = 0; k < 3; k++) {{
+            force[k] += f[k];
+            moment[k] += m[k];
+        }}
+        /* to the moved joint frame, where the torque is the z component */
+        turn(AFTER[i], force, f);
+        turn(AFTER[i], moment, m);
+        add_cross(after, f, m);
+        tau[i] = PRISMATIC[i] ? f[2] : m[2];
+        /* to the previous link frame */
+        if (PRISMATIC[i]) {{
+            m[0] -= q[i] * f[1];
+            m[1] += q[i] * f[0];
+        }} else {{
+            turn_z(c, s, f);
+            turn_z(c, s, m);
+        }}
+        turn(BEFORE[i], f, force);
+        turn(BEFORE[i], m, moment);
+        add_cross(before, force, moment);
+    }}
+}}
+"""

@@ -1,0 +1,137 @@
+"""Comparing what was written with the result's own model: torque at random states, by whatever
+can read the file."""
+
+import math
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from torchid.effects.base import Motion
+from torchid.export.c_code import CFile, identifier
+from torchid.typing import Joints
+
+EXACT = 1e-9
+"""Largest difference of a joint's torque, relative to its largest torque, of what was reloaded."""
+COMPILED = 1e-12
+"""The same of compiled code, which repeats the library's own operations."""
+_SMALL = 1e-6
+"""Share of the largest joint's torque below which a joint's own does not count as its scale."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One reader of an export, against the result's model.
+
+    Attributes:
+        reader: who read it, with its version.
+        compared: what was compared, in words.
+        states: number of random states.
+        difference: largest difference of a joint's torque over the largest of that torque; None
+            where the reader is missing or refused the file.
+        limit: what it may be.
+        note: why there is no difference, or what was left aside.
+    """
+
+    reader: str
+    compared: str
+    states: int
+    difference: float | None
+    limit: float
+    note: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether what was compared agrees."""
+        return self.difference is None or self.difference <= self.limit
+
+
+def relative_difference(found: Joints, expected: Joints) -> float:
+    """Largest difference of a joint's torque relative to its largest expected torque; infinite for
+    what is not a number.
+
+    A joint whose torque hardly exists (a balanced wrist) is measured against a millionth of the
+    largest joint's, beneath which there is rounding only.
+    """
+    if found.shape != expected.shape or not bool(torch.isfinite(found).all()):
+        return math.inf
+    largest = expected.abs().amax(0)
+    scale = torch.maximum(largest, _SMALL * largest.max()).clamp(min=1e-300)
+    return float(((found - expected).abs().amax(0) / scale).max())
+
+
+def compared(
+    reader: str,
+    what: str,
+    motion: Motion,
+    expected: Joints,
+    found: Joints,
+    limit: float = EXACT,
+) -> Comparison:
+    """The torque that a reader finds against the expected one."""
+    return Comparison(reader, what, len(motion.q), relative_difference(found, expected), limit)
+
+
+def missing(reader: str, what: str, why: str) -> Comparison:
+    """A reader that could not be asked."""
+    return Comparison(reader, what, 0, None, EXACT, why)
+
+
+def compiler() -> str | None:
+    """A C compiler, or None."""
+    return next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+
+
+def check_c(code: CFile, file_name: str, motion: Motion, expected: Joints) -> Comparison:
+    """Compile the code as strict C99 and run it at the states."""
+    what = "torque of the compiled function"
+    cc = compiler()
+    if cc is None:
+        return missing("C99", what, "no C compiler (cc, gcc or clang) was found: not compiled")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / f"{file_name}.c").write_text(code.source, encoding="utf-8")
+        (folder / f"{file_name}.h").write_text(code.header, encoding="utf-8")
+        (folder / "main_.c").write_text(_main(file_name, motion.q.shape[-1]), encoding="utf-8")
+        command = [cc, "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2", "-o", "run_"]
+        sources = ["main_.c", f"{file_name}.c", "-lm"]
+        made = subprocess.run(
+            [*command, *sources], cwd=folder, capture_output=True, text=True, check=False
+        )
+        if made.returncode:
+            first = (made.stderr.strip() or "no message").splitlines()[0]
+            return Comparison("C99", what, 0, math.inf, COMPILED, f"does not compile: {first}")
+        rows = torch.cat([motion.q, motion.dq, motion.ddq], -1).tolist()
+        text = "\n".join(" ".join(float(x).hex() for x in row) for row in rows)
+        ran = subprocess.run(
+            [str(folder / "run_")], input=text, capture_output=True, text=True, check=False
+        )
+        values = [float.fromhex(word) for word in ran.stdout.split()]
+    complete = ran.returncode == 0 and len(values) == expected.numel()
+    found = torch.tensor(values if complete else [math.nan], dtype=torch.float64)
+    found = found.reshape(expected.shape) if complete else found.expand(expected.shape)
+    reader = f"C99 ({Path(cc).name})"
+    return compared(reader, what, motion, expected, found, COMPILED)
+
+
+def _main(file_name: str, n: int) -> str:
+    """A program that reads states and prints torques, as hexadecimal floats."""
+    return f"""\
+#include <stdio.h>
+#include "{file_name}.h"
+
+int main(void)
+{{
+    double x[{3 * n}], tau[{n}];
+    int k;
+    for (;;) {{
+        for (k = 0; k < {3 * n}; k++)
+            if (scanf("%la", &x[k]) != 1) return 0;
+        {identifier(file_name)}_torque(x, x + {n}, x + {2 * n}, tau);
+        for (k = 0; k < {n}; k++) printf("%a\\n", tau[k]);
+    }}
+}}
+"""

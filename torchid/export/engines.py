@@ -1,0 +1,238 @@
+"""Other programs that read an export: Pinocchio and MuJoCo, where they are installed.
+
+Each is asked for what it knows: Pinocchio for the rigid body, MuJoCo for the rigid body with
+armature, damping and springs. Dry friction is a constraint there, whose force depends on more than
+the state; so its coefficients are compared, and constraints are turned off.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lxml import etree
+
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import Motion
+from torchid.export.checks import EXACT, Comparison, compared, missing, relative_difference
+from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.xml_tree import local, read_xml
+from torchid.robot.model import Robot
+from torchid.typing import Joints
+
+_RIGID = "rigid body"
+
+
+def check_pinocchio(
+    path: Path, robot: Robot, joints: Sequence[JointDynamics], motion: Motion
+) -> Comparison:
+    """Pinocchio's rnea, and the joint attributes that it read.
+
+    Of MJCF it reads a part only, so there it can confirm a file and not refute it.
+
+    Args:
+        path: a URDF or MJCF.
+        robot: as written.
+        joints: attributes as written.
+        motion: states.
+    """
+    mjcf = path.suffix.lower() == ".xml"
+    names = ("damping", "armature") if mjcf else ("damping", "friction")
+    what = f"{_RIGID}; {', '.join(names)}"
+    try:
+        pin = import_module("pinocchio")
+    except ImportError:
+        return missing("Pinocchio", what, "not installed")
+    reader = f"Pinocchio {pin.__version__}"
+    try:
+        build = pin.buildModelFromMJCF if mjcf else pin.buildModelFromUrdf
+        model = build(str(path))
+    except Exception as error:  # its own exception types differ between versions
+        return missing(reader, what, f"cannot load the file: {_line(error)}")
+    ids = [int(model.getJointId(name)) for name in robot.joint_names]
+    if max(ids) >= model.njoints:
+        return missing(reader, what, "does not have all of the joints")
+    if not bool((robot.require_parameters("an export").mass > 0).all()):
+        return missing(reader, what, "takes positive masses only")
+    aside = _only_chain(pin, model, robot, ids)
+    rows = [model.joints[k].idx_v for k in ids]
+    read = {"damping": model.damping, "armature": model.armature, "friction": _friction(model)}
+    written = {name: [getattr(j, name) for j in joints] for name in names}
+    wrong = _attributes_differ({k: (read[k], rows, v) for k, v in written.items()})
+    model.armature = np.zeros(model.nv)
+    torque = _pinocchio_torque(pin, model, ids, motion)
+    found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
+    found = _with_note(found, wrong, aside)
+    if mjcf and not found.ok:
+        return missing(reader, what, "reads the file otherwise than MuJoCo does")
+    return found
+
+
+def _only_chain(pin: Any, model: Any, robot: Robot, ids: Sequence[int]) -> list[str]:
+    """Gravity as the robot's, and no masses off the chain; what these were, in words."""
+    model.gravity.linear = robot.gravity.numpy()
+    aside = []
+    for k in [k for k in range(1, model.njoints) if k not in ids]:
+        if model.inertias[k].mass > 0 and model.parents[k] in ids:
+            aside.append(f"what joint '{model.names[k]}' moves, off the chain")
+        model.inertias[k] = pin.Inertia.Zero()
+    return aside
+
+
+def _pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:
+    data, neutral = model.createData(), pin.neutral(model)
+    out = []
+    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
+        position, rates, accelerations = neutral.copy(), np.zeros(model.nv), np.zeros(model.nv)
+        for k, i in enumerate(ids):
+            joint = model.joints[i]
+            # A continuous joint has the cosine and sine of its angle.
+            own = [q[k]] if joint.nq == 1 else [np.cos(q[k]), np.sin(q[k])]
+            position[joint.idx_q : joint.idx_q + joint.nq] = own
+            rates[joint.idx_v], accelerations[joint.idx_v] = dq[k], ddq[k]
+        tau = pin.rnea(model, data, position, rates, accelerations)
+        out.append([float(tau[model.joints[i].idx_v]) for i in ids])
+    return torch.tensor(out, dtype=torch.float64)
+
+
+def _friction(model: Any) -> Any:
+    return model.friction if hasattr(model, "friction") else model.upperDryFrictionLimit
+
+
+def check_mujoco(
+    path: Path, robot: Robot, joints: Sequence[JointDynamics], motion: Motion
+) -> Comparison:
+    """MuJoCo's mj_inverse on an MJCF or URDF, and the friction loss that it read.
+
+    Args:
+        path: the file. Of a URDF the shapes are left out: MuJoCo looks for their meshes itself.
+        robot: as written.
+        joints: attributes as written.
+        motion: states.
+    """
+    what = f"{_RIGID}, armature, damping, spring; friction"
+    try:
+        mujoco = import_module("mujoco")
+    except ImportError:
+        return missing("MuJoCo", what, "not installed")
+    reader = f"MuJoCo {mujoco.__version__}"
+    urdf = path.suffix.lower() == ".urdf"
+    try:
+        if urdf:
+            model = mujoco.MjModel.from_xml_string(_without_shapes(path))
+        else:
+            model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        return missing(reader, what, f"cannot load the file: {_line(error)}")
+    note = _bare(mujoco, model, robot)
+    if urdf:
+        model.opt.gravity[:] = robot.gravity.numpy()
+    ids = [_joint_id(mujoco, model, name) for name in robot.joint_names]
+    rows = [int(model.jnt_dofadr[k]) for k in ids]
+    friction = [j.friction for j in joints]
+    wrong = _attributes_differ({"friction": (model.dof_frictionloss, rows, friction)})
+    model.dof_frictionloss[:] = 0.0
+    torque = _mujoco_torque(mujoco, model, ids, rows, motion)
+    expected = _known_torque(robot, joints, motion)
+    found = compared(reader, what, motion, expected, torque)
+    return _with_note(found, wrong, note)
+
+
+def _known_torque(robot: Robot, joints: Sequence[JointDynamics], motion: Motion) -> Joints:
+    """The rigid body with the attributes that MuJoCo knows, dry friction left out."""
+
+    def each(name: str) -> torch.Tensor:
+        return torch.tensor([getattr(j, name) for j in joints], dtype=torch.float64)
+
+    tau = inverse_dynamics(robot, *motion.state)
+    tau = tau + each("damping") * motion.dq + each("armature") * motion.ddq
+    return tau + each("stiffness") * motion.q + each("offset")
+
+
+def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:
+    """Turn off what a Robot does not have: constraints, other masses, gravcomp, fluid, tendons."""
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags = int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_CONTACT)
+    if not bool(robot.gravity.any()):
+        model.opt.gravity[:] = 0.0
+    said = []
+    names = {b: model.body(b).name or f"body_{b}" for b in range(model.nbody)}
+    others = [b for b in range(1, model.nbody) if names[b] not in robot.link_names]
+    moved = {int(b) for b in model.jnt_bodyid}
+    for b in others:
+        carried = b in moved and names[_carrier(model, b, moved)] in robot.link_names
+        if carried and model.body_mass[b] > 0:
+            said.append(f"body '{names[b]}' off the chain")
+        model.body_mass[b], model.body_inertia[b] = 0.0, 0.0
+    if model.body_gravcomp.any():
+        said.append("gravcomp")
+        model.body_gravcomp[:] = 0.0
+    if model.opt.density or model.opt.viscosity:
+        said.append("fluid")
+        model.opt.density = model.opt.viscosity = 0.0
+    if model.ntendon and (model.tendon_stiffness.any() or model.tendon_damping.any()):
+        said.append("tendons")
+        model.tendon_stiffness[:] = model.tendon_damping[:] = 0.0
+    return said
+
+
+def _carrier(model: Any, body: int, moved: set[int]) -> int:
+    """The moving body that carries a body; the world where there is none."""
+    body = int(model.body_parentid[body])
+    while body > 0 and body not in moved:
+        body = int(model.body_parentid[body])
+    return body
+
+
+def _joint_id(mujoco: Any, model: Any, name: str) -> int:
+    """A joint by its name, or by its number where the file gives none (joint_3)."""
+    found = int(mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name))
+    return found if found >= 0 else int(name.rstrip("_").rpartition("_")[2])
+
+
+def _mujoco_torque(
+    mujoco: Any, model: Any, ids: Sequence[int], rows: Sequence[int], motion: Motion
+) -> Joints:
+    data = mujoco.MjData(model)
+    places = [int(model.jnt_qposadr[k]) for k in ids]
+    out = []
+    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
+        data.qpos[places], data.qvel[rows], data.qacc[rows] = q, dq, ddq
+        mujoco.mj_inverse(model, data)
+        out.append(data.qfrc_inverse[rows].copy())
+    return torch.from_numpy(np.stack(out))
+
+
+def _without_shapes(path: Path) -> str:
+    """A URDF without <visual> and <collision>, as text."""
+    file = read_xml(path)
+    for node in [n for n in file.root.iter() if local(n) in ("visual", "collision")]:
+        node.getparent().remove(node)
+    return str(etree.tostring(file.root, encoding="unicode"))
+
+
+def _attributes_differ(read: dict[str, tuple[Any, Sequence[int], Sequence[float]]]) -> str:
+    """A sentence on the first attribute that was read otherwise than written; empty if none."""
+    for name, (values, rows, written) in read.items():
+        found = torch.tensor([[float(values[r]) for r in rows]], dtype=torch.float64)
+        expected = torch.tensor([list(written)], dtype=torch.float64)
+        if relative_difference(found, expected) > EXACT:
+            return f"{name} read as {found[0].tolist()}, written as {list(written)}"
+    return ""
+
+
+def _with_note(found: Comparison, wrong: str, aside: Sequence[str]) -> Comparison:
+    """The comparison with what went wrong, which fails it, or what was left aside."""
+    difference = found.difference
+    if wrong:
+        return Comparison(
+            found.reader, found.compared, found.states, float("inf"), found.limit, wrong
+        )
+    note = f"left aside: {', '.join(aside)}" if aside else ""
+    return Comparison(found.reader, found.compared, found.states, difference, found.limit, note)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:300]

@@ -1,0 +1,130 @@
+"""Write a result's dynamics in another format, reload them, and compare before they are kept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from torchid.errors import TorchidError
+from torchid.export.checks import Comparison
+from torchid.export.dynamics import Dynamics, described, nearest_representative, states
+from torchid.export.verdict import check, require_feasible
+from torchid.export.write_plain import Written, write_c, write_table, write_yaml
+from torchid.export.write_xml import Original, write_xml
+from torchid.feasibility.record import Check
+from torchid.robot.model import Robot
+
+Format = Literal["urdf", "mjcf", "yaml", "csv", "c"]
+SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "csv": ".csv", "c": ".c"}
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """What was written.
+
+    Attributes:
+        dynamics: the result.
+        format: of the files.
+        files: what was written, the main file first.
+        original: the file that was edited a copy of; None for a new one.
+        check: feasibility of the physical parameters; None for base parameters (csv, c).
+        comparisons: of what was reloaded with the result's model.
+        in_file, beside, left_out: effects that the format knows, that are in the sidecar, and that
+            are nowhere, in words.
+        notes: sentences for the user.
+    """
+
+    dynamics: Dynamics
+    format: Format
+    files: tuple[Path, ...]
+    original: Path | None
+    check: Check | None
+    comparisons: tuple[Comparison, ...]
+    in_file: tuple[str, ...]
+    beside: tuple[str, ...]
+    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def export(
+    dynamics: Dynamics,
+    to: Format,
+    folder: Path,
+    name: str,
+    *,
+    nominal: Robot,
+    original: Original | None = None,
+    geometry: str | None = None,
+    force: bool = False,
+    seed: int = 0,
+    keep: Sequence[Path] = (),
+) -> Export:
+    """Write dynamics to `folder`, once what was written has been reloaded and compared.
+
+    Args:
+        dynamics: what to write.
+        to: format. yaml, urdf and mjcf need physical parameters: of base parameters those nearest
+            to the robot's own that have exactly them.
+        folder: exists.
+        name: of the file, without suffix.
+        nominal: the robot that the result belongs to, with its own parameters.
+        original: for urdf and mjcf: the file to edit a copy of; a new one is written without.
+        geometry: group of bounds, or `none`, of the check (see `check_sets`).
+        force: write infeasible parameters, too.
+        seed: of the states of the comparison.
+        keep: files that are never overwritten, beside those of the robot and the original.
+
+    Raises:
+        TorchidError: infeasible parameters that are not forced, frames that are not the original's,
+            what the format has no place for, or a file that does not reproduce the result's torque.
+            Nothing is left then, and files that were there before stay.
+    """
+    path = folder / f"{name}{SUFFIXES[to]}"
+    originals = [] if original is None else [original.path]
+    _refuse_overwriting(path, [*keep, Path(nominal.source), *originals])
+    physical = dynamics.base is None or to not in ("csv", "c")
+    written = dynamics.robot
+    if dynamics.base is not None and physical:
+        written = nearest_representative(nominal, dynamics.base)
+    found = check(written, geometry) if physical else None
+    if found is not None and not force:
+        require_feasible(dynamics, found)
+    draft, comparisons = _write(dynamics, written, to, path, original, seed)
+    robot = dynamics.robot
+    in_file, beside, left_out = (
+        tuple(described(effect, values, robot) for effect, values in pairs)
+        for pairs in (draft.in_file, draft.beside, draft.left_out)
+    )
+    return Export(
+        dynamics=dynamics,
+        format=to,
+        files=tuple(folder / file for file, data in draft.files.items() if data is not None),
+        original=None if original is None else original.path,
+        check=found,
+        comparisons=comparisons,
+        in_file=in_file,
+        beside=beside,
+        left_out=left_out,
+        notes=draft.notes,
+    )
+
+
+def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
+    if any(path.resolve() == source.resolve() for source in sources):
+        raise TorchidError(
+            f"the export would take the place of the original '{path}'.",
+            hint="another --name, or another folder by --out",
+        )
+
+
+def _write(
+    dynamics: Dynamics, written: Robot, to: Format, path: Path, original: Original | None, seed: int
+) -> Written:
+    motion = states(dynamics.robot, seed)
+    if to == "yaml":
+        return write_yaml(dynamics, written, path, motion)
+    if to == "csv":
+        return write_table(dynamics, path, motion)
+    if to == "c":
+        return write_c(dynamics, path, motion)
+    return write_xml(dynamics, written, path, original, motion)

@@ -1,0 +1,245 @@
+"""A copy of an MJCF with other dynamics: <inertial> and <joint> are written, the rest stays.
+
+Files that the original includes are put in their places, because bodies may be in them.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from torchid.errors import TorchidError
+from torchid.export.exact_text import number, principal, text
+from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.urdf_edit import refuse_moment_without_mass
+from torchid.export.xml_tree import (
+    XmlFile,
+    child,
+    children,
+    comment,
+    local,
+    new_child,
+    parsed,
+    read_xml,
+    relocated,
+)
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import JointType, Robot
+
+_JOINTS = ("joint", "freejoint")
+_UNNAMED = re.compile(r"body_(\d+)_*")
+_POSES = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia", "diaginertia")
+_OVERRIDES = ("boundmass", "boundinertia", "balanceinertia", "settotalmass")
+"""Settings by which the compiler changes the masses and inertias that a file gives."""
+
+
+def edited_mjcf(
+    original: Path, robot: Robot, joints: Sequence[JointDynamics], gravity: bool, folder: Path
+) -> XmlFile:
+    """The original with the robot's parameters and its joints' attributes.
+
+    The whole of bodies that move as one is written into the one with the joint; those without
+    joints get an explicit <inertial> of no mass, since without one MuJoCo would take their shapes'.
+
+    Args:
+        original: the user's file, which is only read.
+        robot: parameters in the frames of the original's bodies, and gravity.
+        joints: attributes of its n joints.
+        gravity: whether the robot's gravity is written too.
+        folder: where the copy will lie, for relative references to meshes.
+
+    Raises:
+        TorchidError: a body of the chain that is not written out in the file, or parameters of a
+            massless link between two joints of one body.
+    """
+    file = read_xml(original)
+    _expand_includes(file.root, original.parent)
+    _neutral_compiler(file.root)
+    _write_chain(_Bodies(file.root, str(original)), robot, joints, _in_degrees(file.root))
+    if gravity:
+        option = child(file.root, "option")
+        option = new_child(file.root, "option", first=True) if option is None else option
+        option.set("gravity", text(robot.gravity))
+    if folder.resolve() != original.parent.resolve():
+        _relocate(file.root, original.parent, folder)
+    return file
+
+
+def _write_chain(
+    bodies: "_Bodies", robot: Robot, joints: Sequence[JointDynamics], degrees: bool
+) -> None:
+    """Inertials and joints of the chain; a body with several joints is several links."""
+    parameters = robot.require_parameters("an export")
+    waiting: list[int] = []
+    for i, name in enumerate(robot.link_names):
+        waiting.append(i)
+        body = bodies.find(name)
+        if body is None:
+            _refuse_parameters(parameters, i, name)
+            continue
+        _write_inertial(body, parameters, i, name)
+        for fixed in _fixed_below(body):
+            _write_massless(fixed, name)
+        own = [node for node in _members(body) if local(node) in _JOINTS]
+        if len(own) != len(waiting):
+            raise bodies.not_written(name)
+        for node, k in zip(own, waiting, strict=True):
+            turns = robot.joint_types[k] is JointType.REVOLUTE
+            _write_joint(node, joints[k], degrees and turns)
+        waiting = []
+    if waiting:
+        raise bodies.not_written(robot.link_names[-1])
+
+
+class _Bodies:
+    """The <body> elements of a file, by name or by their order."""
+
+    def __init__(self, root: Any, source: str):
+        self.source = source
+        worlds = children(root, "worldbody")
+        self.all = [b for world in worlds for b in world.iter("{*}body")]
+        self.named = {b.get("name"): b for b in self.all if b.get("name")}
+
+    def find(self, link: str) -> Any | None:
+        """The element of a link; None for a link between two joints of one body."""
+        if link in self.named:
+            return self.named[link]
+        unnamed = _UNNAMED.fullmatch(link)
+        if unnamed is not None and int(unnamed[1]) <= len(self.all):
+            found = self.all[int(unnamed[1]) - 1]
+            return None if found.get("name") else found
+        if "/" in link:
+            return None
+        raise self.not_written(link)
+
+    def not_written(self, link: str) -> TorchidError:
+        """A body that MuJoCo makes and the file does not spell out."""
+        return TorchidError(
+            f"{self.source}: the body '{link}' and its joints are not written out in it.",
+            expected="<body> elements; <attach>, <replicate> and <composite> make others",
+            available=list(self.named),
+            hint="without the original, a new file is written: --robot with the robot's yaml",
+        )
+
+
+def _expand_includes(root: Any, folder: Path) -> None:
+    """Put the content of included files in the place of each <include>."""
+    while (found := next(root.iter("{*}include"), None)) is not None:
+        path = folder / (found.get("file") or "")
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+        parent, tail = found.getparent(), found.tail
+        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
+        at = parent.index(found)
+        parent.remove(found)
+        for k, node in enumerate(nodes):
+            parent.insert(at + k, node)
+            node.tail = node.tail if k and (node.tail or "").strip() == "" else tail
+        nodes[-1].tail = tail
+
+
+def _neutral_compiler(root: Any) -> None:
+    """Take away what would change the masses and inertias that are written."""
+    for compiler in children(root, "compiler"):
+        for name in _OVERRIDES:
+            compiler.attrib.pop(name, None)
+        if compiler.get("inertiafromgeom") == "true":
+            compiler.set("inertiafromgeom", "auto")
+
+
+def _in_degrees(root: Any) -> bool:
+    given = [c.get("angle") for c in children(root, "compiler") if c.get("angle")]
+    return not given or given[-1] == "degree"
+
+
+def _members(body: Any) -> list[Any]:
+    """What belongs to a body: its children, and those of its <frame>s."""
+    out = []
+    for node in body:
+        out += _members(node) if local(node) == "frame" else [node]
+    return out
+
+
+def _fixed_below(body: Any) -> list[Any]:
+    """Bodies without joints that move with a body."""
+    out = []
+    for node in _members(body):
+        if local(node) == "body" and not any(local(n) in _JOINTS for n in _members(node)):
+            out += [node, *_fixed_below(node)]
+    return out
+
+
+def _write_inertial(body: Any, parameters: InertialParameters, i: int, name: str) -> None:
+    refuse_moment_without_mass(parameters, i, name)
+    moments, turn = principal(parameters, i)
+    node = _inertial_of(body)
+    node.set("pos", text(parameters.com[i]))
+    node.set("mass", number(parameters.mass[i]))
+    if turn[0] != 1:
+        node.set("quat", text(turn))
+    node.set("diaginertia", text(moments))
+
+
+def _write_massless(body: Any, moved_by: str) -> None:
+    node = _inertial_of(body)
+    said = comment(f"its inertial is part of that of body '{moved_by}'")
+    before = node.getprevious()
+    if before is None or before.text != said.text:  # of an earlier export
+        node.addprevious(said)
+        said.tail = body.text if (body.text or "").strip() == "" else None
+    node.set("pos", "0 0 0")
+    node.set("mass", "0")
+    node.set("diaginertia", "0 0 0")
+
+
+def _inertial_of(body: Any) -> Any:
+    """The body's <inertial>, without its inertia; a new one where it has none."""
+    found = child(body, "inertial")
+    node = new_child(body, "inertial", first=True) if found is None else found
+    for key in (*_POSES, "pos", "mass"):
+        node.attrib.pop(key, None)
+    return node
+
+
+def _refuse_parameters(parameters: InertialParameters, i: int, name: str) -> None:
+    if bool(parameters.pi[i].any()):
+        raise TorchidError(
+            f"'{name}' lies between two joints of one body, where MJCF has no place for its mass.",
+            got=parameters.pi[i].tolist(),
+            hint="--to urdf writes a new file with a link there",
+        )
+
+
+def _write_joint(node: Any, values: JointDynamics, degrees: bool) -> None:
+    """Explicit attributes, so that defaults of a class do not count."""
+    node.set("damping", number(values.damping))
+    node.set("frictionloss", number(values.friction))
+    node.set("armature", number(values.armature))
+    node.set("stiffness", number(values.stiffness))
+    if values.stiffness:
+        factor = 57.29577951308232 if degrees else 1.0
+        node.set("springref", number(values.rest * factor))
+
+
+def _relocate(root: Any, old: Path, new: Path) -> None:
+    """Folders of assets as seen from the copy's folder."""
+    assets = [n for n in root.iter() if local(n) in ("mesh", "hfield", "skin", "texture", "model")]
+    if not any(key.startswith("file") for node in assets for key in node.attrib):
+        return
+    compilers = children(root, "compiler")
+    compiler = compilers[-1] if compilers else None
+    if compiler is None:
+        compiler = new_child(root, "compiler", first=True)
+    given: dict[str, str] = {}
+    for node in compilers:
+        for key in ("assetdir", "meshdir", "texturedir"):
+            if key in node.attrib:
+                given[key] = node.attrib.pop(key)
+    for key in ("meshdir", "texturedir"):
+        place = given.get(key, given.get("assetdir", "."))
+        compiler.set(key, relocated(place or ".", old, new))
+    for node in assets:
+        if local(node) == "model" and node.get("file"):
+            node.set("file", relocated(node.get("file"), old, new))

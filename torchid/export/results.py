@@ -1,0 +1,177 @@
+"""Reading what is exported: an identification, parameter sets, or a robot.
+
+The JSON of `torchid identify` holds base parameters. Sets are those of sets.json, of the JSON of
+`torchid extract`, or of `torchid check --nearest`; study.json's are in the sets.json beside it. A
+robot is a built-in name or a file, such as `torchid gap --save-model` writes.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from torchid.effects.registry import COLUMN_KINDS, nominal_effects
+from torchid.errors import TorchidError
+from torchid.export.dynamics import Dynamics, of_base, records
+from torchid.feasibility.record import check_sets
+from torchid.feasibility.sets import ParameterSets, read_sets
+from torchid.identification.reading import read_base
+from torchid.identification.record import SCHEMA as IDENTIFICATION
+from torchid.robot.library import built_in_robots, load_robot
+from torchid.robot.model import Robot
+
+_ROBOT_FILES = (".yaml", ".yml", ".urdf", ".xml")
+_KINDS = "the JSON of `torchid identify` or `extract`, a file of parameter sets, or a robot"
+
+
+def is_robot(result: str) -> bool:
+    """Whether a result is a robot itself, by its name."""
+    return result in built_in_robots() or Path(result).suffix.lower() in _ROBOT_FILES
+
+
+def load(path: Path) -> Mapping[str, Any]:
+    """The content of a JSON result.
+
+    Raises:
+        TorchidError: not readable, not JSON, or a result that carries no dynamics.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TorchidError(
+            f"'{path}' cannot be read: {error.strerror or error}.", expected=_KINDS
+        ) from error
+    except ValueError as error:
+        raise TorchidError(f"'{path}' is not JSON: {error}", expected=_KINDS) from error
+    schema = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+    if not isinstance(data, Mapping) or not ("sets" in data or schema == IDENTIFICATION):
+        hint = None
+        if schema == "torchid.gap/1":
+            hint = "torchid gap ROBOT LOG... --save-model corrected.yaml, and export that file"
+        raise TorchidError(
+            f"'{path}' carries no dynamics.", got=f"schema {schema}", expected=_KINDS, hint=hint
+        )
+    return data
+
+
+def robot_of(result: Path, data: Mapping[str, Any], tip: str | None) -> Robot:
+    """The robot that a JSON result names, by the file or built-in name it records.
+
+    Raises:
+        TorchidError: it names none, or one that is not where it was.
+    """
+    source, name = data.get("robot_source"), data.get("robot")
+    for place in (source, name):
+        if not isinstance(place, str):
+            continue
+        beside = result.parent / place
+        for found in (place, str(beside)):
+            if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
+                return load_robot(found, tip=tip)
+    raise TorchidError(
+        f"--robot is needed: the robot of '{result}' was not found.",
+        got=source or name,
+        expected="torchid export RESULT --robot ROBOT --to FORMAT",
+    )
+
+
+def base_dynamics(path: Path, robot: Robot) -> Dynamics:
+    """The base parameters of an identification."""
+    values = read_base(path, robot)
+    unknown = [n for n, k in zip(values.base.names, values.known.tolist(), strict=True) if not k]
+    said = (f"not determined by the log, and 0 here: {', '.join(unknown)}",) if unknown else ()
+    title = f"the {len(values.base)} base parameters identified in {path.name}"
+    return of_base(robot, values, title, said)
+
+
+def set_dynamics(
+    path: Path, data: Mapping[str, Any], robot: Robot, asked: str | None, geometry: str | None
+) -> Dynamics:
+    """One set of a file: the one asked for; else, of the feasible ones, the one of least loss, or
+    of the largest degree where no losses are known. Where none is feasible, of all.
+
+    Raises:
+        TorchidError: no such set, or a file without parameters.
+    """
+    sets = read_sets(_with_parameters(path, data), robot)
+    k, why = _chosen(sets, _losses(path, data), asked, robot, geometry)
+    one = sets.part([k])
+    coefficients = iter(one.coefficients[0].tolist())
+    effects = [(e, [next(coefficients) for _ in e.coefficients]) for e in one.effects]
+    left = {e.name for e, _ in nominal_effects(robot) if e.name not in COLUMN_KINDS}
+    said = []
+    if left:
+        said.append(f"effects of the robot that are not part of the sets: {', '.join(left)}")
+    if data.get("robot") not in (None, robot.name):
+        said.append(f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'")
+    return Dynamics(
+        replace(one.to_robot(robot, 0), effects=records(effects)),
+        "set",
+        f"the set '{one.ids[0]}' of {path.name}{why}",
+        warnings=tuple(said),
+    )
+
+
+def robot_dynamics(robot: Robot, result: str) -> Dynamics:
+    """A robot's own parameters and effects.
+
+    Raises:
+        RobotError: it has no parameters.
+    """
+    robot.require_parameters("an export")
+    nominal_effects(robot)
+    return Dynamics(robot, "robot", f"the parameters of {Path(result).name}")
+
+
+def _with_parameters(path: Path, data: Mapping[str, Any]) -> Path:
+    """The file that holds the sets' parameters: the result, or the sets.json beside it."""
+    entries = data["sets"]
+    if isinstance(entries, list) and all(isinstance(e, Mapping) and "mass" in e for e in entries):
+        return path
+    beside = path.parent / "sets.json"
+    if beside.is_file() and beside != path:
+        return beside
+    raise TorchidError(
+        f"'{path}' lists sets without their parameters, and there is no sets.json beside it.",
+        hint="export the sets.json that the command wrote into --out",
+    )
+
+
+def _losses(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
+    """Losses by the sets' ids, from the result or from the extraction or study beside it."""
+    for other in (path, path.parent / "extraction.json", path.parent / "study.json"):
+        try:
+            entries = (
+                data["sets"] if other == path else json.loads(other.read_text("utf-8"))["sets"]
+            )
+            found = {str(e["id"]): e["phi"] for e in entries if "phi" in e}
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if found:
+            return {k: math.inf if v is None else float(v) for k, v in found.items()}
+    return {}
+
+
+def _chosen(
+    sets: ParameterSets,
+    losses: Mapping[str, float],
+    asked: str | None,
+    robot: Robot,
+    geometry: str | None,
+) -> tuple[int, str]:
+    """Number of the set to export, and why it is this one."""
+    if asked is not None:
+        if asked not in sets.ids:
+            raise TorchidError("there is no such set.", got=asked, available=sets.ids)
+        return sets.ids.index(asked), ""
+    if len(sets) == 1:
+        return 0, ""
+    found = check_sets(robot, sets, geometry=geometry).feasibility
+    feasible = found.feasible.nonzero().flatten().tolist()
+    among = feasible or list(range(len(sets)))
+    words = f"of {len(sets)} sets" if not feasible else f"of {len(feasible)} feasible sets"
+    if set(sets.ids) <= set(losses):
+        return min(among, key=lambda k: losses[sets.ids[k]]), f", the least loss {words}"
+    return max(among, key=lambda k: float(found.degree[k])), f", the largest degree {words}"

@@ -1,0 +1,109 @@
+"""A result as a table (csv): base parameters and effects, or physical parameters in both
+conventions."""
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import torch
+
+from torchid.effects.registry import nominal_effects
+from torchid.errors import TorchidError
+from torchid.export.dynamics import Dynamics
+from torchid.export.exact_text import number
+from torchid.identification.reading import BaseValues
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float, Tensor
+
+COLUMNS = ("parameter", "value", "std", "unit", "meaning")
+_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+Row = tuple[str, str, str, str, str]
+
+
+def table(dynamics: Dynamics) -> str:
+    """The text of the csv; a standard deviation that is not known is empty."""
+    rows = _base_rows(dynamics.base) if dynamics.base else _physical_rows(dynamics.robot)
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def _base_rows(values: BaseValues) -> Iterator[Row]:
+    base = values.base
+    std = [0.0] * len(base)
+    if values.covariance is not None:
+        std = values.covariance.diagonal().clamp(min=0).sqrt().tolist()
+    for k, (name, unit) in enumerate(zip(base.names, base.units, strict=True)):
+        kind = "base parameter" if k < base.n_rigid else "coefficient of an effect"
+        meaning = kind if values.known[k] else f"{kind}, not determined by the log"
+        deviation = number(std[k]) if std[k] > 0 else ""
+        yield name, number(values.values[k]), deviation, unit, meaning
+
+
+def _physical_rows(robot: Robot) -> Iterator[Row]:
+    p = robot.require_parameters("an export")
+    for i, link in enumerate(robot.link_names):
+        at = f"of {link}"
+        k = i + 1
+        yield f"m{k}", number(p.mass[i]), "", "kg", f"mass {at}"
+        for axis, c in zip("xyz", p.com[i].tolist(), strict=True):
+            yield f"c{k}{axis}", number(c), "", "m", f"centre of mass {at}, in its frame"
+        for entry, v in zip(_ENTRIES, p.inertia_about_com[i].tolist(), strict=True):
+            yield f"I{k}{entry}", number(v), "", "kg m^2", f"inertia {at} about its centre of mass"
+        for axis, h in zip("xyz", p.first_moment[i].tolist(), strict=True):
+            yield f"m{k}c{k}{axis}", number(h), "", "kg m", f"first moment {at}"
+        for entry, v in zip(_ENTRIES, p.inertia_about_link_frame[i].tolist(), strict=True):
+            yield f"J{k}{entry}", number(v), "", "kg m^2", f"inertia {at} about its frame's origin"
+    yield from _effect_rows(robot)
+
+
+def _effect_rows(robot: Robot) -> Iterator[Row]:
+    seen: Counter[str] = Counter()
+    for effect, values in nominal_effects(robot):
+        place = "".join(f"[{j + 1}]" for j in effect.joints)
+        seen[effect.name + place] += 1
+        if seen[effect.name + place] > 1:  # two springs on one joint, say
+            place += f"#{seen[effect.name + place]}"
+        kinds = [robot.joint_types[j] is JointType.PRISMATIC for j in effect.joints]
+        prismatic = bool(kinds) and all(kinds)
+        for c, value in zip(effect.coefficients, values, strict=True):
+            name = f"{effect.name}{place}.{c.name}"
+            yield name, number(value), "", c.unit_for(prismatic), c.meaning
+        for s, value in zip(effect.shapes, effect.shape_values, strict=True):
+            yield f"{effect.name}{place}.{s.name}", number(value), "", s.unit, s.meaning
+
+
+def read_values(text: str) -> dict[str, float]:
+    """Values by name.
+
+    Raises:
+        TorchidError: a name twice.
+    """
+    rows = list(csv.reader(io.StringIO(text)))[1:]
+    out = {row[0]: float(row[1]) for row in rows}
+    if len(out) != len(rows):
+        raise TorchidError("two parameters of the table have the same name.")
+    return out
+
+
+def base_values(values: dict[str, float], names: Sequence[str]) -> Float[Tensor, " B"]:
+    """Base values (B,) of a table."""
+    return torch.tensor([values[name] for name in names], dtype=torch.float64)
+
+
+def physical(values: dict[str, float], n: int) -> tuple[InertialParameters, InertialParameters]:
+    """The parameters of a table from its first moments and inertias about the link frames, and
+    from its centres of mass and inertias about them."""
+
+    def of(pattern: str, tails: Sequence[str]) -> Tensor:
+        rows = [[values[pattern.format(i=i) + tail] for tail in tails] for i in range(1, n + 1)]
+        return torch.tensor(rows, dtype=torch.float64)
+
+    mass = of("m{i}", ("",))
+    origin = torch.cat([mass, of("m{i}c{i}", "xyz"), of("J{i}", _ENTRIES)], -1)
+    own = InertialParameters.from_com(mass[:, 0], of("c{i}", "xyz"), of("I{i}", _ENTRIES))
+    return InertialParameters(origin), own

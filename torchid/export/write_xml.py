@@ -1,0 +1,175 @@
+"""Exports to URDF and MJCF: an edited copy of the user's file, or a new one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torchid import __version__
+from torchid.effects.base import Motion
+from torchid.effects.registry import Valued, nominal_effects
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.export.checks import Comparison, compared
+from torchid.export.draft import Draft, kept
+from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
+from torchid.export.engines import check_mujoco, check_pinocchio
+from torchid.export.joint_dynamics import JointDynamics, split
+from torchid.export.mjcf_edit import edited_mjcf
+from torchid.export.mjcf_new import new_mjcf
+from torchid.export.staging import staged
+from torchid.export.urdf_edit import edited_urdf
+from torchid.export.urdf_new import in_joint_frames, new_urdf
+from torchid.export.xml_tree import XmlFile, set_head
+from torchid.robot.library import load_robot
+from torchid.robot.model import STANDARD_GRAVITY, Robot
+from torchid.robot.sidecar import sidecar_path, sidecar_yaml
+
+SAME_FRAMES = 1e-9
+"""Largest difference of entries of two poses of a frame that counts as the same [-; m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """The user's file that a copy is made of.
+
+    Attributes:
+        path: of the URDF or MJCF.
+        robot: as read from it.
+        tip: that it was read with.
+    """
+
+    path: Path
+    robot: Robot
+    tip: str | None
+
+
+def write_xml(
+    dynamics: Dynamics, written: Robot, path: Path, original: Original | None, motion: Motion
+) -> tuple[Draft, tuple[Comparison, ...]]:
+    """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
+
+    Args:
+        dynamics: the result, whose torque counts.
+        written: physical parameters and effects to write.
+        path: .urdf or .xml (MJCF).
+        original: the file to edit a copy of.
+        motion: states of the comparison.
+    """
+    mjcf = path.suffix == ".xml"
+    robot = folded(written)
+    if original is not None:
+        _require_same_frames(robot, original)
+        names = original.robot
+        robot = replace(robot, joint_names=names.joint_names, link_names=names.link_names)
+    joints, rest = split(robot, mjcf=mjcf)
+    known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
+    if original is None and not mjcf:
+        rest = in_joint_frames(rest, robot)
+    file = _file(robot, joints, mjcf, path.parent, original)
+    # A URDF has no gravity; its reader takes -9.81 along z.
+    usual = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
+    gravity = None if usual else robot.gravity.tolist()
+    beside = bool(rest) or gravity is not None
+    side = sidecar_path(path)
+    set_head(file.root, _head(dynamics, robot, rest, side.name if beside else None))
+    sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity)
+    draft = Draft(
+        {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None},
+        known,
+        rest,
+        notes=_notes(robot, original),
+    )
+    with staged(path.parent, draft.files) as files:
+        tip = None if original is None else original.tip
+        again = _read_back(files[path.name], path, tip)
+        own = compared(
+            f"torchid {__version__}", "torque with all effects", motion, dynamics.torque(motion),
+            robot_torque(again, motion),
+        )  # fmt: skip
+        main = files[path.name]
+        engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
+        return draft, kept([own, *engines])
+
+
+def _read_back(staged_path: Path, path: Path, tip: str | None) -> Robot:
+    """The robot of the file, under its hidden name."""
+    try:
+        return load_robot(staged_path, tip=tip)
+    except MissingExtraError:
+        raise
+    except TorchidError as error:
+        raise TorchidError(
+            "what was written cannot be read back, so nothing was kept.",
+            got=str(error).replace(staged_path.name, path.name),
+            hint="MuJoCo compiles no body that cannot exist; --to urdf and --to yaml hold any"
+            if path.suffix == ".xml"
+            else None,
+        ) from error
+
+
+def _file(
+    robot: Robot,
+    joints: Sequence[JointDynamics],
+    mjcf: bool,
+    folder: Path,
+    original: Original | None,
+) -> XmlFile:
+    if original is None:
+        return new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
+    if not mjcf:
+        return edited_urdf(original.path, original.tip, robot, joints, folder)
+    gravity = robot.gravity.tolist() != original.robot.gravity.tolist()
+    return edited_mjcf(original.path, robot, joints, gravity, folder)
+
+
+def _require_same_frames(robot: Robot, original: Original) -> None:
+    """Raise TorchidError where parameters are not in the frames of the original's links."""
+    other = original.robot
+    if robot.n != other.n or robot.joint_types != other.joint_types:
+        raise TorchidError(
+            f"the result is of another arm than '{original.path}'.",
+            got=" ".join(robot.joint_types),
+            expected=" ".join(other.joint_types),
+            hint="choose the chain with --tip",
+        )
+    apart = [
+        str(i + 1)
+        for i in range(robot.n)
+        for own, its in ((robot.before, other.before), (robot.after, other.after))
+        if float((own[i] - its[i]).abs().max()) > SAME_FRAMES
+    ]
+    if apart:
+        raise TorchidError(
+            f"the result has its link frames elsewhere than '{original.path}', so its parameters "
+            "do not fit into it.",
+            got=f"links {', '.join(dict.fromkeys(apart))}",
+            hint="identify with this file as the robot; without --robot a new file is written",
+        )
+
+
+def _head(dynamics: Dynamics, robot: Robot, rest: Sequence[Valued], sidecar: str | None) -> str:
+    """The comment at the top of the file."""
+    words = f"dynamics of {dynamics.title}; torchid {__version__}."
+    if sidecar is not None:
+        words += f" What this format cannot say is in {sidecar}, which torchid reads with it."
+    for effect, values in rest:
+        words += f"\n    {described(effect, values, robot)}"
+    return words
+
+
+def _notes(robot: Robot, original: Original | None) -> tuple[str, ...]:
+    """What a reader of the file should know."""
+    if original is None:
+        lost = {
+            "acceleration limits": robot.limits.acceleration is not None,
+            "drive gains": robot.drive_gain is not None,
+            "bounds": bool(robot.bounds),
+        }
+        said = [name for name, there in lost.items() if there]
+        new = ("a new file of kinematics and dynamics, without shapes",)
+        return (*new, f"not in it: {', '.join(said)}") if said else new
+    return tuple(
+        f"{warning}; their own inertials stay in the copy, and count twice if the log was recorded "
+        "with them on the arm"
+        for warning in original.robot.warnings
+        if "is not on the chain" in warning
+    )

@@ -1,0 +1,203 @@
+"""Editing an XML file so that what is not edited stays: comments, order, white space, line ends."""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lxml import etree
+
+from torchid.errors import TorchidError
+
+HEAD = "torchid export:"
+"""How the comment at the top of an export begins, which a later export replaces."""
+MARK = "torchid:"
+"""How its other comments begin."""
+_PROLOG = re.compile(rb"(?:\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*", re.DOTALL)
+_MARKUP = re.compile(
+    rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<[^/!?](?:[^>\"']|\"[^\"]*\"|'[^']*')*>", re.DOTALL
+)
+
+
+class _Written(NamedTuple):
+    """How an element's start tag is written in the file, and its attributes there."""
+
+    tag: bytes
+    attributes: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class XmlFile:
+    """A parsed file, and what lxml does not keep of it.
+
+    Attributes:
+        root: the root element.
+        before, after: what stands around it, as it is written there.
+        encoding: of the file.
+        crlf: whether lines end as on Windows.
+        written: start tags as they are in the file, by element.
+    """
+
+    root: Any
+    before: bytes
+    after: bytes = b"\n"
+    encoding: str = "utf-8"
+    crlf: bool = False
+    written: Mapping[Any, _Written] = field(default_factory=dict)
+
+    def to_bytes(self) -> bytes:
+        """The file's content in its own encoding; tags that were not edited as they were."""
+        body = etree.tostring(
+            self.root, encoding=self.encoding, xml_declaration=False, with_tail=False
+        )
+        if self.crlf:
+            body = body.replace(b"\n", b"\r\n")
+        elements = list(self.root.iter(etree.Element))
+        if len(elements) == len(_start_tags(body)):
+            following = iter(elements)
+            body = _MARKUP.sub(lambda found: self._tag(found.group(), following), body)
+        return self.before + body + self.after
+
+    def _tag(self, markup: bytes, following: Iterator[Any]) -> bytes:
+        """A start tag as in the file, where it still says the same; other markup as it is."""
+        if not _is_start(markup):
+            return markup
+        element = next(following)
+        old = self.written.get(element)
+        if old is None or old.attributes != dict(element.attrib):
+            return markup
+        start = old.tag[:-2].rstrip() if old.tag.endswith(b"/>") else old.tag[:-1]
+        if old.tag.endswith(b"/>") == markup.endswith(b"/>"):
+            return old.tag
+        return start + (b"/>" if markup.endswith(b"/>") else b">")
+
+
+def _is_start(markup: bytes) -> bool:
+    return markup[1:2] not in (b"!", b"?")
+
+
+def _start_tags(data: bytes) -> list[bytes]:
+    return [markup for markup in _MARKUP.findall(data) if _is_start(markup)]
+
+
+def read_xml(path: Path) -> XmlFile:
+    """A file with its comments; the robot readers have already refused what is not XML."""
+    try:
+        data = path.read_bytes().lstrip()
+    except OSError as error:
+        raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    root = parsed(data, path)
+    found = _PROLOG.match(data)
+    before = b"" if found is None else found.group()
+    name = f"{root.prefix}:{local(root)}" if root.prefix else local(root)
+    end = data.rfind(f"</{name}".encode())
+    after = data[data.find(b">", end) + 1 :]
+    tags, elements = _start_tags(data[len(before) :]), list(root.iter(etree.Element))
+    written = {}
+    if len(tags) == len(elements):
+        pairs = zip(elements, tags, strict=True)
+        written = {element: _Written(tag, dict(element.attrib)) for element, tag in pairs}
+    encoding = root.getroottree().docinfo.encoding or "utf-8"
+    return XmlFile(root, before, after, encoding, b"\r\n" in data, written)
+
+
+def parsed(data: bytes, path: Path) -> Any:
+    """The root element of an XML text."""
+    parser = etree.XMLParser(
+        remove_blank_text=False, strip_cdata=False, resolve_entities=False, no_network=True
+    )
+    try:
+        return etree.fromstring(data.lstrip(), parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise TorchidError(f"'{path}' is not valid XML: {error.args[0]}.") from error
+
+
+def local(node: Any) -> str:
+    """An element's tag without its namespace; empty for a comment."""
+    return etree.QName(node).localname if isinstance(node.tag, str) else ""
+
+
+def children(element: Any, *tags: str) -> list[Any]:
+    """Child elements of these tags."""
+    return [node for node in element if local(node) in tags]
+
+
+def child(element: Any, tag: str) -> Any | None:
+    """The first child element of a tag, or None."""
+    found = children(element, tag)
+    return found[0] if found else None
+
+
+def new_child(element: Any, tag: str, *, first: bool = False) -> Any:
+    """A new child in the element's namespace, first or last, indented as its neighbours."""
+    namespace = etree.QName(element).namespace
+    node = etree.Element(tag if namespace is None else f"{{{namespace}}}{tag}")
+    insert(element, node, first=first)
+    return node
+
+
+def child_or_new(element: Any, tag: str, *, first: bool = False) -> Any:
+    """The child of a tag, made where there is none."""
+    found = child(element, tag)
+    return new_child(element, tag, first=first) if found is None else found
+
+
+def insert(element: Any, node: Any, *, first: bool) -> None:
+    """Put a node among the element's children, on a line of its own where they have one."""
+    if len(element) == 0:
+        outer = _before(element)
+        if outer.strip(" \t\r\n") == "" and "\n" in outer:
+            element.text = f"{outer}  "
+            node.tail = outer
+        element.append(node)
+    elif first:
+        node.tail = element.text if not (element.text or "").strip() else None
+        element.insert(0, node)
+    else:
+        last = element[-1]
+        node.tail, last.tail = last.tail, element.text
+        element.append(node)
+
+
+def _before(element: Any) -> str:
+    """White space in front of an element."""
+    previous, parent = element.getprevious(), element.getparent()
+    if previous is not None:
+        return previous.tail or ""
+    return "" if parent is None else parent.text or ""
+
+
+def comment(words: str, mark: str = MARK) -> Any:
+    """A comment that says so; what XML forbids in comments is written otherwise."""
+    safe = re.sub(r"-(?=-)|-\Z", "- ", f" {mark} {words} ")
+    return etree.Comment(safe)
+
+
+def replace(node: Any, other: Any) -> None:
+    """Put another node in the place of one, white space behind it kept."""
+    other.tail = node.tail
+    node.getparent().replace(node, other)
+
+
+def set_head(root: Any, words: str) -> None:
+    """A comment as the root's first child, in place of that of an earlier export."""
+    for node in [n for n in root.iter(etree.Comment) if (n.text or "").strip().startswith(HEAD)]:
+        parent, previous = node.getparent(), node.getprevious()
+        if parent is None:
+            continue
+        if previous is not None:
+            previous.tail = node.tail
+        else:
+            parent.text = node.tail
+        parent.remove(node)
+    insert(root, comment(words, HEAD), first=True)
+
+
+def relocated(reference: str, old: Path, new: Path) -> str:
+    """A relative file reference as seen from another folder; others (absolute, package://) as they
+    are."""
+    if not reference or "://" in reference or os.path.isabs(reference) or reference[0] == "$":
+        return reference
+    return Path(os.path.relpath(old.resolve() / reference, new.resolve())).as_posix()

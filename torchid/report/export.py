@@ -1,0 +1,100 @@
+"""An export as tables and as plain data (schema torchid.export/1)."""
+
+import math
+from typing import Any
+
+from rich.table import Table
+
+from torchid.export.checks import Comparison
+from torchid.export.export import Export
+from torchid.report.identification import compact
+
+SCHEMA = "torchid.export/1"
+
+
+def export_record(done: Export) -> dict[str, Any]:
+    """JSON-ready data; every number is finite or null."""
+    return {
+        "schema": SCHEMA,
+        "robot": done.dynamics.robot.name,
+        "what": done.dynamics.kind,
+        "result": done.dynamics.title,
+        "format": done.format,
+        "files": [str(path) for path in done.files],
+        "original": None if done.original is None else str(done.original),
+        "feasible": None if done.check is None else bool(done.check.feasibility.feasible[0]),
+        "reasons": [] if done.check is None else list(done.check.feasibility.reasons(0)),
+        "checks": [_comparison(one) for one in done.comparisons],
+        "effects": {
+            "in_file": list(done.in_file),
+            "beside": list(done.beside),
+            "left_out": list(done.left_out),
+        },
+        "warnings": list(warnings(done)),
+    }
+
+
+def _comparison(one: Comparison) -> dict[str, Any]:
+    value = one.difference
+    return {
+        "reader": one.reader,
+        "compared": one.compared,
+        "states": one.states,
+        "largest_relative_difference": None if value is None or math.isinf(value) else value,
+        "limit": one.limit,
+        "ok": None if value is None else one.ok,
+        "note": one.note,
+    }
+
+
+def warnings(done: Export) -> tuple[str, ...]:
+    """What must not be overlooked."""
+    said = list(done.dynamics.warnings) + list(done.notes)
+    if done.check is not None and not bool(done.check.feasibility.feasible[0]):
+        reasons = ", ".join(done.check.feasibility.reasons(0))
+        said.append(f"infeasible, and written all the same: {reasons}")
+    said += [f"LEFT OUT of the {done.format} file: {words}" for words in done.left_out]
+    return tuple(said)
+
+
+def comparison_table(done: Export) -> Table:
+    """Who reloaded the file, and by how much its torque differs from the result's."""
+    table = compact("reloaded and compared with the result's own model")
+    for name in ("reader", "compared"):
+        table.add_column(name)
+    for name in ("states", "largest difference", "limit"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for one in done.comparisons:
+        value = one.difference
+        table.add_row(
+            one.reader,
+            one.compared,
+            str(one.states) if value is not None else "",
+            "" if value is None else f"{value:.1e}",
+            "" if value is None else f"{one.limit:g}",
+            ("agrees" if value is not None else "not compared")
+            + (f": {one.note}" if one.note else ""),
+        )
+    return table
+
+
+def effect_lines(done: Export) -> list[str]:
+    """Where each effect went, one sentence a place."""
+    places = ((f"in the {done.format} file", done.in_file), (f"in {_sidecar(done)}", done.beside))
+    return [
+        f"{len(words)} effect{'s' if len(words) > 1 else ''} {place}"
+        for place, words in places
+        if words
+    ]
+
+
+def _sidecar(done: Export) -> str:
+    return done.files[-1].name if len(done.files) > 1 else "the sidecar"
+
+
+def headline(done: Export) -> str:
+    """What lies where, in one sentence."""
+    first, *others = (str(path) for path in done.files)
+    beside = f" (and {', '.join(others)})" if others else ""
+    return f"{done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}"
