@@ -212,11 +212,13 @@ def _draw(result: "Diagnosis", output: Output) -> None:
 def _report(result: "Diagnosis", output: Output, files: "Sequence[InputFile]") -> None:
     from torchid.report.page.gap import gap_page
 
-    settings = {k: v for k, v in result.settings.items() if k != "seed"}
+    asked = result.settings
+    settings = {k: v for k, v in asked.items() if k not in ("seed", "only")}
+    settings["effects"] = asked["effects"] or "all"
     write_report(
         output,
         lambda origin: gap_page(result, origin),
         files=files,
-        seeds={"seed": result.settings["seed"]},
+        seeds={"seed": asked["seed"]},
         settings=settings | {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff},
     )

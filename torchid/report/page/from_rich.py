@@ -3,6 +3,7 @@
 from rich.table import Table
 from rich.text import Text
 
+from torchid.report.page.document import unit_words
 from torchid.report.study.sheets import Sheet
 
 
@@ -21,4 +22,5 @@ def sheet(table: Table) -> Sheet:
 def _plain(content: object) -> str:
     if content is None:
         return ""
-    return (content if isinstance(content, Text) else Text.from_markup(str(content))).plain
+    text = content if isinstance(content, Text) else Text.from_markup(str(content))
+    return unit_words(text.plain)

@@ -31,6 +31,7 @@ _DPI = 144
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _FONT = re.compile(r"font: (?:(?:normal|italic|oblique) )?(\d+ )?([\d.]+px) [^;]*")
+_FAMILY = re.compile(r"font-family: [^;]*;? ?")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _STEP = re.compile(r" (?=[LM] )")
 _LINE = re.compile(r"L \S+ \S+")
@@ -60,6 +61,7 @@ def inline_svg(picture: Picture) -> str:
     root = etree.fromstring(stream.getvalue(), etree.XMLParser(huge_tree=True))
     _strip(root)
     _prefix(root, picture.name)
+    _flatten(root)
     for element in root.iter():
         _themed(element)
     _label(root, picture.alt, width)
@@ -79,46 +81,66 @@ def _literal(figure: "Figure") -> None:
 
 
 def _strip(root: Any) -> None:
-    """Metadata, comments and the style sheet, which would hold for the whole page."""
+    """What is not seen: metadata, comments, outlines without a line, and the style sheet, which
+    would hold for the whole page."""
     for element in list(root.iter(etree.Comment, f"{_SVG}metadata", f"{_SVG}style")):
         element.getparent().remove(element)
+    for element in list(root.iter(f"{_SVG}path")):
+        if element.get("style") == "fill: none":
+            element.getparent().remove(element)
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
 
 
 def _prefix(root: Any, name: str) -> None:
     """Ids that are referred to, unique on the page; the others go."""
-    used = {e.get(_HREF)[1:] for e in root.iter() if str(e.get(_HREF, "")).startswith("#")}
-    used |= {
-        found for e in root.iter() for v in e.attrib.values() for found in _REFERENCE.findall(v)
-    }
+    values = [value for e in root.iter() for value in e.attrib.values()]
+    used = {found for value in values for found in _REFERENCE.findall(value)}
+    used |= {e.get(_HREF)[1:] for e in root.iter() if e.get(_HREF, "").startswith("#")}
+    short = {own: f"{name}-{k}" for k, own in enumerate(sorted(used))}
     for element in root.iter():
         own = element.attrib.pop("id", None)
         if own in used:
-            element.set("id", f"{name}-{own}")
+            element.set("id", short[own])
         target = element.attrib.pop(_HREF, None)
         if target is not None:
-            element.set("href", f"#{name}-{target[1:]}" if target[0] == "#" else target)
+            element.set("href", f"#{short[target[1:]]}" if target[0] == "#" else target)
         for key, value in element.attrib.items():
             if "url(#" in value:
-                element.set(key, _REFERENCE.sub(rf"url(#{name}-\1)", value))
+                element.set(key, _REFERENCE.sub(lambda m: f"url(#{short[m[1]]})", value))
+
+
+def _flatten(root: Any) -> None:
+    """Groups that say nothing give way to what is in them; nothing is indented."""
+    for element in list(root.iter(f"{_SVG}g", f"{_SVG}defs")):
+        plain = element.tag == f"{_SVG}g" and not element.attrib
+        if plain or not len(element):
+            parent = element.getparent()
+            at = parent.index(element)
+            parent[at : at + 1] = list(element)
+    for element in root.iter():
+        for part in ("text", "tail"):
+            if not (getattr(element, part) or "").strip():
+                setattr(element, part, None)
 
 
 def _themed(element: Any) -> None:
     """Colours, font and rounded coordinates."""
-    style = element.get("style")
-    if style is not None:
-        style = _FONT.sub(_font, _COLOUR.sub(_variable, style))
-        element.set("style", style.replace(": ", ":").replace("; ", ";"))
     for key in ("fill", "stroke"):
         if key in element.attrib:
             # A presentation attribute cannot hold a variable; a style can.
-            element.set("style", f"{element.get('style', '')};{key}:{element.attrib.pop(key)}")
-            element.set("style", _COLOUR.sub(_variable, element.get("style").lstrip(";")))
+            own = f"{key}: {element.attrib.pop(key)}"
+            element.set("style", "; ".join(filter(None, (element.get("style"), own))))
+    if "style" in element.attrib:
+        style = _FONT.sub(_font, _FAMILY.sub("", element.get("style")))
+        style = _COLOUR.sub(_variable, style)
+        element.set("style", style.replace(": ", ":").replace("; ", ";"))
+    if element.get("transform", "").startswith("rotate(-0 "):
+        del element.attrib["transform"]
     if "d" in element.attrib:
         element.set("d", _shorter(element.get("d")))
-    if element.tag == f"{_SVG}use":
-        for key in ("x", "y"):
+    if element.tag != f"{_SVG}image":
+        for key in ("x", "y", "width", "height"):
             if key in element.attrib:
                 element.set(key, _rounded(element.get(key)))
 
