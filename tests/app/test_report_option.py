@@ -78,6 +78,7 @@ def test_gap(command, folder, tmp_path, monkeypatch):
     assert f"{record['how_far']['rms_before']:.3g} N m" in text_of(tree, "facts")
 
 
+@pytest.mark.slow
 def test_study(command, tmp_path):
     page = tmp_path / "study.html"
     tiny = ("--runs", "3", "--stages", "2", "--generations", "4", "--seed", "11")
@@ -130,6 +131,16 @@ def test_refused_before_any_work(command, folder, tmp_path, monkeypatch, options
     for word in words:
         assert word in done.err, done.err
     assert not list(tmp_path.iterdir())
+
+
+def test_inputs_are_not_overwritten(command, folder, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_bytes((folder / "check.csv").read_bytes())
+    before = sha256(log)
+    done = command("identify", "3r", log, "--report", tmp_path / "." / "log.csv")
+    assert done.code == 1
+    assert "overwrite the log" in done.err
+    assert sha256(log) == before
 
 
 def test_without_jinja2_nothing_is_begun(command, folder, tmp_path, monkeypatch):

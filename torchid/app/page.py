@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchid.app.options import Output
+from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.report.page.document import Page
@@ -29,9 +30,16 @@ def log_inputs(logs: Sequence[Path], held_out: Sequence[Path] | None) -> list[Na
 
 
 def hashed(output: Output, named: Sequence[Named]) -> "tuple[InputFile, ...]":
-    """Sizes and hashes of the inputs, before they are used; nothing if no page is asked for."""
+    """Sizes and hashes of the inputs, before they are used; nothing if no page is asked for.
+
+    Raises:
+        TorchidError: an input cannot be read, or the page would take its place.
+    """
     if output.page_file is None:
         return ()
+    for role, name, path in named:
+        if path.resolve() == output.page_file.resolve():
+            raise TorchidError(f"--report would overwrite the {role} '{name}'.")
     from torchid.report.page.origin import input_files
 
     return input_files(named)

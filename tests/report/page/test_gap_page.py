@@ -133,6 +133,15 @@ def test_hostile_names():
     assert bad in [li.text_content() for li in tree.iter("li")]
 
 
+def test_names_that_are_no_text():
+    d = diagnosis(**SHORT)
+    bad = "a\x00b\x1b[31m\udcff\uffff"
+    d = replace(d, robot=replace(d.robot, name=bad), warnings=(bad,))
+    text = render(gap_page(d, made(arguments=["torchid", bad])))
+    assert "Sim-to-real gap of a\ufffdb\ufffd[31m\ufffd\ufffd" in text
+    parsed(text.encode().decode())
+
+
 def test_how_it_was_obtained(undrawn):
     tree = page_of(diagnosis())
     assert tree.xpath("//pre")[0].text_content() == "torchid gap 3r 'run <1>.csv'"

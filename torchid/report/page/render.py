@@ -1,11 +1,11 @@
 """A page as HTML: one file, nothing to load, no script."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchid.errors import MissingExtraError
 from torchid.files import atomic_write
-from torchid.report.page.document import Page, Picture
+from torchid.report.page.document import Page, Picture, printable
 from torchid.report.page.svg import inline_svg
 
 if TYPE_CHECKING:
@@ -75,9 +75,15 @@ def _environment() -> "Environment":
     made = Environment(
         loader=PackageLoader("torchid.report.page", "templates"),
         autoescape=True,  # names of robots and files come from anywhere
+        finalize=_printable,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
     return made
+
+
+def _printable(value: Any) -> Any:
+    """Of plain text; what a macro or the figures' writer made is markup, and stays."""
+    return printable(value) if type(value) is str else value

@@ -13,7 +13,7 @@ from lxml import etree
 
 from torchid.report.figures import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.gap_joint_figures import AFTER, BEFORE
-from torchid.report.page.document import Picture
+from torchid.report.page.document import Picture, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,8 +76,9 @@ def _literal(figure: "Figure") -> None:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
-        if text.get_text() and r"\mathdefault" not in text.get_text():
-            text.set_parse_math(False)
+        words = text.get_text()
+        if words and r"\mathdefault" not in words:
+            text.set(text=printable(words), parse_math=False)
 
 
 def _strip(root: Any) -> None:
@@ -188,5 +189,5 @@ def _between(before: str, point: str, after: str) -> bool:
 
 def _label(root: Any, alt: str, width: float) -> None:
     root.set("role", "img")
-    root.set("aria-label", alt)
+    root.set("aria-label", printable(alt))
     root.set("style", f"--width:{width:.0f}px")
