@@ -29,7 +29,7 @@ SENTENCES = {
     "the gap shrinks by 93 % [90, 95].",
     "detected_unexplained": "Part of the gap is unexplained (5 % of it); what is known: joint 2 "
     "has Coulomb friction that the model lacks (0.61 ± 0.02 N m); with it the gap shrinks by 93 % "
-    "[90, 95]. What is left is no effect of the library.",
+    "[90, 95]; what is left is no effect of the library.",
     "not_testable": "These data cannot show what causes a gap: exactly a sum of base parameters.",
 }
 

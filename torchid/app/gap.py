@@ -1,5 +1,6 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ from torchid.app.options import (
     Out,
     Output,
     Quiet,
+    Report,
     RobotArgument,
     Seed,
     Threads,
@@ -25,10 +27,12 @@ from torchid.app.options import (
     progress_bar,
     read_both,
 )
+from torchid.app.page import hashed, log_inputs, robot_input, write_report
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.gap.diagnosis import Diagnosis
+    from torchid.report.page.origin import InputFile
 
 
 def gap_command(
@@ -82,6 +86,7 @@ def gap_command(
     tip: Tip = None,
     json_file: Json = None,
     out: Out = None,
+    report: Report = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -90,9 +95,9 @@ def gap_command(
     and how far the gap shrinks with them.
 
     Example: `torchid gap panda.urdf run1.parquet run2.parquet --held-out run3.parquet
-    --out result --save-model corrected.yaml`
+    --out result --save-model corrected.yaml --report gap.html`
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = open_output(json_file, out, quiet, threads, report)
     if save_model is not None:
         _refuse_missing_folder(save_model)
     from torchid.gap.settings import GapSettings
@@ -111,6 +116,7 @@ def gap_command(
     if held_out and held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     found = load_robot(robot, tip=tip)
+    files = hashed(output, [robot_input(robot), *log_inputs(logs, held_out)])
     log, apart = read_both(logs, held_out, gain, found, columns, topic)
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
@@ -127,6 +133,7 @@ def gap_command(
     output.write_json({**record(result), "seed": seed}, "gap.json")
     _save_model(result, save_model, output)
     _draw(result, output)
+    _report(result, output, files)
 
 
 def searched(text: str) -> tuple[str, ...] | None:
@@ -204,3 +211,18 @@ def _draw(result: "Diagnosis", output: Output) -> None:
         old.unlink()  # of an earlier run, whose worst joints may have been others
     drawn = [save(f, output.folder / f"{name}.png") for name, f in figures(result).items()]
     output.say(f"written to {output.folder}: gap.json, " + ", ".join(p.name for p in drawn))
+
+
+def _report(result: "Diagnosis", output: Output, files: "Sequence[InputFile]") -> None:
+    from torchid.report.page.gap import gap_page
+
+    asked = result.settings
+    settings = {k: v for k, v in asked.items() if k not in ("seed", "only")}
+    settings["effects"] = asked["effects"] or "all"
+    write_report(
+        output,
+        lambda origin: gap_page(result, origin),
+        files=files,
+        seeds={"seed": asked["seed"]},
+        settings=settings | {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff},
+    )

@@ -1,5 +1,6 @@
 """`torchid identify`: base parameters from logs."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -15,6 +16,7 @@ from torchid.app.options import (
     Out,
     Output,
     Quiet,
+    Report,
     RobotArgument,
     Seed,
     Threads,
@@ -28,10 +30,12 @@ from torchid.app.options import (
     progress_bar,
     read_both,
 )
+from torchid.app.page import hashed, log_inputs, robot_input, write_report
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.identification.identify import Identification
+    from torchid.report.page.origin import InputFile
 
 EFFECTS = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
 
@@ -93,6 +97,7 @@ def identify_command(
     tip: Tip = None,
     json_file: Json = None,
     out: Out = None,
+    report: Report = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -101,9 +106,9 @@ def identify_command(
     """Identify base parameters and friction from logs, with standard deviations and validation.
 
     Example: `torchid identify panda.yaml run1.parquet run2.parquet --held-out run3.parquet
-    --out result`
+    --out result --report result.html`
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = open_output(json_file, out, quiet, threads, report)
     from torchid.identification.identify import Settings, identify
     from torchid.identification.record import record
     from torchid.robot.library import load_robot
@@ -122,6 +127,7 @@ def identify_command(
         compiled=compiled,
     )
     found = load_robot(robot, tip=tip)
+    files = hashed(output, [robot_input(robot), *log_inputs(logs, held_out)])
     log, apart = read_both(logs, held_out, gain, found, columns, topic)
     with progress_bar(output) as progress:
         result = identify(
@@ -133,8 +139,10 @@ def identify_command(
             progress=progress,
         )
     _show(result, output)
-    output.write_json({**record(result), "seed": seed}, "identification.json")
+    data = {**record(result), "seed": seed}
+    output.write_json(data, "identification.json")
     _draw(result, output)
+    _report(result, data, output, files)
 
 
 def _show(result: "Identification", output: Output) -> None:
@@ -170,6 +178,20 @@ def _draw(result: "Identification", output: Output) -> None:
     output.say(f"written to {output.folder}: identification.json, " + ", ".join(
         path.name for path in drawn
     ))  # fmt: skip
+
+
+def _report(
+    result: "Identification", data: dict[str, Any], output: Output, files: "Sequence[InputFile]"
+) -> None:
+    from torchid.report.page.identification import identification_page
+
+    write_report(
+        output,
+        lambda origin: identification_page(result, origin),
+        files=files,
+        seeds={"seed": data["seed"]},
+        settings=data["settings"] | {"cut-off used [Hz]": result.cutoff},
+    )
 
 
 def _reversal(text: str) -> float | Literal["auto"]:

@@ -3,9 +3,10 @@
 import json
 import logging
 import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -79,6 +80,15 @@ Json = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder for JSON, tables and figures.")
 ]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        help="Write one self-contained page: verdict, pictures, tables, how it was obtained "
+        "(needs torchid's extra `report`).",
+    ),
+]
 LARGEST_SEED = 2**63 - 1
 """That torch's generators take."""
 Seed = Annotated[
@@ -113,12 +123,16 @@ class Output:
         folder: from --out.
         quiet: from --quiet.
         console: for people, on standard output.
+        page_file: from --report.
+        started: of `time.monotonic`.
     """
 
     json_file: Path | None
     folder: Path | None
     quiet: bool
     console: Console
+    page_file: Path | None = None
+    started: float = field(default_factory=time.monotonic)
 
     def write_json(self, data: dict[str, Any], name: str) -> None:
         """To --json and to DIR/name, whichever were given."""
@@ -141,26 +155,48 @@ class Output:
 
 
 def open_output(
-    json_file: Path | None, folder: Path | None, quiet: bool, threads: int | None = None
+    json_file: Path | None,
+    folder: Path | None,
+    quiet: bool,
+    threads: int | None = None,
+    page_file: Path | None = None,
 ) -> Output:
     """Check that results can be written before any work is done, and set torch's threads.
 
     Raises:
         TorchidError: a folder that does not exist or cannot be written.
+        MissingExtraError: a page is asked for, and what makes it is not installed.
     """
+    started = time.monotonic()
     if str(json_file) == "-":
         json_file, quiet = Path("/dev/stdout"), True
     if folder is not None:
         _make_folder(folder)
-    if json_file is not None:
-        if json_file.is_dir():
-            raise TorchidError(f"--json needs a file, and '{json_file}' is a folder.")
-        if not json_file.parent.is_dir():
-            raise TorchidError(f"the folder of '{json_file}' does not exist.")
-        _probe(json_file.parent)
+    _check_file("--json", json_file)
+    if page_file is not None:
+        _check_page(page_file, json_file)
     _set_torch_threads(threads)
     logging.basicConfig(level=logging.ERROR if quiet else logging.WARNING, format="%(message)s")
-    return Output(json_file, folder, quiet, _console())
+    return Output(json_file, folder, quiet, _console(), page_file, started)
+
+
+def _check_file(option: str, path: Path | None) -> None:
+    if path is None:
+        return
+    if path.is_dir():
+        raise TorchidError(f"{option} needs a file, and '{path}' is a folder.")
+    if not path.parent.is_dir():
+        raise TorchidError(f"the folder of '{path}' does not exist.")
+    _probe(path.parent)
+
+
+def _check_page(page_file: Path, json_file: Path | None) -> None:
+    if json_file is not None and page_file.resolve() == json_file.resolve():
+        raise TorchidError("--report and --json name the same file.", got=page_file)
+    _check_file("--report", page_file)
+    from torchid.report.page.render import require_templates
+
+    require_templates()
 
 
 def _console() -> Console:

@@ -1,5 +1,8 @@
 """`torchid study`: the report's studies as one command."""
 
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,14 +15,17 @@ from torchid.app.options import (
     Out,
     Output,
     Quiet,
+    Report,
     Threads,
     device,
     open_output,
     progress_bar,
 )
+from torchid.app.page import Named, hashed, robot_input, write_report
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
+    from torchid.report.page.origin import InputFile
     from torchid.study.result import Study
     from torchid.study.settings import StudySettings
 
@@ -50,6 +56,7 @@ def study_command(
     figures: Annotated[bool, typer.Option(help="Draw the figures into --out.")] = True,
     json_file: Json = None,
     out: Out = None,
+    report: Report = None,
     seed: Annotated[
         int | None,
         typer.Option("--seed", min=0, max=LARGEST_SEED, help="Of the searches."),
@@ -60,9 +67,9 @@ def study_command(
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
 
-    Example: `torchid study kuka_lwr4 --quick --out study`
+    Example: `torchid study kuka_lwr4 --quick --out study --report study.html`
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = open_output(json_file, out, quiet, threads, report)
     from torchid.study.settings import load_study, study_names
     from torchid.study.study import remove_checkpoints
 
@@ -76,10 +83,13 @@ def study_command(
     all_settings = [_asked(load_study(n), quick, asked) for n in names]
     where = device(device_name)
     records = []
-    for settings in all_settings:
+    for given, settings in zip(names, all_settings, strict=True):
         folder = None if out is None else out / settings.name
-        found = _run(settings, folder, resume, where, output)
-        records.append(_finish(found, folder, figures, output))
+        own = output if name != "all" else _page_of(settings.name, output)
+        files = hashed(own, [_study_input(given), robot_input(settings.robot)])
+        found = _run(settings, folder, resume, where, own)
+        records.append(_finish(found, folder, figures, own))
+        _report(found, own, files)
     output.write_json(
         records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
         "study.json",
@@ -95,8 +105,6 @@ def _checkpoints(folder: Path) -> Path:
 
 
 def _asked(settings: "StudySettings", quick: bool, asked: dict[str, Any]) -> "StudySettings":
-    from dataclasses import replace
-
     settings = settings.quick() if quick else settings
     given = {key: value for key, value in asked.items() if value is not None}
     return replace(settings, search=replace(settings.search, **given))
@@ -144,3 +152,45 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
             write_study(found, folder)
         output.say(f"results of {found.settings.name} are in {folder}")
     return data
+
+
+def _page_of(name: str, output: Output) -> Output:
+    """Of several studies, each has a page of its own: report_3r.html beside report.html."""
+    page = output.page_file
+    own = None if page is None else page.with_name(f"{page.stem}_{name}{page.suffix}")
+    return replace(output, page_file=own, started=time.monotonic())
+
+
+def _study_input(name: str) -> Named:
+    from torchid.study.settings import study_file
+
+    return "study", name, study_file(name)
+
+
+def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> None:
+    from torchid.report.page.study import study_page
+
+    s = found.settings
+    motions = {
+        "excitation": s.excitation, "validation": s.validation, "sets' motion": s.sets_motion,
+        "reference motion": s.wrench_motion,
+    }  # fmt: skip
+    write_report(
+        output,
+        lambda origin: study_page(found, origin),
+        files=files,
+        seeds={"seed of the search": s.search.seed}
+        | {f"seed of the {name}": motion.seed for name, motion in motions.items()},
+        settings={
+            "effects": s.effects,
+            "geometry": s.geometry,
+            "total mass [kg]": s.total_mass,
+            "search": _without_seed(asdict(s.search)),
+            **{name: _without_seed(asdict(motion)) for name, motion in motions.items()},
+            "seconds": dict(found.seconds),
+        },
+    )
+
+
+def _without_seed(data: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in data.items() if key != "seed"}

@@ -14,8 +14,8 @@ from torchid.typing import Tensor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INK, BLUE, ORANGE, GREEN, RED, GREY = (
-    "#22272e", "#1f6feb", "#d9730d", "#2da44e", "#cf222e", "#8c959f",
+INK, BLUE, ORANGE, GREEN, RED, GREY, GRID = (
+    "#22272e", "#1f6feb", "#d9730d", "#2da44e", "#cf222e", "#8c959f", "#eaeef2",
 )  # fmt: skip
 _MOST_POINTS = 4000
 
@@ -38,7 +38,7 @@ def styled(axes: Any) -> Any:
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color(GREY)
-    axes.grid(True, color="#eaeef2", linewidth=0.8)
+    axes.grid(True, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8, colors=INK)
     return axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from torchid.gap.diagnosis import Diagnosis, Regime, RegimeGap, Trace
-from torchid.report.figures import GREY, INK, new_figure, styled
+from torchid.report.figures import BLUE, GREY, INK, new_figure, styled
 from torchid.report.gap_joint_figures import AFTER, BEFORE, joint_figure
 from torchid.report.gap_words import CLEAR, percent, regime_words, torque_unit
 from torchid.robot.model import JointType
@@ -55,7 +55,7 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
             clear[y, x] = max(0.0, r.excess) if r and r.p < CLEAR else 0.0
             if r:
                 _cell(axes, x, y, r)
-    image = axes.imshow(clear, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    image = axes.imshow(clear, cmap=_shades(), vmin=0, vmax=1, aspect="auto")
     axes.set_xticks(range(len(regimes)), [regime_words(r).replace(" ", "\n") for r in regimes])
     axes.set_yticks(range(len(joints)), [f"joint {j + 1}" for j in joints])
     _grid(axes, len(joints), len(regimes))
@@ -82,13 +82,20 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
     return _titled(figure, f"{diagnosis.robot.name}: where the gap lies")
 
 
+def _shades() -> Any:
+    """Blue over whatever ground the figure has, so light that ink on it can be read."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
+
+
 def _cell(axes: Any, x: int, y: int, r: RegimeGap) -> None:
     """Number, or a dot where there is nothing to see."""
     shown = r.p < CLEAR and r.excess > 0
     text = percent(r.excess).replace(" ", "\u2009") if shown else "·"
-    colour = "white" if shown and r.excess > 0.55 else INK if shown else GREY
     axes.text(
-        x, y, text, ha="center", va="center", fontsize=_SMALL if shown else 12, color=colour,
+        x, y, text, ha="center", va="center", fontsize=_SMALL if shown else 12,
+        color=INK if shown else GREY,
         fontweight="bold" if shown else "normal",
     )  # fmt: skip
 
@@ -136,10 +143,35 @@ def bar_figure(diagnosis: Diagnosis) -> "Figure":
     return _titled(figure, f"{diagnosis.robot.name}: how far the gap shrinks on data not fitted")
 
 
-def torque_figure(diagnosis: Diagnosis) -> "Figure":
-    """Measured torque and both models on the worst joint, in the stretch with the largest gap, and
-    what is left over."""
-    joint = worst_joints(diagnosis)[0]
+def budget_figure(diagnosis: Diagnosis) -> "Figure":
+    """One bar: what refitted parameters close, what effects close, what stays unexplained."""
+    b = diagnosis.budget
+    parts = (
+        ("base parameters", b.parametric, GREY),
+        ("effects", b.structural, AFTER),
+        ("unexplained", b.unexplained, BEFORE),
+    )
+    figure = new_figure(9.6, 1.5)
+    axes = styled(figure.subplots())
+    left = 0.0
+    for name, share, colour in parts:
+        width = max(0.0, share)
+        axes.barh(0, width, left=left, color=colour, height=0.6, label=f"{name} {percent(share)}")
+        left += width
+    axes.set_xlim(0, max(1.0, left))
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.grid(axis="y", visible=False)
+    axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
+    axes.set_xlabel("share of the gap beyond noise", fontsize=_SMALL, color=INK)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=_SMALL)
+    return _titled(figure, f"{diagnosis.robot.name}: what closes the gap")
+
+
+def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> "Figure":
+    """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
+    the largest gap, and what is left over."""
+    joint = worst_joints(diagnosis)[0] if joint is None else joint
     trace, rows = _largest_stretch(diagnosis.traces, joint)
     step = max(1, (rows.stop - rows.start) // _MOST_POINTS)
     pick = slice(rows.start, rows.stop, step)

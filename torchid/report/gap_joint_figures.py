@@ -135,8 +135,10 @@ def _against(axes: Any, x: np.ndarray, s: Samples, high: float) -> None:
 def _over_time(axes: Any, s: Samples, high: float, unit: str) -> None:
     """RMS over a few seconds: a mean over time would show the motion, not the gap's size."""
     axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
+    # A block that two bins share counts in both, so that no bin of a short log has too few.
+    bins = int(np.clip(len(np.unique(s.block)) // _FEWEST, 1, BINS))
     for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
-        centre, mean, half = binned(s.t, np.square(y), s.block)
+        centre, mean, half = binned(s.t, np.square(y), s.block, bins)
         root = np.sqrt(mean)
         low, top = np.sqrt(np.maximum(mean - half, 0)), np.sqrt(mean + half)
         axes.fill_between(centre, low, top, color=colour, alpha=0.25, linewidth=0)
@@ -150,7 +152,7 @@ def _over_time(axes: Any, s: Samples, high: float, unit: str) -> None:
 
 
 def binned(
-    x: np.ndarray, y: np.ndarray, block: np.ndarray
+    x: np.ndarray, y: np.ndarray, block: np.ndarray, bins: int = BINS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres, means and half-widths of 95 % intervals of y in equal bins of x between its 0.2 %
     and 99.8 % quantiles, those of fewer than three blocks left out. The intervals take blocks, not
@@ -158,10 +160,10 @@ def binned(
     if not len(x):
         return x, y, y
     low, high = np.quantile(x, [0.002, 0.998])
-    edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
-    where = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+    edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
+    where = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
     centre, mean, half = [], [], []
-    for b in range(BINS):
+    for b in range(bins):
         inside = where == b
         names, owner = np.unique(block[inside], return_inverse=True)
         if len(names) < _FEWEST:

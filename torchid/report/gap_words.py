@@ -200,7 +200,7 @@ def _unexplained(d: Diagnosis) -> str:
         )
     return _sentence(
         f"Part of the gap is unexplained ({left} of it); what is known: {_causes(d)}; with "
-        f"{_it(d)} {_shrinks(d)}. What is left is no effect of the library"
+        f"{_it(d)} {_shrinks(d)}; what is left is no effect of the library"
     )
 
 

@@ -20,6 +20,12 @@ def built_in_robots() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.yaml"))
 
 
+def robot_file(name: str | Path) -> Path:
+    """The file that `load_robot` reads for a name or path."""
+    text = str(name)
+    return _folder() / f"{text}.yaml" if text in built_in_robots() else Path(text)
+
+
 def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     """A robot by built-in name, or from a .yaml (ours), .urdf or .xml (MJCF) file.
 

@@ -108,15 +108,19 @@ def study_names() -> list[str]:
     return sorted(found, key=lambda name: load_study(name).section)
 
 
+def study_file(name: str) -> Path:
+    """The file that `load_study` reads for a name or path."""
+    path = config_folder("studies") / f"{name}.yaml"
+    return path if path.is_file() else Path(name)
+
+
 def load_study(name: str) -> StudySettings:
     """A built-in study by name, or one from a .yaml file.
 
     Raises:
         TorchidError: no such study, or a file that does not describe one.
     """
-    path = config_folder("studies") / f"{name}.yaml"
-    if not path.is_file():
-        path = Path(name)
+    path = study_file(name)
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
         available = sorted(p.stem for p in config_folder("studies").glob("*.yaml"))
         raise TorchidError(f"there is no study '{name}'.", available=[*available, "all"])

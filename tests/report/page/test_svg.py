@@ -1,0 +1,80 @@
+"""Figures inside a page: themed, small, unique, and harmless."""
+
+import re
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from torchid.report.figures import BLUE, INK, new_figure, styled
+from torchid.report.page.document import Picture
+from torchid.report.page.svg import THEME, _shorter, inline_svg
+
+
+def picture(name: str = "a", title: str = "title", alt: str = "what is seen") -> Picture:
+    def draw():
+        figure = new_figure(4, 3)
+        axes = styled(figure.subplots())
+        x = np.linspace(0, 1, 3000)
+        axes.plot(x, np.sin(40 * x), color=BLUE, label="curve")
+        axes.scatter(x[:9], x[:9], color=INK, marker="s")
+        axes.set_yscale("symlog")
+        figure.suptitle(title)
+        figure.legend()
+        return figure
+
+    return Picture(name, "caption", alt, draw)
+
+
+def test_colours_follow_the_theme():
+    text = inline_svg(picture())
+    assert "var(--blue)" in text
+    assert "var(--ink)" in text
+    assert not set(re.findall(r"#[0-9a-f]{6}\b", text)) & set(THEME)
+    assert "<style" not in text
+    assert "DejaVu" not in text
+    assert len(text) < 60_000
+
+
+def test_ids_are_the_pictures_own():
+    trees = [etree.fromstring(inline_svg(picture(name))) for name in ("a", "b")]
+    ids = [set(tree.xpath("//@id")) for tree in trees]
+    assert ids[0]
+    assert not ids[0] & ids[1]
+    for tree, own in zip(trees, ids, strict=True):
+        referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', etree.tostring(tree).decode()))
+        assert referred == own
+
+
+def test_the_same_figure_is_the_same_text():
+    assert inline_svg(picture()) == inline_svg(picture())
+
+
+@pytest.mark.parametrize(
+    "name", ["$x^2", "$\\frac{$", "</svg><script>alert(1)</script>", "€ & \"'"]
+)
+def test_names_are_text(name):
+    tree = etree.fromstring(inline_svg(picture(title=name, alt=name)))
+    assert name in ["".join(t.itertext()) for t in tree.iter("{*}text")]
+    assert tree.get("aria-label") == name
+    assert not list(tree.iter("{*}script"))
+
+
+def test_labels_of_logarithmic_axes_are_formulas():
+    texts = ["".join(t.itertext()) for t in etree.fromstring(inline_svg(picture())).iter("{*}text")]
+    assert not any("$" in t for t in texts)
+
+
+@pytest.mark.parametrize(
+    ("path", "shorter"),
+    [
+        ("M 0.04 0.01 \nL 1.26 0.02 \nL 2.51 0.03 ", "M 0 0L 2.5 0"),
+        ("M 0.0 0.0 L 5.0 0.0 L 2.0 0.0", "M 0 0L 5 0L 2 0"),
+        ("M 1.0 1.0 L 1.01 1.02 L 1.0 4.0 L 1.0 9.0 z", "M 1 1L 1 4L 1 9 z"),
+        ("M 0.0 0.0 L 1.0 1.0 L 2.0 2.0", "M 0 0L 1 1L 2 2"),
+        ("M 0.0 0.0 L 1.0 0.0 M 2.0 0.0 L 3.0 0.0", "M 0 0L 1 0M 2 0L 3 0"),
+        ("M 0.0 1.5 C 0.8 1.5 1.55 1.2 2.1 1.1 z", "M 0 1.5 C 0.8 1.5 1.6 1.2 2.1 1.1 z"),
+    ],
+)
+def test_points_that_change_nothing_are_left_out(path, shorter):
+    assert _shorter(path).replace(" z", "z") == shorter.replace(" z", "z")
