@@ -37,6 +37,18 @@ def test_the_closed_share_is_that_of_the_squares(share):
     assert found.gap_ci95[0] > 0
 
 
+def test_two_comparisons_of_one_gap_are_as_good_as_the_better_one():
+    """The interval holds both; the value is the first one's."""
+    well, badly = (closing(several(share), exact(), seed=0) for share in (0.0, 1.2))
+    assert well.improves
+    assert not badly.improves
+    for one, two in ((well, badly), (badly, well)):
+        both = one.or_as(two)
+        assert both.improves
+        assert both.closed == one.closed
+        assert both.closed_ci95 == (badly.closed_ci95[0], well.closed_ci95[1])
+
+
 def test_rms_before_and_after():
     traces = several(0.25)
     found = closing(traces, exact(), seed=0)

@@ -109,6 +109,19 @@ def test_signs_that_physics_forbids_gain_nothing(sign, allowed):
     assert float(signed.gain) == (pytest.approx(float(free.gain)) if allowed else 0.0)
 
 
+@pytest.mark.parametrize(("second", "allowed"), [(0.0, True), (-1.5, True), (-6.0, False)])
+def test_a_sign_counts_beyond_the_noise_of_its_coefficient(second, allowed):
+    """The first column explains all; the second one's coefficient is so many standard deviations
+    from zero."""
+    mask, x = keep(), random(1, 2, ROWS, seed=2)
+    x = x / x.norm(dim=-1, keepdim=True)
+    std = torch.linalg.inv(x[0] @ x[0].T)[1, 1].sqrt()
+    y = torch.zeros(N, ROWS, dtype=torch.float64)
+    y[1] = 100 * x[0, 0] + second * std * x[0, 1]
+    found = Scanner(bank(x, 1, coefficient=POSITIVE), mask).gains(Projector(y))
+    assert float(found.gain) == (pytest.approx(float(y.square().sum())) if allowed else 0.0)
+
+
 @pytest.mark.parametrize(("size", "allowed"), [(0.9, True), (-0.9, True), (1.1, False)])
 def test_coefficients_beyond_their_largest_gain_nothing(size, allowed):
     limited = Coefficient("c", "", False, "a share", 1.0)

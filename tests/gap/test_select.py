@@ -99,6 +99,24 @@ def test_several_are_found_the_largest_first():
     assert len(searched(y, *banks, most=2)[0]) == 2
 
 
+def test_parameters_that_held_two_effects_give_way_when_one_is_named():
+    """All base parameters explain one effect and a share of the other, so they come first; once
+    the other is named, one effect does what they are left with."""
+    tilt, offset = ar_noise(2, 1, N * ROWS, pole=0.9, seed=1)
+    others = ar_noise(6, N * ROWS, pole=0.9, seed=5)
+    base = torch.cat([offset + 1e-3 * others[:1], tilt + others[:1], others[1:]])
+    y = random(N, ROWS, seed=2) + 3 * (tilt + 2 * offset)[0].reshape(N, ROWS)
+    banks = [
+        replace(bank(base[None], None, name="all_base"), members=((),)),
+        bank(tilt[None], None, name="base_tilt"),
+        bank(offset[None], None, name="encoder_offset"),
+    ]
+    first = Search(problem(y, tuple(banks))).candidates(Search(problem(y, tuple(banks))).model())
+    assert first[0].term.name == "all_base"
+    found, _ = searched(y, *banks)
+    assert sorted(t.name for t in found) == ["base_tilt", "encoder_offset"]
+
+
 @pytest.mark.parametrize(("extra", "kept"), [(0.0, JUMP), (0.9, RICHER)])
 def test_the_simpler_law_is_kept_unless_the_richer_explains_more(extra, kept):
     """The richer law's column is the simpler one's, and `extra` of something else."""

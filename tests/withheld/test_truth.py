@@ -74,9 +74,9 @@ def test_another_simulator_is_not_taken_for_the_truth(plant, tmp_path):
     answers = {"case-0001": answered(made, "case-0001", TRUE)}
     assert true_shares(replace(made, seed=7), keys, answers, 1, None)
 
-    def other(spec, *, ideal=False):
-        found = simulate_case(spec, ideal=ideal)
-        return replace(found, columns=found.columns | {"q1": found.columns["q1"] + 0.01})
+    def other(spec, **how):
+        found = simulate_case(spec, **how)
+        return replace(found, urdf=found.urdf.replace("0.", "0.1", 1))
 
     plant.simulate_case = other
     (tmp_path / "set.truth" / "case-0001.json").unlink()

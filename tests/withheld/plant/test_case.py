@@ -74,6 +74,20 @@ def test_a_poor_motion_has_the_effect_of_a_rich_one(case):
     assert poor["noise_std"] == case.key["noise_std"]
 
 
+@pytest.mark.parametrize("poor", [None, replace(SHORT, levels=(0.05, 0.05))])
+def test_fresh_motions_move_the_same_arm(poor):
+    spec = replace(viscous(), poor=poor)
+    known, fresh = simulate_case(spec, ideal=True), simulate_case(spec, ideal=True, fresh=True)
+    assert fresh.urdf == known.urdf
+    parameters = [found.key["effects"][0]["parameters"] for found in (known, fresh)]
+    assert parameters[0] == parameters[1]
+    assert fresh.columns["q1"].shape == known.columns["q1"].shape
+    both = np.stack([known.columns["q1"], fresh.columns["q1"]])
+    assert abs(np.corrcoef(both)[0, 1]) < 0.9
+    speed = np.diff(both).std(1)
+    assert 0.3 < speed[0] / speed[1] < 3.0
+
+
 def test_several_effects_have_a_size_each():
     names = ["torque_offset", "torque_gain"]
     spec = replace(draw_case(1, 2, effects=names, arm="3r"), motion=SHORT)
