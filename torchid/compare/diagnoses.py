@@ -1,7 +1,7 @@
 """Several gap diagnoses of one type of arm: which effects they share, and whether sizes agree."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -18,6 +18,7 @@ from torchid.compare.torque import (
     random_motion,
     torque_spread,
 )
+from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
@@ -151,10 +152,13 @@ def compare_diagnoses(
 
 def _named(entry: Mapping[str, Any]) -> Named:
     own = entry["parameters"]
-    at = [own[p] for p in entry["places"]] if entry["places"] else own.get("links", [])
+    name = str(entry["effect"])
+    kind = KINDS.get(name)
+    located = kind is None or name == "link_inertia" or "joint" in {f.name for f in fields(kind)}
+    at = [*entry["joints"], *(own[p] for p in entry["places"])] if located else []
     numbers = {k: float(v) for k, v in own.items() if isinstance(v, int | float)}
     return Named(
-        str(entry["effect"]),
+        name,
         str(entry["family"]),
         () if entry.get("common") else tuple(int(j) for j in at),
         tuple(entry["ambiguous_with"]),

@@ -18,10 +18,10 @@ WORDS = {
     "never_determined": "undetermined",
     "not_compared": "in one only",
 }
-MOST_COLUMNS = 4
+MOST_COLUMNS = 3
 """Results whose values all fit into the table."""
 
-LONGEST = 24
+LONGEST = 20
 """Characters of a parameter's name in the table; the JSON has all of it."""
 
 NOTABLE = 2.0
@@ -131,17 +131,20 @@ def tables(result: Comparison) -> list[Table]:
 
 
 def _parameter_table(result: Comparison) -> Table:
-    table = compact("parameters (value ± std; scatter: of the values, in claimed std)")
+    table = compact("parameters (value ± std; scatter in claimed std; p after Holm)")
     table.add_column("parameter", no_wrap=True)
     wide = len(result.labels) <= MOST_COLUMNS
     for label in result.labels if wide else ("lowest", "highest"):
-        table.add_column(label, justify="right", no_wrap=True, overflow="ellipsis", max_width=18)
-    for heading in ("consensus", "unit", "scatter", "p (Holm)", "verdict"):
-        left = heading in ("unit", "verdict")
-        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
+        table.add_column(label, justify="right", no_wrap=True, overflow="ellipsis")
+    for heading in ("consensus", "scatter", "p"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for kind in ORDER:
-        for p in result.having(kind):
-            table.add_row(short(p.name), *_cells(p, wide), *_consensus(p), WORDS[p.verdict])
+        of_kind = result.having(kind)
+        if of_kind:
+            table.add_row(f"[bold]{WORDS[kind]}[/]")
+        for p in of_kind:
+            name = f"  {short(p.name, LONGEST - len(p.unit))} \\[{p.unit}]"
+            table.add_row(name, *_cells(p, wide), *_consensus(p))
         table.add_section()
     return table
 
@@ -153,7 +156,7 @@ def short(name: str, length: int = LONGEST) -> str:
 
 def _cells(p: Compared, wide: bool) -> list[str]:
     cells = [
-        "held at 0" if held else "-" if math.isnan(s) else f"{v:.4g} ± {s:.2g}"
+        "held at 0" if held else "-" if math.isnan(s) else f"{v:.3g} ± {s:.2g}"
         for (v, s), held in zip(_pairs(p), p.held.tolist(), strict=True)
     ]
     if wide:
@@ -169,8 +172,8 @@ def _pairs(p: Compared) -> list[tuple[float, float]]:
 def _consensus(p: Compared) -> list[str]:
     s = p.scatter
     if s is None or p.p_holm is None:
-        return ["", p.unit, "", ""]
-    return [f"{s.consensus:.4g} ± {s.std:.2g}", p.unit, f"{s.birge:.2f}", f"{p.p_holm:.2g}"]
+        return ["", "", ""]
+    return [f"{s.consensus:.3g} ± {s.std:.2g}", f"{s.birge:.2f}", f"{p.p_holm:.2g}"]
 
 
 def torque_table(t: TorqueSpread, labels: Sequence[str]) -> Table:

@@ -30,8 +30,8 @@ def verdict(result: GapComparison) -> str:
     changed = [c for s in result.shared for c in s.coefficients if c.p_holm < ALPHA]
     known = sum(len(s.coefficients) for s in result.shared)
     if known:
-        words = "all agree" if not changed else f"{len(changed)} differ"
-        out.append(f"Of {known} coefficients named twice or more, {words} (5 %, Holm).")
+        words = f"{known - len(changed)} agree, {len(changed)} do not"
+        out.append(f"Of the coefficients named twice or more, {words} (5 %, Holm).")
     if result.torque is not None:
         out.append(
             torque_sentence(result.torque, result.labels).replace("models", "corrected models")
@@ -90,4 +90,5 @@ def _state(s: Shared, k: int) -> str:
 
 def _values(c: Coefficient) -> list[str]:
     pairs = zip(c.values, c.std, strict=True)
-    return ["" if v is None else f"{v:.4g} ± {s:.2g} {c.unit}" for v, s in pairs]
+    unit = "" if c.unit == "1" else f" {c.unit}"
+    return ["" if v is None else f"{v:.4g} ± {s:.2g}{unit}" for v, s in pairs]
