@@ -20,6 +20,7 @@ from scipy.stats import t as student
 from torchid.typing import Float, Tensor
 
 _ROUNDING = 1e-9
+_TINY = 1e-100
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def scatter(
         values, std: the estimates; a std of 0 counts as rounding.
         freedom: (m,) degrees of freedom of `std`.
     """
-    std = std.clamp(min=_ROUNDING * max(float(values.abs().max()), 1e-290))
+    std = std.clamp(min=_ROUNDING * max(float(values.abs().max()), _TINY))
     m = len(values)
     w = std**-2
     mean = float((w * values).sum() / w.sum())

@@ -16,6 +16,8 @@ import torch
 from torchid.typing import Float, Tensor
 
 DRAWS = 400
+AT_ONCE = 50
+"""Draws, and how many at a time: bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,13 @@ def whole(
     size = covariance.diagonal(dim1=-2, dim2=-1).mean(0).sqrt()  # units out: only rounding cares
     values, covariance = values / size, covariance / size / size.unsqueeze(-1)
     shrunk = _shrunk(covariance, correlation, freedom)
-    q, pooled = _statistics(values, shrunk)
+    q, pooled = (float(x) for x in _statistics(values, shrunk))
     generator = torch.Generator().manual_seed(seed)
-    null = torch.tensor(
-        [_draw(shrunk, correlation, freedom, generator) for _ in range(draws)], dtype=torch.float64
+    null = torch.cat(
+        [
+            _drawn(shrunk, correlation, freedom, generator, min(AT_ONCE, draws - first))
+            for first in range(0, draws, AT_ONCE)
+        ]
     )
     levels = torch.tensor([0.025, 0.5, 0.975], dtype=torch.float64)
     low = torch.quantile(null, levels, dim=0)
@@ -90,28 +95,33 @@ def _shrunk(covariance: Tensor, target: Tensor, freedom: Tensor) -> Tensor:
     return mixed * size.unsqueeze(-1) * size.unsqueeze(-2)
 
 
-def _statistics(values: Tensor, covariance: Tensor) -> tuple[float, float]:
-    """Q about the generalised mean, and the pooled Birge ratio."""
+def _statistics(values: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    """Q about the generalised mean, and the pooled Birge ratio; values (..., m, D)."""
     inverse = torch.linalg.inv(covariance)
-    weighted = (inverse @ values.unsqueeze(-1)).sum(0)
-    mean = torch.linalg.solve(inverse.sum(0), weighted).squeeze(-1)
-    left = values - mean
-    q = float(torch.einsum("md,mde,me->", left, inverse, left))
+    weighted = (inverse @ values.unsqueeze(-1)).sum(-3)
+    mean = torch.linalg.solve(inverse.sum(-3), weighted).squeeze(-1)
+    left = (values - mean.unsqueeze(-2)).unsqueeze(-1)
+    q = (left * (inverse @ left)).sum((-3, -2, -1))
     w = 1 / covariance.diagonal(dim1=-2, dim2=-1)
-    own = values - (w * values).sum(0) / w.sum(0)
-    return q, float((w * own.square()).sum() / (values.numel() - values.shape[1])) ** 0.5
+    own = values - ((w * values).sum(-2) / w.sum(-2)).unsqueeze(-2)
+    m, d = values.shape[-2:]
+    return q, ((w * own.square()).sum((-2, -1)) / (d * (m - 1))).sqrt()
 
 
-def _draw(
-    shrunk: Tensor, target: Tensor, freedom: Tensor, generator: torch.Generator
-) -> tuple[float, float]:
-    """Both statistics of one world without a difference."""
+def _drawn(
+    shrunk: Float[Tensor, "m D D"],
+    target: Float[Tensor, "m D D"],
+    freedom: Float[Tensor, " m"],
+    generator: torch.Generator,
+    count: int,
+) -> Float[Tensor, "K 2"]:
+    """Both statistics in worlds without a difference."""
     root = torch.linalg.cholesky(shrunk)
-    d = shrunk.shape[-1]
-    noise = torch.randn(len(root), d, 1, generator=generator, dtype=torch.float64)
+    m, d = root.shape[:2]
+    noise = torch.randn(count, m, d, 1, generator=generator, dtype=torch.float64)
     covariances = []
     for own, nu in zip(root, freedom.tolist(), strict=True):
-        sample = torch.randn(d, int(nu), generator=generator, dtype=torch.float64)
-        covariances.append(own @ (sample @ sample.T) @ own.T / int(nu))
-    seen = _shrunk(torch.stack(covariances), target, freedom)
-    return _statistics((root @ noise).squeeze(-1), seen)
+        sample = torch.randn(count, d, int(nu), generator=generator, dtype=torch.float64)
+        covariances.append(own @ (sample @ sample.transpose(1, 2)) @ own.T / int(nu))
+    seen = _shrunk(torch.stack(covariances, 1), target, freedom)
+    return torch.stack(_statistics((root @ noise).squeeze(-1), seen), -1)
