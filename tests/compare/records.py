@@ -42,11 +42,11 @@ def identification(
     for name, steps in (change or {}).items():
         k = base.names.index(name)
         truth[k] += steps * root[k].norm()
-    noise = torch.randn(len(base), generator=generator)
+    noise = torch.randn(len(base), generator=generator, dtype=torch.float64)
     values = truth + root @ noise
-    sample = root @ torch.randn(len(base), blocks - 1, generator=generator)
+    sample = root @ torch.randn(len(base), blocks - 1, generator=generator, dtype=torch.float64)
     covariance = claimed**2 * sample @ sample.T / (blocks - 1)
-    factor = torch.zeros(len(base) + 1, len(base) + 1)
+    factor = torch.zeros(len(base) + 1, len(base) + 1, dtype=torch.float64)
     factor[:-1, :-1] = r
     data = {
         "schema": "torchid.identification/1",

@@ -38,8 +38,9 @@ SLOWEST = 0.03
 """Share of the limits that a joint uses at least."""
 
 POPULATION = 16
-_SPREAD = 0.5
-_FULL = -2.0  # where the search of the joints' shares starts: nine tenths of the limits
+_SPREAD = 0.3
+_FULL = -4.0  # where the search of the joints' shares starts: nearly the whole of the limits
+_RANDOM_SHARE = 0.2  # of the evaluations, before the search
 
 Progress = Callable[[int, int], None]
 
@@ -133,13 +134,7 @@ def design_separation(
         TorchidError: no motion tried separates any pair.
     """
     limits = motion_limits(setting.robot, usage=usage)
-    tried = [plain] + [
-        random_trajectory(
-            setting.robot, seed + k, fill=True, usage=usage, harmonics=plain.harmonics,
-            duration=plain.duration, ramp=plain.ramp,
-        )
-        for k in range(4)
-    ]  # fmt: skip
+    tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
     tries = [separations(setting, rivals, x) for x in tried]
     seen = list(zip(*tries, strict=True))
     kept = [k for k, own in enumerate(seen) if max(own) > HOPELESS]
@@ -166,6 +161,21 @@ def design_separation(
         hopeless,
         limits.warnings,
     )
+
+
+def _random(
+    robot: Robot, plain: FourierTrajectory, seed: int, usage: float, evaluations: int
+) -> list[FourierTrajectory]:
+    """Random trajectories, every joint of each with its own share of the limits."""
+    count = max(4, round(_RANDOM_SHARE * evaluations))
+    drawn = random_trajectory(
+        robot, seed, count=count, fill=True, usage=usage, harmonics=plain.harmonics,
+        duration=plain.duration, ramp=plain.ramp,
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(seed)
+    share = SLOWEST ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
+    mixed = drawn.scaled(share)
+    return [drawn.select(k) if k % 2 else mixed.select(k) for k in range(count)]
 
 
 def separations(
@@ -230,7 +240,9 @@ class Rows:
 
     def columns(self, effect: Effect) -> Float[Tensor, "R C"]:
         """Of one effect (rows, C), joints and instants stacked."""
-        x = effect.torque_columns(self.motion, self._setting.robot)
+        return self._whitened(effect.torque_columns(self.motion, self._setting.robot))
+
+    def _whitened(self, x: Float[Tensor, "T n C"]) -> Float[Tensor, "R C"]:
         low = self._filter.apply(x.permute(2, 1, 0).contiguous())[..., ::2]
         return (low * self._weight.unsqueeze(-1)).flatten(1).T
 
@@ -244,9 +256,8 @@ class Rows:
         base, robot = self._setting.base, self._setting.robot
         if base is None:
             return None
-        half = self.motion.every(2)
-        y = regressor(robot, *half.state)[..., list(base.independent[: base.n_rigid])]
-        y = (y * self._weight.unsqueeze(-1)).permute(1, 0, 2).flatten(0, 1)
+        y = regressor(robot, *self.motion.state)[..., list(base.independent[: base.n_rigid])]
+        y = self._whitened(y)
         size = torch.linalg.vector_norm(y, dim=0)
         q, r = torch.linalg.qr(y[:, size > 0] / size[size > 0])
         return q[:, r.diagonal().abs() > 1e-9]
@@ -285,8 +296,8 @@ def _search(
         share = torch.exp(math.log(SLOWEST) * torch.sigmoid(x[-n:]))
         return raw.scaled(largest_scale(raw, limits) * share)
 
-    best, highest, done = start, score(start), 1
-    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": 40}
+    best, highest, done = start, score(start), round(_RANDOM_SHARE * evaluations)
+    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": True}
     search = cma.CMAEvolutionStrategy(first.numpy(), _SPREAD, options)
     while done < evaluations and not search.stop():
         asked = search.ask()
