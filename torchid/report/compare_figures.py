@@ -35,7 +35,7 @@ def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Fi
 
 
 def forest_figure(result: Comparison) -> "Figure":
-    """95 % intervals of every result about the consensus, in typical claimed standard deviations;
+    """95 % intervals of every result about the consensus, in the geometric mean of the claimed standard deviations;
     the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
     m = len(result.labels)
@@ -51,7 +51,7 @@ def forest_figure(result: Comparison) -> "Figure":
     for label, p in zip(axes.get_yticklabels(), shown, strict=True):
         label.set_color(SHADES.get(p.verdict, GREY if p.verdict == "never_determined" else INK))
     axes.set_xlabel(
-        "value - consensus, in the median of the claimed standard deviations (bars: 95 %)\n"
+        "value - consensus, in the geometric mean of the claimed standard deviations (bars: 95 %)\n"
         "red: drifts, orange: differs, black: agrees, grey: never determined; "
         "triangles lie beyond the edge",
         fontsize=8,
@@ -67,7 +67,7 @@ def forest_figure(result: Comparison) -> "Figure":
 def _forest_row(axes: Any, row: int, p: Compared, result: Comparison) -> None:
     assert p.scatter is not None
     known = p.std[~p.std.isnan()]
-    unit = max(float(known.median()), 1e-300)
+    unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
     half = p.scatter.quantile * p.scatter.std / unit
     axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
     m = len(result.labels)
