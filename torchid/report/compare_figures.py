@@ -35,8 +35,8 @@ def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Fi
 
 
 def forest_figure(result: Comparison) -> "Figure":
-    """95 % intervals of every result about the consensus, in the geometric mean of the claimed standard deviations;
-    the consensus' own interval is the grey bar."""
+    """95 % intervals of every result about the consensus, in the geometric mean of the claimed
+    standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
     m = len(result.labels)
     step = 0.2 + 0.05 * m
