@@ -8,6 +8,7 @@ import typer
 from torchid import __version__
 from torchid.app.atlas import atlas_command
 from torchid.app.check import check_command
+from torchid.app.compare import compare_command
 from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
 from torchid.app.export import export_command
@@ -42,6 +43,7 @@ app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
 app.command("gap")(gap_command)
 app.command("export")(export_command)
+app.command("compare")(compare_command)
 app.command("study")(study_command)
 app.add_typer(withheld_app, name="withheld")
 app.command("demo")(demo_command)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from torchid.app.excite_for import designed_for, robot_of_result
 from torchid.app.options import (
     Device,
     Json,
@@ -12,7 +13,6 @@ from torchid.app.options import (
     Out,
     Output,
     Quiet,
-    RobotArgument,
     Seed,
     Threads,
     Tip,
@@ -32,7 +32,23 @@ if TYPE_CHECKING:
 
 
 def excite_command(
-    robot: RobotArgument,
+    robot: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[ROBOT]",
+            help="Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file; with --for, the one "
+            "that the result records if absent.",
+        ),
+    ] = None,
+    result: Annotated[
+        Path | None,
+        typer.Option(
+            "--for",
+            metavar="RESULT",
+            help="The next motion for an identification.json (fixes the parameters it knows least) "
+            "or a gap.json (separates what it cannot tell apart, or shows what it could not test).",
+        ),
+    ] = None,
     kind: Annotated[
         Literal["optimised", "random", "sinusoid", "paper"],
         typer.Option(
@@ -46,8 +62,13 @@ def excite_command(
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many trajectories.")] = 1,
     criterion: Annotated[
-        Literal["condition", "d_optimal"], typer.Option(help="What to improve.")
-    ] = "condition",
+        Literal["condition", "d_optimal", "a_optimal"] | None,
+        typer.Option(
+            help="What to improve: the condition number (default) or the determinant of the "
+            "information; with --for an identification, its least known parameters (a_optimal, "
+            "default) or all (d_optimal)."
+        ),
+    ] = None,
     effects: Annotated[
         str,
         typer.Option(help="Effects to be identified with it, comma-separated; `none`."),
@@ -73,19 +94,31 @@ def excite_command(
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
     Example: `torchid excite kuka_lwr4 --out motion`
+
+    Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.excitation.trajectories import trajectory_log
     from torchid.robot.library import load_robot
 
     target = _target(to, output)
-    found = limited(load_robot(robot, tip=tip), max_velocity, max_acceleration)
     _checked(count=count, duration=duration, rate=rate, usage=usage)
     settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
+    given = None if robot is None else load_robot(robot, tip=tip)
+    if result is not None:
+        _refuse(kind, count)
+        found = robot_of_result(result, given, max_velocity, max_acceleration)
+        best, record = designed_for(result, found, seed, criterion, restarts, settings, output)
+        record = {**record, "result": result.name, "trajectories": _coefficients([best])}
+        _finish(found, "next", [trajectory_log(best, rate)], record, target, output)
+        return
+    if given is None:
+        raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
+    found = limited(given, max_velocity, max_acceleration)
     if kind == "optimised":
         design = {
             "restarts": restarts,
-            "criterion": criterion,
+            "criterion": criterion or "condition",
             "device": device(device_name),
         }
         trajectories, record = _optimised(
@@ -95,6 +128,13 @@ def excite_command(
         trajectories, record = _given(found, kind, seed, count, settings)
     logs = [trajectory_log(t, rate) for t in trajectories]
     _finish(found, kind, logs, record, target, output)
+
+
+def _refuse(kind: str, count: int) -> None:
+    if kind != "optimised" or count != 1:
+        raise TorchidError(
+            "--for RESULT designs one optimised trajectory.", got=f"--kind {kind} --count {count}"
+        )
 
 
 def _given(

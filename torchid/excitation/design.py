@@ -212,7 +212,7 @@ def optimise_trajectory(
         motion = trajectory.sample(_RATE).motion
         return condition_number(robot, base, motion, weights, effects=effects)
 
-    found = _descend(start, limits, cost, iterations, progress)
+    found = descend(start, limits, cost, iterations, progress)
     before = [condition(start.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
@@ -240,14 +240,22 @@ def _cost(information: Float[Tensor, "K B B"], criterion: Criterion) -> Float[Te
     return -values.log().mean(-1) / 2
 
 
-def _descend(
+def descend(
     start: FourierTrajectory,
     limits: MotionLimits,
     cost: Callable[[FourierTrajectory, Tensor], Tensor],
     iterations: int,
     progress: Progress | None,
 ) -> FourierTrajectory:
-    """The best iterate of each restart under Adam, (restarts, n, L)."""
+    """The best iterate of each restart under Adam, (restarts, n, L).
+
+    Args:
+        start: the restarts, within the limits.
+        limits: to which every candidate is scaled.
+        cost: of trajectories at times t, (restarts,), differentiable.
+        iterations: of Adam.
+        progress: called with (iterations done, all iterations).
+    """
     middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
     # Directions (a, b) have any size: the scale to the limits takes it out again.
     size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)

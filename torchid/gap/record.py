@@ -20,6 +20,7 @@ from torchid.gap.diagnosis import (
     RegimeGap,
 )
 from torchid.robot.model import JointType, Robot
+from torchid.robot.record import robot_record
 
 SCHEMA = "torchid.gap/1"
 
@@ -63,6 +64,8 @@ def record(diagnosis: Diagnosis) -> dict[str, Any]:
             "cutoff_hz": diagnosis.cutoff,
             "settings": diagnosis.settings,
             "warnings": diagnosis.warnings,
+            "model": robot_record(diagnosis.robot),
+            "corrected": robot_record(diagnosis.corrected),
         }
     )
 

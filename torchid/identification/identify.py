@@ -1,5 +1,6 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ from torchid.errors import LogError
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.motion import Measurement, fast_speed, measurements, no_torque
-from torchid.identification.result import Identification, findings
+from torchid.identification.result import FittedRows, Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife
@@ -91,6 +92,7 @@ def identify(
         values=values,
         covariance=estimate.uncertainty.covariance[order][:, order],
         factor=estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])],
+        rows=estimate.rows,
         free=estimate.fit.free[order],
         bounded=named.where(estimate.fit.bounded),
         undetermined=named.where(estimate.fit.undetermined),
@@ -223,6 +225,7 @@ class _Estimate:
     fit: Fit
     uncertainty: Uncertainty
     dropped: Bool[Tensor, " B"]
+    rows: FittedRows
 
 
 def _estimate(
@@ -248,7 +251,7 @@ def _estimate(
             non_negative=training.non_negative,
             left_out=dropped,
         )
-        return _Estimate(found, jackknife(source, found), dropped)
+        return _Estimate(found, jackknife(source, found), dropped, _rows(source, found))
 
     now = without(torch.zeros_like(training.non_negative))
     while settings.essential and int(now.fit.free.sum()) > 1:
@@ -260,6 +263,13 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
+
+
+def _rows(source: RowSource, found: Fit) -> FittedRows:
+    edges = itertools.pairwise(source.boundaries)
+    counts = (last - first for first, last in edges)
+    seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
+    return FittedRows(seconds, source.instants / seconds, found.whitening)
 
 
 def _non_negative(columns: Layout) -> Bool[Tensor, " B"]:

@@ -130,3 +130,65 @@ def _tensor(data: Mapping[str, Any], key: str, shape: tuple[int, ...], path: Pat
             expected=shape,
         )
     return values
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What an identification knows, for the design of the next motion.
+
+    Attributes:
+        base, effects, values: its base parameters (B,).
+        known: (B,) those that the log determined.
+        std: (B,) standard deviations; 0 where held or unknown.
+        information: (B, B) R'R of the weighted rows.
+        inflation: (B,) standard deviation over that of white residuals; where nothing was
+            estimated, the median of the others.
+        whitening: (n, n) weights of the joints' rows.
+        per_second: rows a second and joint.
+    """
+
+    base: BaseParameters
+    effects: tuple[JointEffect, ...]
+    values: Float[Tensor, " B"]
+    known: Bool[Tensor, " B"]
+    std: Float[Tensor, " B"]
+    information: Float[Tensor, "B B"]
+    inflation: Float[Tensor, " B"]
+    whitening: Float[Tensor, "n n"]
+    per_second: float
+
+
+def read_prior(path: Path, robot: Robot) -> Prior:
+    """What the identification in a file knows; for the same robot.
+
+    Raises:
+        TorchidError: not such a file, or one without the rows' weights, of an older torchid.
+    """
+    found = read_base(path, robot)
+    rows = _load(path).get("rows")
+    if not isinstance(rows, Mapping) or not {"per_second", "whitening"} <= set(rows):
+        raise TorchidError(
+            f"'{path}' does not say how its rows were weighted.",
+            hint="write it again: torchid identify ROBOT LOG... --json FILE",
+        )
+    assert found.covariance is not None
+    assert found.factor is not None
+    r = found.factor[:, :-1]
+    std = found.covariance.diagonal().clamp(min=0).sqrt()
+    free = (std > 0).nonzero().flatten()
+    root = torch.linalg.qr(r[:, free], mode="r").R
+    inverse = torch.linalg.solve_triangular(root, torch.eye(len(free)).to(root), upper=True)
+    ratio = std[free] / torch.linalg.vector_norm(inverse, dim=1)
+    inflation = torch.full_like(std, float(ratio.median()) if len(free) else 1.0)
+    inflation[free] = ratio
+    return Prior(
+        found.base,
+        found.effects,
+        found.values,
+        found.known,
+        std,
+        r.T @ r,
+        inflation,
+        _tensor(rows, "whitening", (robot.n, robot.n), path),
+        float(rows["per_second"]),
+    )

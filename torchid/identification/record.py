@@ -11,6 +11,7 @@ from typing import Any
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Errors
 from torchid.robot.library import reference
+from torchid.robot.record import robot_record
 
 SCHEMA = "torchid.identification/1"
 
@@ -47,6 +48,11 @@ def record(result: Identification) -> dict[str, Any]:
         "base_values": result.values.tolist(),
         "covariance": result.covariance.tolist(),
         "factor": result.factor.tolist(),
+        "rows": {
+            "seconds": result.rows.seconds,
+            "per_second": result.rows.per_second,
+            "whitening": result.rows.whitening.tolist(),
+        },
         "statistics": {
             "method": "delete-a-block jackknife",
             "blocks": result.uncertainty.blocks,
@@ -68,6 +74,7 @@ def record(result: Identification) -> dict[str, Any]:
             "compiled": settings.compiled,
         },
         "warnings": list(result.warnings),
+        "model": robot_record(result.robot),
     }
 
 

@@ -22,6 +22,21 @@ MUCH_STANDSTILL = 0.2
 
 
 @dataclass(frozen=True, eq=False)
+class FittedRows:
+    """What one second of such a log tells: rows of the least squares and their weights.
+
+    Attributes:
+        seconds: length of the log that was fitted.
+        per_second: instants a second, after the filter and decimation.
+        whitening: (n, n) upper triangular, of the rows of the joints [1/(N m); 1/N].
+    """
+
+    seconds: float
+    per_second: float
+    whitening: Float[Tensor, "n n"]
+
+
+@dataclass(frozen=True, eq=False)
 class Identification:
     """Base parameters identified from logs.
 
@@ -33,6 +48,7 @@ class Identification:
         covariance: (B, B), block-robust.
         factor: (B + 1, B + 1) R of the fitted rows [Y_R tau], weighted as in the fit, columns in
             the order of `base.names`: || R (x, -1) ||^2 is the fit's sum of squares at x.
+        rows: how many rows a second, and their weights.
         free: (B,) estimated. The others are 0: bounded, undetermined or not essential.
         bounded, undetermined, dropped: names of those others.
         wrong_sign: names that came out negative against physics and were kept (signs = free).
@@ -53,6 +69,7 @@ class Identification:
     values: Float[Tensor, " B"]
     covariance: Float[Tensor, "B B"]
     factor: Float[Tensor, "C C"]
+    rows: FittedRows
     free: Bool[Tensor, " B"]
     bounded: tuple[str, ...]
     undetermined: tuple[str, ...]

@@ -1,0 +1,127 @@
+"""Whole comparisons: level, power, and what is said of standard deviations that are too small."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from tests.compare.records import several
+from torchid.compare.identifications import compare_identifications
+from torchid.compare.reading import read_identification, read_results
+from torchid.compare.record import record
+from torchid.compare.torque import random_motion
+from torchid.compare.whole import whole
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.report.compare import verdict
+from torchid.robot.library import load_robot
+
+
+def compared(paths, **arguments):
+    results = [read_identification(r) for r in read_results(paths)]
+    return compare_identifications(results, **arguments)
+
+
+def test_honest_results_agree(tmp_path):
+    found = compared(several(tmp_path, 3))
+    assert not found.having("drift", "differ")
+    low, _, high = found.whole.pooled_expected
+    assert low < found.whole.pooled < high
+    assert found.whole.p > 0.05
+    assert "can be trusted" in verdict(found)
+
+
+def test_too_small_claims_are_said_with_their_factor(tmp_path):
+    found = compared(several(tmp_path, 4, claimed=1 / 3))
+    assert found.whole.pooled == pytest.approx(3, rel=0.25)
+    assert found.birge == pytest.approx(3, rel=0.3)
+    assert found.whole.p < 0.01
+    assert "too small by a factor" in verdict(found)
+
+
+def test_a_drifting_parameter_is_named_and_no_other(tmp_path):
+    paths = [
+        several(tmp_path, 1, first=k, change={"Fv2": 12.0 * k})[0].rename(tmp_path / f"{k}.json")
+        for k in range(3)
+    ]
+    found = compared(paths)
+    assert [p.name for p in found.having("drift")] == ["Fv2"]
+    assert not found.having("differ")
+    text = verdict(found)
+    assert "1 drifts in the order given" in text
+    assert "Fv2" in text
+    back = compared([paths[0], paths[2], paths[1]])
+    assert [p.name for p in back.having("differ")] == ["Fv2"]
+
+
+def test_torque_differences_are_those_of_the_models(tmp_path):
+    """Two results with the same friction: torque by Newton-Euler from full parameters."""
+    found = compared(several(tmp_path, 2))
+    robot = load_robot("3r_friction")
+    results = [read_identification(r) for r in read_results(several(tmp_path, 2))]
+    motion = random_motion(robot)
+    tau = []
+    for r in results:
+        from torchid.identification.validation import model_torque
+
+        tau.append(
+            torch.cat([model_torque(robot, r.base, r.effects, r.values, m) for m in motion.motions])
+        )
+    expected = (tau[0] - tau[1]).square().mean(0).sqrt()
+    torch.testing.assert_close(found.torque.pairs[0, 1], expected)
+    torch.testing.assert_close(found.torque.spread, expected / 2**0.5)
+    nominal = torch.cat([inverse_dynamics(robot, *m.state) for m in motion.motions])
+    assert bool((found.torque.size > 0.5 * nominal.square().mean(0).sqrt()).all())
+    ratio = float(found.torque.spread.norm() / found.torque.claimed.norm())
+    assert 0.3 < ratio < 3
+
+
+def test_the_whole_keeps_its_level_where_covariances_are_singular():
+    """Twenty parameters, fifteen degrees of freedom, strong correlations: p-values are uniform."""
+    g = torch.Generator().manual_seed(0)
+    d, nu, m = 20, 15, 2
+    mix = torch.randn(d, d, generator=g)
+    root = torch.linalg.cholesky(mix @ mix.T / d + 0.05 * torch.eye(d))
+    true = root @ root.T
+    size = true.diagonal().sqrt()
+    white = (true / size / size.unsqueeze(1)).expand(m, d, d)
+    p = []
+    for k in range(60):
+        x = (root @ torch.randn(m, d, 1, generator=g)).squeeze(-1)
+        sample = root @ torch.randn(m, d, nu, generator=g)
+        c = sample @ sample.transpose(1, 2) / nu
+        p.append(whole(x, c, white, torch.full((m,), float(nu)), seed=k, draws=60).p)
+    p = torch.tensor(p)
+    assert 0.35 < float(p.mean()) < 0.65
+    assert float((p < 0.1).double().mean()) < 0.25
+
+
+def test_the_whole_sees_what_no_single_parameter_shows():
+    """A shift along the direction that is known best, of half a standard deviation of each."""
+    d, nu = 10, 60
+    c = 0.02 * torch.eye(d) + 0.98 * torch.ones(d, d)
+    away = torch.tensor([0.5, -0.5] * (d // 2))
+    x = torch.stack([torch.zeros(d), away])
+    found = whole(x, c.expand(2, d, d), c.expand(2, d, d), torch.full((2,), float(nu)))
+    assert found.pooled < 0.5
+    assert found.p < 0.01
+
+
+def test_the_record_is_json_and_says_the_same(tmp_path):
+    found = compared(several(tmp_path, 3))
+    data = json.loads(json.dumps(record(found), allow_nan=False))
+    assert data["schema"] == "torchid.compare/1"
+    assert data["results"] == ["a", "b", "c"]
+    assert len(data["parameters"]) == len(found.parameters)
+    assert sum(data["counts"].values()) == len(found.parameters)
+    assert data["birge"]["pooled"] == pytest.approx(found.whole.pooled)
+    assert data["parameters"][0]["consensus"] == pytest.approx(
+        asdict(found.parameters[0].scatter)["consensus"]
+    )
+
+
+def test_without_the_robot_there_is_no_torque(tmp_path):
+    found = compared(several(tmp_path, 2, model=False))
+    assert found.torque is None
+    assert any("--robot" in note for note in found.notes)
+    assert compared(several(tmp_path, 2, model=False), robot=load_robot("3r_friction")).torque

@@ -1,0 +1,139 @@
+"""`torchid excite --for RESULT`: the next motion, given what a result has told already."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from torchid.app.options import Output, limited, progress_bar
+from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.excitation.fourier import FourierTrajectory
+    from torchid.robot.model import Robot
+
+EVALUATIONS = 75
+"""Trajectories that the search for a separating motion tries a restart."""
+
+
+def robot_of_result(
+    path: Path, robot: "Robot | None", velocity: str | None, acceleration: str | None
+) -> "Robot":
+    """The robot given, or the one that a result records, with limits from the command line.
+
+    Raises:
+        TorchidError: neither; or no result.
+    """
+    from torchid.excitation.ambiguity import load
+    from torchid.robot.record import recorded_robot
+
+    found = robot or recorded_robot(load(path), str(path))
+    if found is None:
+        raise TorchidError(f"'{path}' does not record its robot.", expected="torchid excite ROBOT")
+    return limited(found, velocity, acceleration)
+
+
+def designed_for(
+    path: Path,
+    robot: "Robot",
+    seed: int,
+    criterion: str | None,
+    restarts: int,
+    settings: dict[str, Any],
+    output: Output,
+) -> tuple["FourierTrajectory", dict[str, Any]]:
+    """The trajectory and its record, by the kind of the result.
+
+    Raises:
+        TorchidError: a result that asks for no motion.
+    """
+    from torchid.excitation.ambiguity import SCHEMA as GAP
+    from torchid.excitation.ambiguity import load
+    from torchid.identification.record import SCHEMA as IDENTIFICATION
+
+    data = load(path)
+    if data.get("schema") == IDENTIFICATION:
+        return _for_identification(path, robot, seed, criterion, restarts, settings, output)
+    if data.get("schema") == GAP:
+        if criterion not in (None, "separation"):
+            raise TorchidError(
+                "for a gap diagnosis motions are designed to separate.", got=criterion
+            )
+        return _for_gap(path, data, robot, seed, restarts, settings, output)
+    raise TorchidError(
+        f"'{path}' is not a result that a motion can be designed for.",
+        got=f"schema {data.get('schema')}",
+        available=[IDENTIFICATION, GAP],
+    )
+
+
+def _for_identification(
+    path: Path,
+    robot: "Robot",
+    seed: int,
+    criterion: str | None,
+    restarts: int,
+    settings: dict[str, Any],
+    output: Output,
+) -> tuple["FourierTrajectory", dict[str, Any]]:
+    from torchid.excitation.informed import design_for
+    from torchid.identification.reading import read_prior
+    from torchid.report.next_motion import informed_record, informed_table, informed_verdict
+
+    if criterion not in (None, "a_optimal", "d_optimal"):
+        raise TorchidError(
+            "--for an identification has other criteria.",
+            got=criterion,
+            available=["a_optimal", "d_optimal"],
+        )
+    goal: Literal["a_optimal", "d_optimal"] = (
+        "d_optimal" if criterion == "d_optimal" else "a_optimal"
+    )
+    prior = read_prior(path, robot)
+    with progress_bar(output) as progress:
+        found = design_for(
+            robot, prior, seed=seed, goal=goal, restarts=restarts, **settings,
+            progress=_stage(progress, "designing"),
+        )  # fmt: skip
+    output.say(f"[bold]{informed_verdict(found)}[/]\n")
+    output.say(informed_table(found))
+    return found.trajectory, informed_record(found)
+
+
+def _for_gap(
+    path: Path,
+    data: Mapping[str, Any],
+    robot: "Robot",
+    seed: int,
+    restarts: int,
+    settings: dict[str, Any],
+    output: Output,
+) -> tuple["FourierTrajectory", dict[str, Any]]:
+    from torchid.excitation.ambiguity import read_open, rivals
+    from torchid.excitation.design import optimise_trajectory
+    from torchid.excitation.separation import design_separation
+    from torchid.report.next_motion import (
+        separation_record,
+        separation_table,
+        separation_verdict,
+    )
+
+    found = read_open(path, data, robot)
+    with progress_bar(output) as progress:
+        plain = optimise_trajectory(
+            robot, seed=seed, restarts=restarts, **settings,
+            progress=_stage(progress, "a plain motion to compare with"),
+        ).trajectory  # fmt: skip
+        made = design_separation(
+            found.setting, rivals(found, plain), plain, seed=seed, usage=settings["usage"],
+            evaluations=EVALUATIONS * restarts, progress=_stage(progress, "separating"),
+        )  # fmt: skip
+    output.say(f"[bold]{separation_verdict(made, found.kind)}[/]\n")
+    output.say(separation_table(made, found.kind))
+    output.warn(found.notes)
+    return made.trajectory, {**separation_record(made, found.kind), "notes": list(found.notes)}
+
+
+def _stage(progress: Any, stage: str) -> Any:
+    if progress is None:
+        return None
+    return lambda done, total: progress(stage, done, total)

@@ -1,0 +1,231 @@
+"""One basis for the base parameters of several identifications.
+
+Two identifications of one arm may group its parameters differently: another effect among the
+columns, a model whose gravity lies along an axis, a rank that was decided otherwise. What both
+determine are combinations w' pi of the whole parameter vector that lie in the row space of both
+groupings, base = G pi. Each row of the common basis is such a w; with G's independent columns the
+identity, its value is w_I' base, w_I being w's entries at the independent parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.compare.reading import Identified
+from torchid.errors import TorchidError
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+SAME = 1e-2
+"""Relative distance of a combination from a row space below which it lies in it: kinematics that
+differ by a calibration of millimetres still compare."""
+
+POSITION, GRAVITY = 5e-3, 0.05
+"""Differences of recorded kinematics [m; and of rotation matrices] and gravity [m/s^2] that count
+as none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Common:
+    """Estimates of the same D combinations by m results.
+
+    Attributes:
+        names, units: (D,) of the combinations, readable.
+        rigid: (D,) those of the rigid body.
+        values, std: (m, D); 0 where not estimated.
+        covariance, correlation: (m, D, D), as Identified's.
+        estimated: (m, D).
+        held: (m, D) held at zero by the fit.
+        determined: (m, D) the result's structure has it; not the same as estimated.
+        notes: sentences for the user.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rigid: Bool[Tensor, " D"]
+    values: Float[Tensor, "m D"]
+    covariance: Float[Tensor, "m D D"]
+    correlation: Float[Tensor, "m D D"]
+    estimated: Bool[Tensor, "m D"]
+    held: Bool[Tensor, "m D"]
+    determined: Bool[Tensor, "m D"]
+    notes: tuple[str, ...]
+
+    @property
+    def std(self) -> Float[Tensor, "m D"]:
+        """Standard deviations."""
+        return self.covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0).sqrt()
+
+
+def common_basis(results: Sequence[Identified]) -> Common:
+    """The results' estimates in one basis: the rigid body's of the result with the fewest, and
+    every result's own effects.
+
+    Raises:
+        TorchidError: results of arms with different kinematics.
+    """
+    refuse_other_arms(results)
+    union = list(dict.fromkeys(name for r in results for name in r.base.parameter_names))
+    wide = _absorbing([_embedded(r, union) for r in results], results, union)
+    rows, names, units, rigid = _rows(results, wide)
+    parts = [_in_basis(r, g, rows, union) for r, g in zip(results, wide, strict=True)]
+    values, covariance, correlation, estimated, held, determined = (
+        torch.stack(x) for x in zip(*parts, strict=True)
+    )
+    poorest = determined[:, rigid]
+    if not bool(poorest.all()):
+        bad = [results[k].label for k in range(len(results)) if not bool(poorest[k].all())]
+        k = int((~poorest.all(0)).nonzero()[0, 0])
+        raise TorchidError(
+            "the results are of arms with different kinematics, or of one arm described in "
+            "different frames: their base parameters are different quantities.",
+            got=f"{', '.join(bad)} has no combination {names[k]}",
+            hint="identify all logs with the same robot file",
+        )
+    return Common(
+        tuple(names), tuple(units), rigid, values, covariance, correlation, estimated, held,
+        determined, _notes(results),
+    )  # fmt: skip
+
+
+def refuse_other_arms(results: Sequence[Identified]) -> None:
+    """Raise if joints or recorded kinematics differ."""
+    first = results[0]
+    for other in results[1:]:
+        if other.n != first.n:
+            raise TorchidError(
+                "the results are of arms with different numbers of joints.",
+                got=f"{first.label}: {first.n}, {other.label}: {other.n}",
+            )
+    refuse_other_kinematics([(r.label, r.robot) for r in results])
+
+
+def refuse_other_kinematics(robots: Sequence[tuple[str, Robot | None]]) -> None:
+    """Raise if kinematics, as far as they are known, differ."""
+    known = [(label, robot) for label, robot in robots if robot is not None]
+    for label, robot in known[1:]:
+        difference = _difference(known[0][1], robot)
+        if difference is not None:
+            raise TorchidError(
+                "the results are of arms with different kinematics: their parameters are "
+                "different quantities.",
+                got=f"{known[0][0]} and {label}: {difference}",
+                hint="identify all logs with the same robot file",
+            )
+
+
+def _difference(one: Robot, two: Robot) -> str | None:
+    if one.joint_types != two.joint_types:
+        kinds = ("".join(t.value for t in r.joint_types) for r in (one, two))
+        return "joints " + " and ".join(kinds)
+    for what, a, b in (("before", one.before, two.before), ("after", one.after, two.after)):
+        apart = (a - b).abs().amax((1, 2))
+        if float(apart.max()) > POSITION:
+            k = int(apart.argmax())
+            return f"the pose {what} joint {k + 1} differs by {float(apart[k]):.3g}"
+    if float((one.gravity - two.gravity).abs().max()) > GRAVITY:
+        return f"gravity {one.gravity.tolist()} and {two.gravity.tolist()}"
+    return None
+
+
+def _embedded(result: Identified, union: Sequence[str]) -> Float[Tensor, "B U"]:
+    out = torch.zeros(len(result.base), len(union), dtype=torch.float64)
+    out[:, [union.index(name) for name in result.base.parameter_names]] = result.base.grouping
+    return out
+
+
+def _absorbing(
+    wide: list[Tensor], results: Sequence[Identified], union: Sequence[str]
+) -> list[Tensor]:
+    """Groupings that also hold effects the result did not have but whose columns are combinations
+    of its own: what was fitted without Ia1 determines J1zz + Ia1 all the same."""
+    out = [g.clone() for g in wide]
+    for source in results:
+        base = source.base
+        for name in base.absorbed_effects():
+            column = base.grouping[:, base.parameter_names.index(name)]
+            made_of = [base.parameter_names[k] for k in base.independent]
+            for other, grouping in zip(results, out, strict=True):
+                parts = [k for k, v in enumerate(column.tolist()) if v != 0]
+                own = other.base.parameter_names
+                if name in own or any(made_of[k] not in own for k in parts):
+                    continue
+                index = [union.index(made_of[k]) for k in parts]
+                grouping[:, union.index(name)] = grouping[:, index] @ column[parts]
+    return out
+
+
+def _rows(
+    results: Sequence[Identified], wide: Sequence[Tensor]
+) -> tuple[Tensor, list[str], list[str], Tensor]:
+    """Combinations to compare (D, U): names, units, which belong to the rigid body."""
+    poorest = min(range(len(results)), key=lambda k: results[k].base.n_rigid)
+    picked = [(poorest, b) for b in range(results[poorest].base.n_rigid)]
+    for k, result in enumerate(results):
+        for b in range(result.base.n_rigid, len(result.base)):
+            known = [wide[i][c] for i, c in picked[results[poorest].base.n_rigid :]]
+            if not any(torch.allclose(wide[k][b], row, atol=SAME) for row in known):
+                picked.append((k, b))
+    rows = torch.stack([wide[k][b] for k, b in picked])
+    bases = [(results[k].base, b) for k, b in picked]
+    rigid = torch.tensor([b < base.n_rigid for base, b in bases])
+    return rows, [base.names[b] for base, b in bases], [base.units[b] for base, b in bases], rigid
+
+
+def _in_basis(
+    result: Identified, wide: Float[Tensor, "B U"], rows: Float[Tensor, "D U"], union: Sequence[str]
+) -> tuple[Tensor, ...]:
+    """Values, covariance, correlation, and masks of one result in the common basis."""
+    names = result.base.parameter_names
+    lead = [union.index(names[k]) for k in result.base.independent]
+    turn = rows[:, lead]
+    size = torch.linalg.vector_norm(rows, dim=1)
+    within = torch.linalg.vector_norm(turn @ wide - rows, dim=1) <= SAME * size
+    used = turn.abs() > SAME * size.unsqueeze(1)
+    held = within & (used & result.held).any(1) & ~(used & ~result.held).any(1)
+    estimated = within & ~held & ~(used & ~(result.estimated | result.held)).any(1)
+    covariance = turn @ result.covariance @ turn.T
+    std = result.covariance.diagonal().clamp(min=0).sqrt()
+    white = turn @ (result.correlation * std * std.unsqueeze(1)) @ turn.T
+    scale = white.diagonal().clamp(min=1e-300).sqrt()
+    apart = estimated.unsqueeze(1) & estimated
+    correlation = torch.where(
+        apart, white / scale / scale.unsqueeze(1), torch.eye(len(rows)).to(white)
+    )
+    return (
+        turn @ result.values * within,
+        covariance * apart,
+        correlation,
+        estimated,
+        held,
+        within,
+    )
+
+
+def _notes(results: Sequence[Identified]) -> tuple[str, ...]:
+    out = []
+    kinds = [tuple(dict.fromkeys(e.name for e in r.effects)) for r in results]
+    every = dict.fromkeys(name for own in kinds for name in own)
+    for result, own in zip(results, kinds, strict=True):
+        missing = [name for name in every if name not in own]
+        if missing:
+            out.append(
+                f"{result.label} was fitted without {', '.join(missing)}: what they explain may "
+                "have gone into its other parameters"
+            )
+    seen: dict[str, str] = {}
+    for result in results:
+        for name in result.trajectories:
+            if name in seen and seen[name] != result.label:
+                out.append(
+                    f"{seen[name]} and {result.label} were both fitted on a trajectory called "
+                    f"'{name}': if it is the same one, their errors are common and agreement "
+                    "says little"
+                )
+            seen.setdefault(name, result.label)
+    cutoffs = {r.cutoff for r in results}
+    if len(cutoffs) > 1:
+        text = ", ".join("none" if c is None else f"{c:g} Hz" for c in (r.cutoff for r in results))
+        out.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
+    return tuple(dict.fromkeys(out))

@@ -1,0 +1,317 @@
+"""Several gap diagnoses of one type of arm: which effects they share, and whether sizes agree."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import combinations
+from typing import Any, Literal
+
+import torch
+
+from torchid.compare.basis import refuse_other_kinematics
+from torchid.compare.reading import Result
+from torchid.compare.scatter import Scatter, holm, scatter
+from torchid.compare.torque import (
+    Model,
+    TorqueSpread,
+    described_model,
+    log_motion,
+    random_motion,
+    torque_spread,
+)
+from torchid.effects.registry import KINDS
+from torchid.errors import TorchidError
+from torchid.log.model import Log
+from torchid.robot.model import Robot
+from torchid.robot.record import recorded_robot
+
+State = Literal["named", "not_testable", "not_found"]
+
+BLOCKS = 20
+"""Fewest blocks that a diagnosis takes its standard deviations from."""
+
+ALPHA = 0.05
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect as one diagnosis names it.
+
+    Attributes:
+        effect, family: which.
+        place: joints (from 1) it is at; empty for the whole arm.
+        also: names that it cannot be told from.
+        values, std: coefficients and their standard deviations [units].
+        shapes: its shape parameters.
+        units: of both.
+        share: of the gap.
+    """
+
+    effect: str
+    family: str
+    place: tuple[int, ...]
+    also: tuple[str, ...]
+    values: dict[str, float]
+    std: dict[str, float]
+    shapes: dict[str, float]
+    units: dict[str, str]
+    share: float | None
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient that two or more diagnoses give: estimates, and whether they agree."""
+
+    name: str
+    unit: str
+    values: tuple[float | None, ...]
+    std: tuple[float | None, ...]
+    scatter: Scatter
+    p_holm: float
+
+
+@dataclass(frozen=True)
+class Shared:
+    """One cause over all diagnoses: effects at one place that name each other as alternatives.
+
+    Attributes:
+        effects: their names, the most frequent first.
+        place: joints, from 1.
+        states: (m,) what each diagnosis says.
+        named: (m,) entries, None where not named.
+        smallest: (m,) smallest detectable size where it was not testable.
+        coefficients: those of an effect that two or more name alike.
+    """
+
+    effects: tuple[str, ...]
+    place: tuple[int, ...]
+    states: tuple[State, ...]
+    named: tuple[Named | None, ...]
+    smallest: tuple[float | None, ...]
+    coefficients: tuple[Coefficient, ...]
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether every diagnosis names it."""
+        return all(state == "named" for state in self.states)
+
+
+@dataclass(frozen=True)
+class GapComparison:
+    """All of it.
+
+    Attributes:
+        labels, statuses, closed: (m,) of the diagnoses, in the order given.
+        robot: its name.
+        shared: causes, those named in all first.
+        torque: of the corrected models; None where they were not recorded.
+        notes: sentences for the user.
+    """
+
+    labels: tuple[str, ...]
+    robot: str
+    statuses: tuple[str, ...]
+    closed: tuple[float | None, ...]
+    shared: tuple[Shared, ...]
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+
+
+def compare_diagnoses(
+    results: Sequence[Result], *, on: Log | None = None, seed: int = 0
+) -> GapComparison:
+    """Compare two or more gap diagnoses.
+
+    Raises:
+        TorchidError: diagnoses of other kinematics, or incomplete ones.
+    """
+    try:
+        entries = [[_named(entry) for entry in r.data["which"]] for r in results]
+        statuses = tuple(str(r.data["status"]) for r in results)
+        closed = tuple(r.data["how_far"]["closed"] for r in results)
+        hidden = [_hidden(r.data["not_testable"]) for r in results]
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise TorchidError(
+            "a diagnosis is not complete.", got=f"{type(error).__name__}: {error}"
+        ) from error
+    given = [recorded_robot(r.data, str(r.path)) for r in results]
+    refuse_other_kinematics([(r.label, g) for r, g in zip(results, given, strict=True)])
+    corrected = [recorded_robot(r.data, str(r.path), "corrected") for r in results]
+    shared = _with_holm([_shared(group, entries, hidden) for group in _groups(entries)])
+    torque = _torque(corrected, results, on, seed)
+    names = dict.fromkeys(r.robot_name for r in results)
+    return GapComparison(
+        tuple(r.label for r in results),
+        " and ".join(names),
+        statuses,
+        closed,
+        tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
+        torque,
+        _notes(results, given, torque),
+    )
+
+
+def _named(entry: Mapping[str, Any]) -> Named:
+    own = entry["parameters"]
+    name = str(entry["effect"])
+    kind = KINDS.get(name)
+    located = kind is None or name == "link_inertia" or "joint" in {f.name for f in fields(kind)}
+    at = [*entry["joints"], *(own[p] for p in entry["places"])] if located else []
+    numbers = {k: float(v) for k, v in own.items() if isinstance(v, int | float)}
+    return Named(
+        name,
+        str(entry["family"]),
+        () if entry.get("common") else tuple(int(j) for j in at),
+        tuple(entry["ambiguous_with"]),
+        {k: numbers[k] for k in entry["std"] if k in numbers},
+        {k: float(v) for k, v in entry["std"].items() if v is not None},
+        {k: numbers[k] for k in entry["shape"] if k in numbers},
+        dict(entry["unit"]),
+        entry.get("share"),
+    )
+
+
+def _hidden(entries: Sequence[Mapping[str, Any]]) -> dict[tuple[str, tuple[int, ...]], Any]:
+    """Effects and places that a diagnosis could not test, with the smallest detectable size."""
+    return {
+        (str(e["effect"]), () if e["joint"] is None else (int(e["joint"]),)):
+        e["smallest_detectable"] for e in entries
+    }  # fmt: skip
+
+
+def _same_cause(a: Named, b: Named) -> bool:
+    """The same place, and the same name or one that the other cannot be told from."""
+    if a.place and b.place and a.place != b.place:
+        return False
+    if a.effect == b.effect:
+        return a.place == b.place
+    return a.effect in b.also or b.effect in a.also
+
+
+Member = tuple[int, int]  # number of a diagnosis, and of its entry
+
+
+def _groups(entries: Sequence[Sequence[Named]]) -> list[list[Member]]:
+    """Entries of different diagnoses that are one cause; at most one of each diagnosis, the best
+    matches first."""
+    members = [(k, i) for k, own in enumerate(entries) for i in range(len(own))]
+    group = {member: {member} for member in members}
+
+    def join(alike: bool) -> None:
+        for one, two in combinations(members, 2):
+            a, b = (entries[k][i] for k, i in (one, two))
+            both = group[one] | group[two]
+            distinct = len({k for k, _ in both}) == len(both)
+            if distinct and (a.effect == b.effect) == alike and _same_cause(a, b):
+                for member in both:
+                    group[member] = both
+
+    join(alike=True)
+    join(alike=False)
+    return [list(g) for g in dict.fromkeys(tuple(sorted(g)) for g in group.values())]
+
+
+def _shared(
+    group: Sequence[Member],
+    entries: Sequence[Sequence[Named]],
+    hidden: Sequence[Mapping[tuple[str, tuple[int, ...]], Any]],
+) -> Shared:
+    named: list[Named | None] = [None] * len(entries)
+    for k, i in group:
+        named[k] = entries[k][i]
+    present = [n for n in named if n is not None]
+    effects = sorted(
+        {n.effect for n in present}, key=lambda e: -sum(n.effect == e for n in present)
+    )
+    place = max((n.place for n in present), key=len)
+    keys = [(e, place) for e in effects]
+    unseen = [next((h for h in keys if h in own), None) for own in hidden]
+    states: list[State] = [
+        "named" if n is not None else "not_found" if h is None else "not_testable"
+        for n, h in zip(named, unseen, strict=True)
+    ]
+    smallest = [
+        own[h] if h is not None and n is None else None
+        for n, h, own in zip(named, unseen, hidden, strict=True)
+    ]
+    return Shared(
+        tuple(effects), place, tuple(states), tuple(named), tuple(smallest),
+        _coefficients(effects[0], named),
+    )  # fmt: skip
+
+
+def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficient, ...]:
+    own = [n if n is not None and n.effect == effect else None for n in named]
+    first = next(n for n in own if n is not None)
+    out = []
+    for name in first.values:
+        pairs = [
+            (n.values[name], n.std[name]) if n is not None and name in n.std else None for n in own
+        ]
+        known = [p for p in pairs if p is not None]
+        if len(known) < 2:
+            continue
+        x, s = torch.tensor(known, dtype=torch.float64).T
+        found = scatter(x, s, torch.full_like(x, BLOCKS - 1))
+        out.append(
+            Coefficient(
+                name,
+                first.units.get(name, ""),
+                tuple(None if p is None else p[0] for p in pairs),
+                tuple(None if p is None else p[1] for p in pairs),
+                found,
+                found.p,
+            )
+        )
+    return tuple(out)
+
+
+def _with_holm(shared: list[Shared]) -> list[Shared]:
+    """p-values adjusted over all coefficients of all causes."""
+    p = [c.scatter.p for s in shared for c in s.coefficients]
+    adjusted = iter(holm(torch.tensor(p, dtype=torch.float64)).tolist())
+    return [
+        replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
+        for s in shared
+    ]
+
+
+def _torque(
+    corrected: Sequence[Robot | None], results: Sequence[Result], on: Log | None, seed: int
+) -> TorqueSpread | None:
+    robots = [r for r in corrected if r is not None and r.parameters is not None]
+    if len(robots) < len(results):
+        return None
+    models: list[Model] = [described_model(robot) for robot in robots]
+    if on is None:
+        return torque_spread(models, random_motion(robots[0], seed))
+    cutoff = min(float(r.data["band_hz"]) for r in results)
+    return torque_spread(models, log_motion(robots[0], on, cutoff))
+
+
+def _notes(
+    results: Sequence[Result], given: Sequence[Robot | None], torque: TorqueSpread | None
+) -> tuple[str, ...]:
+    out = []
+    if torque is None:
+        out.append(
+            "no torque: a diagnosis did not record its corrected model; run torchid gap again"
+        )
+    if any(_other_model(given[0], g) for g in given[1:]):
+        out.append(
+            "the simulators as given have different parameters or effects: what is an effect of "
+            "one gap may be part of the other's model"
+        )
+    searched = {str(r.data.get("settings", {}).get("effects")) for r in results}
+    if len(searched) > 1:
+        out.append("the diagnoses searched over different effects")
+    return tuple(out)
+
+
+def _other_model(one: Robot | None, two: Robot | None) -> bool:
+    if one is None or two is None:
+        return False
+    if [dict(e) for e in one.effects] != [dict(e) for e in two.effects]:
+        return True
+    if one.parameters is None or two.parameters is None:
+        return one.parameters is not two.parameters
+    return not torch.allclose(one.parameters.pi, two.parameters.pi, rtol=1e-6)

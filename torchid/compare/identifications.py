@@ -1,0 +1,175 @@
+"""Several identifications of one type of arm: what agrees, drifts, or is never determined."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+
+from torchid.compare.basis import Common, common_basis
+from torchid.compare.reading import Identified
+from torchid.compare.scatter import Scatter, holm, monotone, scatter, typical_birge
+from torchid.compare.torque import TorqueSpread, identified_spread
+from torchid.compare.whole import Whole, whole
+from torchid.errors import TorchidError
+from torchid.log.model import Log
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"]
+
+ALPHA = 0.05
+"""Family-wise level, and 1 - that of the intervals."""
+
+UNKNOWN = 50.0
+"""Relative standard deviation from which a value cannot be told from zero [%]."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One parameter.
+
+    Attributes:
+        name, unit: as in the results.
+        verdict: `differ`: Welch's test rejects equal values at 5 % after Holm's correction;
+            `drift`: and the values rise or fall from each result to the next; `never_determined`:
+            relative standard deviation above 50 % in every result that has it; `not_compared`:
+            estimated in fewer than two results; else `agree`.
+        values, std: (m,) per result; std is nan where it is not estimated, value where it is not
+            even in the result's structure.
+        held: (m,) held at zero by the fit.
+        scatter: None where not compared.
+        p_holm: adjusted for all parameters compared.
+    """
+
+    name: str
+    unit: str
+    verdict: Verdict
+    values: Float[Tensor, " m"]
+    std: Float[Tensor, " m"]
+    held: Bool[Tensor, " m"]
+    scatter: Scatter | None
+    p_holm: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All of it.
+
+    Attributes:
+        labels: (m,) of the results, in the order given.
+        robot: its name, or names.
+        quantiles: (m,) half-widths of the results' 95 % intervals in standard deviations.
+        parameters: every parameter that any result has.
+        whole: all parameters that every result estimates, with their correlations; None where
+            there are none.
+        birge: of the typical parameter (median); None if nothing was compared.
+        torque: None without the robot.
+        notes: sentences for the user.
+    """
+
+    labels: tuple[str, ...]
+    robot: str
+    quantiles: tuple[float, ...]
+    parameters: tuple[Compared, ...]
+    whole: Whole | None
+    birge: float | None
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+
+    def having(self, *verdicts: Verdict) -> list[Compared]:
+        """Parameters of these verdicts."""
+        return [p for p in self.parameters if p.verdict in verdicts]
+
+
+def compare_identifications(
+    results: Sequence[Identified],
+    *,
+    robot: Robot | None = None,
+    on: Log | None = None,
+    seed: int = 0,
+) -> Comparison:
+    """Compare two or more identifications, in the order given.
+
+    Args:
+        results: from `read_identification`.
+        robot: for the torque; that of the first result which recorded its own if None.
+        on: a log whose motion (and torque) the models are compared on; random motion if None.
+        seed: of random motion and of the null distribution of the whole.
+
+    Raises:
+        TorchidError: results of different kinematics, or a log but no robot.
+    """
+    common = common_basis(results)
+    robot = robot or next((r.robot for r in results if r.robot is not None), None)
+    if robot is None and on is not None:
+        raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
+    freedom = torch.tensor([float(max(1, r.blocks - 1)) for r in results], dtype=torch.float64)
+    parameters = _parameters(common, freedom)
+    compared = [p for p in parameters if p.scatter is not None]
+    birge = counts = None
+    if compared:
+        ratios = torch.tensor([p.scatter.birge for p in compared if p.scatter is not None])
+        counts = torch.stack([torch.isfinite(p.std).sum() for p in compared]).double()
+        birge = typical_birge(ratios.double(), counts)
+    names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
+    return Comparison(
+        labels=tuple(r.label for r in results),
+        robot=" and ".join(names) if names else "the arm",
+        quantiles=tuple(r.quantile for r in results),
+        parameters=parameters,
+        whole=_whole(common, freedom, seed),
+        birge=birge,
+        torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
+        notes=common.notes
+        + (() if robot is not None else ("no torque: these results did not record their robot; "
+           "--robot names it",)),
+    )  # fmt: skip
+
+
+def _parameters(common: Common, freedom: Tensor) -> tuple[Compared, ...]:
+    std = common.std
+    found: list[Scatter | None] = []
+    for k in range(len(common.names)):
+        own = common.estimated[:, k]
+        many = int(own.sum()) > 1
+        found.append(scatter(common.values[own, k], std[own, k], freedom[own]) if many else None)
+    p = holm(torch.tensor([s.p for s in found if s is not None], dtype=torch.float64)).tolist()
+    adjusted = [None if s is None else p.pop(0) for s in found]
+    return tuple(
+        _compared(common, k, s, a) for k, (s, a) in enumerate(zip(found, adjusted, strict=True))
+    )
+
+
+def _compared(common: Common, k: int, found: Scatter | None, p: float | None) -> Compared:
+    own = common.estimated[:, k]
+    nan = torch.full_like(common.values[:, k], torch.nan)
+    values = torch.where(common.determined[:, k], common.values[:, k], nan)
+    std = torch.where(own, common.std[:, k], nan)
+    relative = 100 * std[own] / values[own].abs()
+    verdict: Verdict
+    if found is None or p is None:
+        verdict = "not_compared"
+    elif p < ALPHA:
+        verdict = "drift" if bool(own.all()) and monotone(values) else "differ"
+    elif bool((relative > UNKNOWN).all()):
+        verdict = "never_determined"
+    else:
+        verdict = "agree"
+    return Compared(
+        common.names[k], common.units[k], verdict, values, std, common.held[:, k], found, p
+    )
+
+
+def _whole(common: Common, freedom: Tensor, seed: int) -> Whole | None:
+    std = common.std
+    index = (common.estimated.all(0) & (std > 0).all(0)).nonzero().flatten()
+    if len(index) == 0:
+        return None
+    return whole(
+        common.values[:, index],
+        common.covariance[:, index][:, :, index],
+        common.correlation[:, index][:, :, index],
+        freedom,
+        seed=seed,
+    )

@@ -1,0 +1,263 @@
+"""Results read back from their JSON, to be compared: what each holds, and of which robot."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.effects.base import JointEffect
+from torchid.effects.registry import on_every_joint
+from torchid.errors import TorchidError
+from torchid.feasibility.sets import SCHEMA as SETS
+from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.record import SCHEMA as IDENTIFICATION
+from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
+from torchid.robot.model import JointType, Robot
+from torchid.robot.record import recorded_robot
+from torchid.typing import Bool, Float, Tensor
+
+GAP = "torchid.gap/1"
+KINDS = {IDENTIFICATION: "identifications", GAP: "gap diagnoses", SETS: "parameter sets"}
+
+CONTAMINATED = 0.03
+"""Share of an undetermined column that lies along an estimated one, above which the estimate is of
+their sum."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A file of results as it stands.
+
+    Attributes:
+        label: short name, unique among the results compared.
+        path: of the file.
+        schema: which kind.
+        data: its content.
+    """
+
+    label: str
+    path: Path
+    schema: str
+    data: Mapping[str, Any]
+
+    @property
+    def robot_name(self) -> str:
+        """As the file says."""
+        return str(self.data.get("robot"))
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """An identification read back.
+
+    Attributes:
+        label: what to call it.
+        base, effects, values: its base parameters (B,).
+        covariance: (B, B), block-robust; 0 where nothing was estimated.
+        estimated: (B,) free in the fit, and not part of a sum with undetermined ones.
+        held: (B,) held at zero: a sign that physics forbids, or not essential.
+        correlation: (B, B) of the estimates under white residuals, from the fit's factor; the
+            identity for what was not estimated.
+        blocks: of the jackknife.
+        quantile: half-width of the 95 % interval in standard deviations.
+        cutoff: [Hz], or None. reversal: (n,) [rad/s or m/s].
+        trajectories: names of those fitted.
+        robot: as recorded, or None.
+    """
+
+    label: str
+    base: BaseParameters
+    effects: tuple[JointEffect, ...]
+    values: Float[Tensor, " B"]
+    covariance: Float[Tensor, "B B"]
+    estimated: Bool[Tensor, " B"]
+    held: Bool[Tensor, " B"]
+    correlation: Float[Tensor, "B B"]
+    blocks: int
+    quantile: float
+    cutoff: float | None
+    reversal: Float[Tensor, " n"]
+    trajectories: tuple[str, ...]
+    robot: Robot | None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.base.n_rigid_parameters // PARAMETERS_PER_LINK
+
+
+def read_results(paths: Sequence[Path]) -> list[Result]:
+    """Results of one kind, in the order given.
+
+    Raises:
+        TorchidError: fewer than two files, not results, or of different kinds.
+    """
+    if len(paths) < 2:
+        raise TorchidError(
+            "a comparison needs two results or more.", got=", ".join(str(p) for p in paths) or None
+        )
+    same = [p for k, p in enumerate(paths) if p.resolve() in [o.resolve() for o in paths[:k]]]
+    if same:
+        raise TorchidError("a result is given twice.", got=same[0])
+    loaded = [_load(path) for path in paths]
+    kinds = list(dict.fromkeys(str(data["schema"]) for data in loaded))
+    if len(kinds) > 1:
+        raise TorchidError(
+            "only results of the same kind can be compared.",
+            got=", ".join(
+                f"{path} ({KINDS[str(data['schema'])]})"
+                for path, data in zip(paths, loaded, strict=True)
+            ),
+            expected="all of one kind",
+        )
+    return [
+        Result(label, path, kinds[0], data)
+        for label, path, data in zip(_labels(paths), paths, loaded, strict=True)
+    ]
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
+    except ValueError as error:
+        raise TorchidError(f"'{path}' is not JSON.", got=error) from error
+    schema = data.get("schema") if isinstance(data, Mapping) else None
+    if schema not in KINDS:
+        raise TorchidError(
+            f"'{path}' is not a result that can be compared.",
+            got=f"schema {schema}",
+            available=[f"{name} ({what})" for name, what in KINDS.items()],
+            hint="of an extraction, the file of its sets: sets.json",
+        )
+    return dict(data)
+
+
+def _labels(paths: Sequence[Path]) -> list[str]:
+    """The shortest ends of the paths that tell them apart; files that a command named itself are
+    called by their folder."""
+    parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
+    if len({p.stem for p in paths}) == 1:
+        parts = [p[:-1] for p in parts]
+    for depth in range(1, max(len(p) for p in parts) + 1):
+        names = ["/".join(p[-depth:]) for p in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(p) for p in paths]
+
+
+def read_identification(result: Result) -> Identified:
+    """An identification, checked.
+
+    Raises:
+        TorchidError: the file is incomplete or contradicts itself.
+    """
+    data = result.data
+    try:
+        robot = recorded_robot(data, str(result.path))
+        base, effects = _structure(data, robot)
+        b = len(base)
+        values = _tensor(data["base_values"], (b,))
+        covariance = _tensor(data["covariance"], (b, b))
+        factor = _tensor(data["factor"], (b + 1, b + 1))[:, :b]
+        unknown = _mask(base, data["undetermined"])
+        held = _mask(base, [*data["bounded"], *data["dropped"]])
+        statistics = data["statistics"]
+        cutoff = data["cutoff_hz"]
+        return Identified(
+            result.label,
+            base,
+            effects,
+            values,
+            covariance,
+            ~(unknown | held | _contaminated(factor, unknown)),
+            held,
+            _correlation(factor, ~(unknown | held)),
+            int(statistics["blocks"]),
+            float(statistics["quantile95"]),
+            None if cutoff is None else float(cutoff),
+            _tensor(data["reversal_speed"], (base.n_rigid_parameters // PARAMETERS_PER_LINK,)),
+            tuple(str(name) for name in data["fit"]["trajectories"]),
+            robot,
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise TorchidError(
+            f"'{result.path}' is not a complete identification.",
+            got=f"{type(error).__name__}: {error}",
+            hint="write it again: torchid identify ROBOT LOG... --json FILE",
+        ) from error
+
+
+def _structure(
+    data: Mapping[str, Any], robot: Robot | None
+) -> tuple[BaseParameters, tuple[JointEffect, ...]]:
+    """Base parameters from the recorded grouping. Columns were taken from left to right, so the
+    first of each row is the independent one."""
+    names = [str(name) for name in data["grouping"]["parameters"]]
+    kinds = on_every_joint([str(name) for name in data["settings"]["effects"]], 1)
+    n = len(names) // (PARAMETERS_PER_LINK + sum(len(e.coefficients) for e in kinds))
+    effects = on_every_joint([e.name for e in kinds], n)
+    if names != parameter_names(n) + [c for e in effects for c in e.coefficient_names()]:
+        raise ValueError("the parameters' names do not fit the effects")
+    grouping = _tensor(data["grouping"]["matrix"], (len(data["base_names"]), len(names)))
+    independent = [int((row != 0).nonzero()[0, 0]) for row in grouping]
+    if not torch.equal(grouping[:, independent], torch.eye(len(independent)).to(grouping)):
+        raise ValueError("the grouping is not in echelon form")
+    types = [JointType.REVOLUTE] * n if robot is None else robot.joint_types
+    units = parameter_units(n) + [
+        c.unit_for(types[e.joint] is JointType.PRISMATIC) for e in effects for c in e.coefficients
+    ]
+    rigid = PARAMETERS_PER_LINK * n
+    return BaseParameters(
+        names=tuple(str(name) for name in data["base_names"]),
+        units=tuple(units[k] for k in independent),
+        parameter_names=tuple(names),
+        independent=tuple(independent),
+        dependent=tuple(sorted(set(range(len(names))) - set(independent))),
+        grouping=grouping,
+        rank_gap=(float(data["rank_gap"][0]), float(data["rank_gap"][1])),
+        n_rigid_parameters=rigid,
+        n_rigid=sum(k < rigid for k in independent),
+        warnings=(),
+    ), tuple(effects)
+
+
+def _tensor(values: Any, shape: tuple[int, ...]) -> Tensor:
+    out = torch.tensor(values, dtype=torch.float64)
+    if tuple(out.shape) != shape or not bool(torch.isfinite(out).all()):
+        raise ValueError(f"{tuple(out.shape)} finite numbers, not {shape}")
+    return out
+
+
+def _mask(base: BaseParameters, names: Sequence[str]) -> Bool[Tensor, " B"]:
+    unknown = sorted(set(names) - set(base.names))
+    if unknown:
+        raise ValueError(f"{unknown[0]} is not a base parameter")
+    return torch.tensor([name in names for name in base.names])
+
+
+def _contaminated(factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:
+    """Estimates of which this log shows only the sum with an undetermined parameter."""
+    out = torch.zeros_like(unknown)
+    size = torch.linalg.vector_norm(factor, dim=0)
+    lost = (unknown & (size > 0)).nonzero().flatten()
+    known = (~unknown).nonzero().flatten()
+    if len(lost) == 0 or len(known) == 0:
+        return out
+    share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
+    out[known] = (share.solution.abs() > CONTAMINATED).any(1)
+    return out
+
+
+def _correlation(factor: Float[Tensor, "C B"], free: Bool[Tensor, " B"]) -> Float[Tensor, "B B"]:
+    out = torch.eye(factor.shape[1], dtype=factor.dtype)
+    index = free.nonzero().flatten()
+    r = torch.linalg.qr(factor[:, index], mode="r").R
+    root = torch.linalg.solve_triangular(r, torch.eye(len(r)).to(r), upper=True)
+    root = root / torch.linalg.vector_norm(root, dim=1, keepdim=True)
+    out[index.unsqueeze(-1), index] = root @ root.T
+    return out

@@ -1,0 +1,159 @@
+"""Several extractions of one robot: which physical parameters their sets agree on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.compare.identifications import Verdict
+from torchid.compare.reading import Result
+from torchid.compare.scatter import monotone
+from torchid.compare.torque import (
+    Model,
+    TorqueSpread,
+    described_model,
+    log_motion,
+    random_motion,
+    torque_spread,
+)
+from torchid.errors import TorchidError
+from torchid.feasibility.sets import ParameterSets, read_sets
+from torchid.identification.base_parameters import base_parameters
+from torchid.log.model import Log
+from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
+from torchid.robot.library import built_in_robots, load_robot
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+UNKNOWN = 0.5
+"""Half of a range, relative to its middle, from which a parameter is called undetermined."""
+
+SAME = 1e-6
+"""Relative difference of single values that counts as none."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """One parameter: its lowest and highest value in each file, (m,).
+
+    `differ`: two files' ranges have no value in common; `drift`: and the middles of all rise or
+    fall in the order given; `never_determined`: the range exceeds +-50 % in every file.
+    """
+
+    name: str
+    unit: str
+    verdict: Verdict
+    low: Float[Tensor, " m"]
+    high: Float[Tensor, " m"]
+
+
+@dataclass(frozen=True)
+class SetComparison:
+    """All of it.
+
+    Attributes:
+        labels, counts: (m,) of the files: names, and how many sets each holds.
+        robot: its name.
+        physical, base: ranges of the physical parameters and of the base parameters.
+        torque: of each file's mean set.
+        notes: sentences for the user.
+    """
+
+    labels: tuple[str, ...]
+    counts: tuple[int, ...]
+    robot: str
+    physical: tuple[Range, ...]
+    base: tuple[Range, ...]
+    torque: TorqueSpread
+    notes: tuple[str, ...]
+
+
+def robot_of(results: Sequence[Result]) -> Robot:
+    """The built-in robot that files of sets name.
+
+    Raises:
+        TorchidError: files of different robots, or of one that is not built in.
+    """
+    names = list(dict.fromkeys(r.robot_name for r in results))
+    if len(names) > 1:
+        raise TorchidError("the sets are of different robots.", got=", ".join(names))
+    if names[0] not in built_in_robots():
+        raise TorchidError(
+            f"sets do not record their robot, and '{names[0]}' is not built in.",
+            expected="--robot ROBOT",
+        )
+    return load_robot(names[0])
+
+
+def compare_sets(
+    results: Sequence[Result], robot: Robot, *, on: Log | None = None, seed: int = 0
+) -> SetComparison:
+    """Compare two or more files of sets of one robot.
+
+    Raises:
+        TorchidError: files that do not fit the robot, or have different effects.
+    """
+    sets = [read_sets(r.path, robot) for r in results]
+    if any(s.effects != sets[0].effects for s in sets):
+        raise TorchidError(
+            "the sets have different effects.",
+            got="; ".join(
+                f"{r.label}: {', '.join(s.coefficient_names()) or 'none'}"
+                for r, s in zip(results, sets, strict=True)
+            ),
+            expected="the same in all files",
+        )
+    effects = sets[0].effects
+    units = [c.unit for e in effects for c in e.coefficients]
+    base = base_parameters(robot, effects)
+    vectors = [s.vector.double() for s in sets]
+    models = [_mean_model(s, robot) for s in sets]
+    motion = random_motion(robot, seed) if on is None else log_motion(robot, on, None)
+    return SetComparison(
+        tuple(r.label for r in results),
+        tuple(len(s) for s in sets),
+        robot.name,
+        _ranges(
+            vectors,
+            [*parameter_names(robot.n), *sets[0].coefficient_names()],
+            [*parameter_units(robot.n), *units],
+        ),
+        _ranges([base.project(v) for v in vectors], base.names, base.units),
+        torque_spread(models, motion),
+        _notes(results, robot),
+    )
+
+
+def _ranges(
+    vectors: Sequence[Float[Tensor, "K P"]], names: Sequence[str], units: Sequence[str]
+) -> tuple[Range, ...]:
+    low, high = (torch.stack([getattr(v, f)(0) for v in vectors]) for f in ("amin", "amax"))
+    return tuple(
+        Range(name, unit, _verdict(low[:, k], high[:, k]), low[:, k], high[:, k])
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+
+
+def _verdict(low: Float[Tensor, " m"], high: Float[Tensor, " m"]) -> Verdict:
+    middle, half = (low + high) / 2, (high - low) / 2
+    slack = SAME * float(torch.maximum(low.abs(), high.abs()).max())
+    if float(low.max()) > float(high.min()) + slack:
+        return "drift" if monotone(middle) else "differ"
+    return "never_determined" if bool((half > UNKNOWN * middle.abs()).all()) else "agree"
+
+
+def _mean_model(sets: ParameterSets, robot: Robot) -> Model:
+    mean = sets.parameters.pi.mean(0)
+    values = sets.coefficients.mean(0).tolist()
+    records = []
+    for effect in sets.effects:
+        own, values = values[: len(effect.coefficients)], values[len(effect.coefficients) :]
+        records.append(effect.record(own))
+    return described_model(
+        replace(robot.with_parameters(InertialParameters(mean)), effects=tuple(records))
+    )
+
+
+def _notes(results: Sequence[Result], robot: Robot) -> tuple[str, ...]:
+    other = [r for r in results if r.data.get("robot") not in (None, robot.name)]
+    return tuple(f"{r.label} says that its sets are of '{r.robot_name}'" for r in other)

@@ -1,0 +1,94 @@
+"""A comparison of gap diagnoses for people."""
+
+from rich.table import Table
+
+from torchid.compare.diagnoses import ALPHA, Coefficient, GapComparison, Shared
+from torchid.report.compare import torque_sentence, torque_table
+from torchid.report.identification import compact
+
+
+def verdict(result: GapComparison) -> str:
+    """Which effects all diagnoses share, in sentences."""
+    everywhere = [s for s in result.shared if s.everywhere]
+    elsewhere = [s for s in result.shared if not s.everywhere]
+    out = [f"{len(result.labels)} diagnoses of {result.robot}:"]
+    if not result.shared:
+        return out[0] + " none names an effect."
+    if everywhere:
+        out.append("all name " + ", ".join(_name(s) for s in everywhere) + ".")
+    else:
+        out.append("no effect is named in all.")
+    if elsewhere:
+        some = []
+        for s in elsewhere:
+            hidden = sum(state == "not_testable" for state in s.states)
+            lost = sum(state == "not_found" for state in s.states)
+            why = [f"{lost} did not find it"] * bool(lost)
+            why += [f"{hidden} could not test it"] * bool(hidden)
+            some.append(f"{_name(s)} ({'; '.join(why)})")
+        out.append("Only some name " + ", ".join(some) + ".")
+    changed = [c for s in result.shared for c in s.coefficients if c.p_holm < ALPHA]
+    known = sum(len(s.coefficients) for s in result.shared)
+    if known:
+        words = f"{known - len(changed)} agree, {len(changed)} do not"
+        out.append(f"Of the coefficients named twice or more, {words} (5 %, Holm).")
+    if result.torque is not None:
+        out.append(
+            torque_sentence(result.torque, result.labels).replace("models", "corrected models")
+        )
+    return " ".join(out)
+
+
+def _name(s: Shared) -> str:
+    names = " or ".join(s.effects)
+    if not s.place:
+        return names
+    word = "link" if s.effects == ("link_inertia",) else "joint"
+    return f"{names} on {word} {', '.join(str(j) for j in s.place)}"
+
+
+def tables(result: GapComparison) -> list[Table]:
+    """Diagnoses, effects with coefficients, torque."""
+    out = [_effect_table(result)]
+    if result.torque is not None:
+        out.append(torque_table(result.torque, result.labels))
+    return out
+
+
+def _effect_table(result: GapComparison) -> Table:
+    table = compact("effects (coefficient ± std)")
+    table.add_column("effect")
+    table.add_column("")
+    for label, status, closed in zip(result.labels, result.statuses, result.closed, strict=True):
+        share = "" if closed is None else f", {100 * closed:.0f} % closed"
+        table.add_column(f"{label}\n{status}{share}", justify="right")
+    table.add_column("scatter", justify="right")
+    table.add_column("p (Holm)", justify="right")
+    for s in result.shared:
+        table.add_row(_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", "")
+        for c in s.coefficients:
+            table.add_row("", c.name, *_values(c), f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}")
+        for shape in dict.fromkeys(k for n in s.named if n is not None for k in n.shapes):
+            cells = [
+                "" if n is None or shape not in n.shapes else f"{n.shapes[shape]:.4g}"
+                for n in s.named
+            ]
+            table.add_row("", shape, *cells, "", "")
+        table.add_section()
+    return table
+
+
+def _state(s: Shared, k: int) -> str:
+    entry, smallest = s.named[k], s.smallest[k]
+    if entry is not None:
+        also = f" (or {', '.join(entry.also)})" if entry.also else ""
+        return ("named" if len(s.effects) == 1 else entry.effect) + also
+    if s.states[k] == "not_testable":
+        return "not testable" + ("" if smallest is None else f" below {smallest:.2g}")
+    return "not found"
+
+
+def _values(c: Coefficient) -> list[str]:
+    pairs = zip(c.values, c.std, strict=True)
+    unit = "" if c.unit == "1" else f" {c.unit}"
+    return ["" if v is None else f"{v:.4g} ± {s:.2g}{unit}" for v, s in pairs]
