@@ -195,14 +195,20 @@ def row_masks(
     """Rows whose own joint moves, rows that a reversal reaches, and the joints that never move.
 
     At rest static friction holds any torque. A joint that moves in less than a tenth of the rows
-    keeps them all: what holds it is then most of what is known about it.
+    keeps them all: what holds it is then most of what is known about it, unless dry friction does,
+    of which reversals reach further than the least.
     """
     q = torch.cat([p.motion.q for p in rows.passages])
     moving = rows.pick([p.motion.dq for p in rows.passages]).T.abs() > MOVING
     turning = rows.pick([_turns(p, rows.cutoff, reach) for p in rows.passages]).T
     still = ((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist()
-    hardly = (moving & ~turning).double().mean(1) < 0.1
-    return moving | hardly.unsqueeze(1), turning & ~hardly.unsqueeze(1), tuple(still)
+    held = ((moving & ~turning).double().mean(1) < 0.1) & _free(reach, len(moving))
+    return moving | held.unsqueeze(1), turning & ~held.unsqueeze(1), tuple(still)
+
+
+def _free(reach: Float[Tensor, " n"] | float, n: int) -> Bool[Tensor, " n"]:
+    """Joints without dry friction that is heard beside the noise."""
+    return torch.as_tensor(reach).expand(n) <= REACH
 
 
 def sliding(rows: Rows, reach: Float[Tensor, " n"] | float = REACH) -> Bool[Tensor, "n N"]:
@@ -216,11 +222,13 @@ def moving_instants(
     p: Passage, cutoff: float, reach: Float[Tensor, " n"] | None
 ) -> Bool[Tensor, "T n"]:
     """Instants (T, n) at which a joint moves, without those that a reversal reaches (n,) periods of
-    the cut-off away; with them if None. All of a joint's, if it hardly moves."""
+    the cut-off away; with them if None. All of a joint's, if it hardly moves and no dry friction
+    holds it."""
     moving = p.motion.dq.abs() > MOVING
     if reach is not None:
         moving = moving & ~_turns(p, cutoff, reach)
-    return moving | (moving.double().mean(0) < 0.1)
+    free = _free(REACH if reach is None else reach, p.n)
+    return moving | ((moving.double().mean(0) < 0.1) & free)
 
 
 def _turns(

@@ -77,7 +77,8 @@ class Prepared:
 
     def reaching(self, reach: Float[Tensor, " n"]) -> "Prepared":
         """The same, where reversals reach so many periods of the cut-off."""
-        return replace(self, turning=row_masks(self.rows, reach)[1], reach=reach)
+        moving, turning, _ = row_masks(self.rows, reach)
+        return replace(self, moving=moving, turning=turning, reach=reach)
 
 
 def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
