@@ -17,6 +17,10 @@ from torchid.typing import Float, Tensor
 BLOCK_SECONDS = 2.0
 DRAWS = 1000
 
+SURELY_NOISE = 0.9
+"""Share of what is left that is noise at most: as much may be the model's own misfit, and noise
+that was measured too large would else leave no room for any."""
+
 CLEAR = 0.02
 """Share of all that is left by which a gap shrinks that is clear even if few blocks hold it."""
 
@@ -94,14 +98,15 @@ def closing(
         improves = True  # in a few blocks: of those, mean and deviation say nothing
     ends = _noise_draws(counts, floor, unit, draws, seed)
     if unpredicted is not None and floor.source == "repeats":
-        most = torch.minimum(unpredicted.square(), after.sum(0) / total)
-        ends.append((counts * (most / unit).clamp(min=1.0))[draws].sum(1).sum(1))
+        largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
+        ends.append((counts * (largest / unit).clamp(min=1.0))[draws].sum(1).sum(1))
     rows = counts.sum(1)[draws].sum(1).clamp(min=1)
     gap_ci = _interval((before_noise - ends[0]) / rows)
     if not gap_ci[0] > 0:
         return Closing(rms[0], rms[1], gap_ci, improves, None, None)
     # There is no more noise than what is left.
-    intervals = [_interval(gain / (before_noise - torch.minimum(noise, left))) for noise in ends]
+    most = [torch.minimum(noise, share * left) for noise in ends for share in (1.0, SURELY_NOISE)]
+    intervals = [_interval(gain / (before_noise - noise)) for noise in most]
     interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
     value = float((l0 - l1).sum() / (l0.sum() - torch.minimum(counts.sum(), l1.sum())))
     return Closing(rms[0], rms[1], gap_ci, improves, value, interval)

@@ -26,6 +26,10 @@ from torchid.withheld.shares import median, micro_f1, rate
 CLOSES = 0.1
 """Share that the oracle closes, below which a ratio to it says nothing."""
 
+CLEAR = 2.5
+"""Size of an effect, in standard deviations of the noise, from which it should be named: half of
+what is asked for. Some arms cannot have more of one: a spring softer than the controller bears."""
+
 NOTHING = {
     "no_gap": "(no gap)",
     "detected_unexplained": "(unexplained)",
@@ -95,6 +99,8 @@ def scores(
         "false_alarms": _false_alarms(kinds["none"]),
         "parameters": _parameters(kinds["parameters"]),
         "single": _single(single),
+        "single_clear": _naming([c for c in single if c.row.planted[0].size >= CLEAR]),
+        "wrong_for_sure": _wrong_for_sure(single + kinds["severity"]),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
         "several": _several(several),
         "outside": _outside(kinds["outside"]),
@@ -155,6 +161,11 @@ def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
         "exact": rate(n.exact for n in found),
         "set_size": sum(sizes) / len(sizes) if sizes else None,
     }
+
+
+def _wrong_for_sure(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Of one effect of any size: whether a wrong family is named for sure."""
+    return rate(verdict(c.row, FAMILIES, every=False) == "confident_wrong" for c in cases)
 
 
 def _several(cases: Sequence[Scored]) -> dict[str, Any]:

@@ -2,10 +2,9 @@
 
 The arm of a case, with its effects, moves along other trajectories of the same kind, read without
 noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data that it was not
-fitted on. The noise's part in
-(L0 - L*) / (L0 - Ln) is then zero, and the closed share is 1 - L*/L0, with L the mean square of the
-gap below the report's band in the rows that count in the diagnosis, joints weighted by their noise.
-It belongs to scoring: who knows the seed knows the keys.
+fitted on. The noise's part in (L0 - L*) / (L0 - Ln) is then zero, and the closed share is
+1 - L*/L0, with L the mean square of the gap below the report's band away from reversals, joints
+weighted by their noise. It belongs to scoring: who knows the seed knows the keys.
 """
 
 from collections.abc import Mapping
@@ -77,10 +76,7 @@ def _closed(cases: CaseSet, job: Job, answer: Mapping[str, Any]) -> float | None
     log = log_from_columns(ideal.columns, job.log)
     robot = load_robot(job.robot)
     noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
-    repeated = answer["noise_floor"]["source"] == "repeats"
-    return closed_share(
-        robot, log, answer["corrected"], noise, answer["band_hz"], repeated=repeated
-    )
+    return closed_share(robot, log, answer["corrected"], noise, answer["band_hz"])
 
 
 def closed_share(
@@ -89,8 +85,6 @@ def closed_share(
     corrected: Mapping[str, Any],
     noise: torch.Tensor,
     band: float,
-    *,
-    repeated: bool,
 ) -> float | None:
     """1 - L*/L0 of a corrected model on a log without noise; None where there is no gap.
 
@@ -100,7 +94,6 @@ def closed_share(
         corrected: parameters and effects of the corrected model, as in an answer.
         noise: (n,) standard deviations that weigh the joints.
         band: of the report [Hz].
-        repeated: whether the diagnosed log had repeats, so that reversals do not count.
     """
     given = prepare(robot, log, None)
     pi = torch.tensor(corrected["pi"], dtype=torch.float64)
@@ -109,8 +102,8 @@ def closed_share(
     before = Model(robot, tuple(nominal_effects(robot)))
     after = Model(better, tuple(effects))
     losses = torch.zeros(2, dtype=torch.float64)
-    reach = given.reach if repeated else None
-    for t in traces(given.rows, None, [before], [after], band, reach=reach):
+    # At a reversal the arm may stick, whatever its model: no effect closes that.
+    for t in traces(given.rows, None, [before], [after], band, reach=given.reach):
         for k, predicted in enumerate((t.before, t.after)):
             left = (t.measured - predicted) * t.counting / noise
             losses[k] += left.square().sum()
