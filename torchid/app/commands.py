@@ -13,6 +13,7 @@ from torchid.app.excite import excite_command
 from torchid.app.extract import extract_command
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
+from torchid.app.log import log_app
 from torchid.app.payload import payload_command
 from torchid.app.robot import robot_command
 from torchid.app.simulate import simulate_command
@@ -30,6 +31,7 @@ app = typer.Typer(
 )
 app.command("robot")(robot_command)
 app.command("excite")(excite_command)
+app.add_typer(log_app, name="log")
 app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
 app.command("extract")(extract_command)
