@@ -15,10 +15,9 @@ from scipy.optimize import nnls
 
 from torchid.robot.model import Robot
 
-GRID = 5
-"""Points along each edge of a link's grid."""
-SPREAD = 0.3
-"""Half the edge, as a share of the arm's reach."""
+SIZES = (0.3, 0.12)
+"""Half the edges of the two cubes whose corners, edges' and faces' middles and centre are a link's
+points, as shares of the arm's reach."""
 OWN = 4
 """Columns of a joint's own: dq, direction of motion, ddq, one."""
 _LEAST_REACH = 0.5
@@ -79,8 +78,9 @@ def cone(robot: Robot) -> Cone:
     """Point masses of every link, then each joint's own coefficients."""
     n = robot.n
     reach = max(reach_of(robot), _LEAST_REACH)
-    axis = np.linspace(-1.0, 1.0, GRID) * SPREAD * reach
-    points = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
+    axis = np.array([-1.0, 0.0, 1.0])
+    cube = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
+    points = np.unique(np.concatenate([size * cube for size in SIZES]), axis=0) * reach
     body = np.stack([_point(x) for x in points], 1)
     count = len(points)
     rows = (OWN + 10) * n
@@ -115,7 +115,7 @@ class Fit:
     Attributes:
         x: (P,) parameters.
         variance: (n,) mean squared error of each joint's rows.
-        weights: (n,) one over it: what each row counted.
+        weights: (n,) what each row counted, times the spread of its torque.
     """
 
     x: np.ndarray
@@ -131,7 +131,7 @@ def fit(
     Args:
         normal: rows.
         bodies: what may be.
-        weights: (n,) kept fixed; None to find them.
+        weights: (n,) of another fit, kept; None to find them.
         skip: a joint (from 0) whose rows take no part.
     """
     gram, cross = normal.gram.sum(0), normal.cross.sum(0)
@@ -142,7 +142,7 @@ def fit(
     spread = np.where(normal.spread > 0, normal.spread, 1.0)
     given = weights
     rounds = _ROUNDS if given is None else 1
-    w = live / spread if given is None else np.where(live, given, 0.0)
+    w = live / spread if given is None else np.where(live, given, 0.0) / spread
     x = np.zeros(gram.shape[-1])
     variance = spread.copy()
     for _ in range(rounds):
@@ -151,7 +151,7 @@ def fit(
         variance = np.maximum(square, 0.0) / total
         if given is None:
             w = live / np.maximum(variance, _FLOOR**2 * spread)
-    return Fit(x, variance, w)
+    return Fit(x, variance, w * spread)
 
 
 def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarray:

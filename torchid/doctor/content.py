@@ -1,5 +1,7 @@
 """What the log can show: which joints are excited, and on which side of the gear torque is."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from torchid.doctor.check import Check, joint_list
@@ -14,8 +16,8 @@ SMALL = 0.1
 """Range of a position that excites too little [rad or m]."""
 MOTOR_FRICTION, LINK_FRICTION = 0.4, 0.15
 """Coulomb friction over the torque's spread (median of the joints): above the first there is a gear
-in the torque, below the second, with no rotor's inertia either, there is none. Motor currents of
-UR arms and the EMPS have 0.42 to 0.63, joint torque sensors of a Panda and an xMate 0.09 to 0.13."""
+in the torque, below the second, with no rotor's inertia either, there is none. Motor currents of UR
+arms and the EMPS have 0.42 to 0.63, joint torque sensors of a Panda and an xMate 0.09 to 0.13."""
 
 
 def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
@@ -89,9 +91,17 @@ def check_side(judge: Judge, result: Search) -> Check:
         f"Coulomb friction is {100 * middle:.2g} % of the torque's spread (median of the joints), "
         f"{share} of {len(live)} joints show a rotor's inertia"
     )
-    fields = dict(joints=tuple(live), estimate=tuple(friction.tolist()), unit="share")
+    base = Check(
+        "torque side",
+        "cannot tell",
+        text,
+        joints=tuple(live),
+        estimate=tuple(friction.tolist()),
+        unit="share",
+    )
     if middle > MOTOR_FRICTION:
-        return Check("torque side", "fine", f"{text}: motor side, gear friction included", **fields)
+        text = f"{text}: motor side, gear friction included"
+        return replace(base, verdict="fine", evidence=text)
     if middle < LINK_FRICTION and not some:
-        return Check("torque side", "fine", f"{text}: link side, behind the gear", **fields)
-    return Check("torque side", "cannot tell", text, **fields)
+        return replace(base, verdict="fine", evidence=f"{text}: link side, behind the gear")
+    return base

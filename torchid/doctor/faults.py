@@ -124,7 +124,7 @@ def _gain(judge: Judge, result: Search, move: Move) -> tuple[float, tuple[float,
     fine = profile(
         judge, lambda x: end.scaled((joint,), tau=math.exp(x)), (-0.3, 0.3), start=0.0, step=0.1
     )
-    scale = [r for r in move.repairs if isinstance(r, Scale)][0].factors[joint]
+    scale = next(r for r in move.repairs if isinstance(r, Scale)).factors[joint]
     values = [1.0 / (scale * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
     return values[0], (min(values[1:]), max(values[1:]))
 

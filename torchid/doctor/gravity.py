@@ -36,20 +36,23 @@ def check_gravity(judge: Judge, result: Search) -> Check:
         f"torque says {where} m/s^2, {math.degrees(angle):.1f} deg from the model's "
         f"(± {math.degrees(half):.1f} deg)"
     )
-    fields = dict(
+    base = Check(
+        "gravity",
+        "fine",
+        text,
         estimate=tuple(float(x) for x in estimate),
-        unit="m/s^2",
         interval=(math.degrees(max(0.0, angle - half)), math.degrees(angle + half)),
+        unit="m/s^2; interval: deg from the model's",
     )
+    fix = _HINT.format(*estimate)
     if turned:
-        fix = _HINT.format(*estimate)
-        text = f"mounted as {mounting(estimate)}: {text}; {improvement(turned[0])}"
-        return Check("gravity", "wrong", text, fix=fix, **fields)
+        text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
+        return replace(base, verdict="wrong", evidence=text, fix=fix)
     if half > _LOOSE:
-        return Check("gravity", "cannot tell", text, **fields)
+        return replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:
-        return Check("gravity", "doubtful", text, fix=_HINT.format(*estimate), **fields)
-    return Check("gravity", "fine", text, **fields)
+        return replace(base, verdict="doubtful", fix=fix)
+    return base
 
 
 def mounting(gravity: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""What a log may mean: which column is which joint, with which sign and size, under which gravity."""
+"""What a log may mean: which column is which joint, of which sign and size, under which gravity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.dynamics.regressor import regressor
 from torchid.doctor.cone import OWN, Cone, Fit, Normal, cone, fit, relative
 from torchid.doctor.samples import BLOCKS, Samples
+from torchid.dynamics.regressor import regressor
 from torchid.robot.model import Robot
-
 
 FEWEST = 5
 """Rows that a joint must have in a block of time to be judged there."""
@@ -101,10 +100,10 @@ class Judge:
         self._torques: dict[float, np.ndarray] = {}
         self._members = [(samples.block == b).numpy() for b in range(BLOCKS)]
 
-    def score(self, hypothesis: Hypothesis) -> Score:
-        """The fit on all rows."""
+    def score(self, hypothesis: Hypothesis, weights: np.ndarray | None = None) -> Score:
+        """The fit on all rows; with given weights of a fit that was made, three times faster."""
         normal = self.normal(hypothesis)
-        found = fit(normal, self.cone)
+        found = fit(normal, self.cone, weights=weights)
         return Score(hypothesis, found, _shares(found.variance, normal.spread))
 
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:

@@ -265,10 +265,10 @@ def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[floa
     if alike and _named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
         return float(np.median(ratios))
     for a in odd:
-        ratio, name = _named_ratio(a.ratio)
-        sign = "-" if a.correlation < 0 else ""
+        _ratio, name = _named_ratio(a.ratio)
+        minus = "-" if a.correlation < 0 else ""
         unit = f", {name}" if name else ""
-        said.append(f"dq{a.joint + 1} is {sign}{a.ratio:.4g} times the derivative{unit}")
+        said.append(f"dq{a.joint + 1} is {minus}{a.ratio:.4g} times the derivative{unit}")
         joints.append(a.joint)
     # Joints that stand still share the unit of all the others.
     if alike:
@@ -307,7 +307,7 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     moving joint's dq that is wrong, and the joints in which it is more than 5 %."""
     even = resample(log)
     assert even.dq is not None
-    top, energy, gap = [], 0.0, 0.0
+    sums = []
     for part, rate in zip(even.trajectories(), sampling_rate(even), strict=True):
         assert part.dq is not None
         low = ZeroPhaseFilter(rate, min(_BAND_HZ, 0.3 * rate))
@@ -317,16 +317,14 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
         middle = slice(edge, part.samples - edge)
         slope = central_difference(signal, rate)[:, middle]
         difference = (reference - signal)[:, middle]
-        size = (reference[:, middle] ** 2).sum(-1)
-        energy, gap = energy + size, gap + (difference**2).sum(-1)
-        top.append(torch.stack([(difference * slope).sum(-1), (slope**2).sum(-1)]))
-    numerator, denominator = torch.stack(top).sum(0)
-    size = torch.as_tensor(energy)
+        products = (difference * slope, slope**2, reference[:, middle] ** 2, difference**2)
+        sums.append(torch.stack([x.sum(-1) for x in products]))
+    numerator, denominator, size, gap = torch.stack(sums).sum(0)
     active = size > 1e-3 * size.max()
     if not bool(active.any()) or float(size.max()) == 0.0:
         return 0.0, 0.0, ()
     lag = float((numerator / denominator)[active].median())
-    share = torch.where(active, (torch.as_tensor(gap) / size.clamp(min=1e-300)).sqrt(), 0.0)
+    share = torch.where(active, (gap / size.clamp(min=1e-300)).sqrt(), 0.0)
     return lag, float(share.max()), tuple((share > LATE_SHARE).nonzero().flatten().tolist())
 
 

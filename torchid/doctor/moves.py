@@ -86,11 +86,10 @@ def _signs(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
 
 def _orders(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
     n = len(now.q_order)
-    orders = []
+    orders: list[tuple[int, ...]] = []
     for i, j in itertools.combinations(live, 2):
-        order = list(range(n))
-        order[i], order[j] = j, i
-        orders.append(tuple(order))
+        exchanged = {i: j, j: i}
+        orders.append(tuple(exchanged.get(k, k) for k in range(n)))
     if n > 3 and len(live) == n:
         orders.append(tuple(reversed(range(n))))
     if n > 2 and len(live) == n:

@@ -148,11 +148,11 @@ def _stretch(log: Log, rate: float, cutoff: float, most_per_second: float) -> St
     picked = slice(0, None, every)
     edge = max(round(rate / cutoff), round(0.25 * rate))
     edge = -(-min(edge, log.samples // 6) // every)
-    columns = [
-        x.T[picked].contiguous()
-        for x in (q, dq, central_difference(dq, rate), sign, moving, low.apply(log.tau.T))
-    ]
-    count = len(columns[0])
+    ddq, tau = central_difference(dq, rate), low.apply(log.tau.T)
+    q, dq, ddq, sign, moving, tau = (
+        x.T[picked].contiguous() for x in (q, dq, ddq, sign, moving, tau)
+    )
+    count = len(q)
     if count < 2 * edge + 10:
         return None
-    return Stretch(log.t[picked], *columns, inside=slice(edge, count - edge))
+    return Stretch(log.t[picked], q, dq, ddq, sign, moving, tau, slice(edge, count - edge))

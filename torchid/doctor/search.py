@@ -14,7 +14,8 @@ AGREE = 0.85
 """... and in this share of the blocks of time."""
 TIE = 0.1
 """Moves whose held-out losses differ by less cannot be told apart."""
-FINALISTS = 6
+_LOOK = 0.2
+FINALISTS = 5
 MOST_FAULTS = 6
 
 
@@ -70,8 +71,13 @@ def search(judge: Judge, start: Hypothesis) -> Search:
 
 
 def _costs(judge: Judge, now: Hypothesis) -> tuple[tuple[float, Move], ...]:
-    base = judge.score(now).loss
-    costs = [(judge.score(m.after).loss - base, m) for m in moves(judge, now)]
+    """Every move with the weights of the present fit, then those near or below it properly."""
+    base = judge.score(now)
+    scores = [(judge.score(m.after, base.fit.weights).loss, m) for m in moves(judge, now)]
+    costs = [
+        ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)
+        for loss, m in scores
+    ]
     return tuple(sorted(costs, key=lambda x: x[0]))
 
 

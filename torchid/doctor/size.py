@@ -1,7 +1,7 @@
 """Is torque in newton metres at the joint? Against nominal parameters, limits, or plain sense."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -49,7 +49,8 @@ class Slopes:
 def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     """Slope of measured on nominal torque of each joint that moves."""
     motion = judge.motion(hypothesis)
-    nominal = inverse_dynamics(judge.robot, *motion[:3]).numpy()
+    q, dq, ddq, _ = motion
+    nominal = inverse_dynamics(judge.robot, q, dq, ddq).numpy()
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
     rows = []
@@ -107,7 +108,10 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     if overall is None:
         return None
     text = f"measured torque is {overall:.3g} times nominal (median of the joints)"
-    fields = dict(
+    base = Check(
+        "torque unit",
+        "fine",
+        text,
         joints=slopes.joints,
         estimate=tuple(slopes.value.tolist()),
         interval=tuple(zip(slopes.low.tolist(), slopes.high.tolist(), strict=True)),
@@ -115,18 +119,12 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     )
     off = abs(math.log(overall))
     if off < math.log(ODD):
-        return Check("torque unit", "fine", text, **fields)
+        return base
     factor, name = _named(overall)
     repairs = (Scale(TORQUE, (1.0 / factor,) * robot.n),)
     text += f": {name}" if name else ": a gain, a gear ratio, or another robot's parameters"
-    return Check(
-        "torque unit",
-        "wrong" if off > math.log(WRONG) else "doubtful",
-        text,
-        fix=fix_text(repairs),
-        repairs=repairs if off > math.log(WRONG) else (),
-        **fields,
-    )
+    found = replace(base, verdict="doubtful", evidence=text, fix=fix_text(repairs))
+    return replace(found, verdict="wrong", repairs=repairs) if off > math.log(WRONG) else found
 
 
 def _named(ratio: float) -> tuple[float, str | None]:
@@ -251,7 +249,7 @@ def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) 
         Check(
             "torque against nominal",
             "doubtful",
-            f"torque of {joint_list(joints)} is {said} times nominal, the other joints' {overall:.3g}",
+            f"torque of {joint_list(joints)} is {said} times nominal, the others' {overall:.3g}",
             joints=joints,
             estimate=tuple(float(slopes.value[k]) for k in odd),
             interval=tuple((float(slopes.low[k]), float(slopes.high[k])) for k in odd),
