@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from torchid.doctor.check import Check, fix_text
-from torchid.doctor.repair import DropRows, EvenTime, RejoinTime, Repair, ScaleTime
+from torchid.doctor.repair import Bridge, DropRows, EvenTime, RejoinTime, Repair, ScaleTime
 from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
@@ -100,7 +100,7 @@ def _clock_jumps(step: np.ndarray, q: np.ndarray, median: float) -> np.ndarray:
 def _clock_repairs(log: Log, repeated: list[int], broken: list[int]) -> tuple[Repair, ...]:
     same = [k for k in repeated if bool((log.q[k + 1] == log.q[k]).all())]
     others = sorted({*broken, *repeated} - set(same))
-    if len(repeated) > 0.02 * log.samples and not same:
+    if len(repeated) > 0.02 * log.samples and 2 * len(same) < len(repeated):
         # Stamps coarser than the sampling: the rows are in order, and evenly taken.
         return (*((RejoinTime(tuple(broken)),) if broken else ()), EvenTime())
     repairs: list[Repair] = []
@@ -234,7 +234,7 @@ def check_held(log: Log) -> Check:
     whole = torch.stack(list(held.values())).all(0)
     rows = (whole & moving).nonzero().flatten() + 1
     if len(rows) / usable > HELD:
-        repair = DropRows(tuple(rows.tolist()), "all columns held")
+        repair = Bridge(tuple(rows.tolist()))
         return Check(
             "held samples",
             "wrong",
@@ -257,7 +257,7 @@ def check_held(log: Log) -> Check:
     return Check("held samples", "fine", f"repeated while moving: {text}", estimate=0.0)
 
 
-def _held(log: Log, name: str) -> Bool[Tensor, " T-1"]:
+def _held(log: Log, name: str) -> Bool[Tensor, " steps"]:
     """Whether row k + 1 repeats row k in every joint of a signal."""
     signal = log.signals[name]
     live = (signal != signal[0]).any(0)
@@ -266,7 +266,7 @@ def _held(log: Log, name: str) -> Bool[Tensor, " T-1"]:
     return (signal.diff(dim=0)[:, live] == 0).all(1)
 
 
-def _moving(log: Log) -> Bool[Tensor, " T-1"]:
+def _moving(log: Log) -> Bool[Tensor, " steps"]:
     """Whether some joint is in motion around each step: what five samples either way cover."""
     q = log.q
     wide = torch.zeros(log.samples - 1, dtype=torch.bool)

@@ -15,8 +15,8 @@ from scipy.optimize import nnls
 
 from torchid.robot.model import Robot
 
-SIZES = (0.3, 0.12)
-"""Half the edges of the two cubes whose corners, edges' and faces' middles and centre are a link's
+SIZES = (0.3, 0.12, 0.04)
+"""Half the edges of the cubes whose corners, edges' and faces' middles and centre are a link's
 points, as shares of the arm's reach."""
 OWN = 4
 """Columns of a joint's own: dq, direction of motion, ddq, one."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from torchid.doctor.check import Check, fix_text, joint_list
 from torchid.doctor.hypothesis import Judge
-from torchid.doctor.moves import Move
+from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale
 from torchid.doctor.search import TIE, Found, Search
@@ -33,6 +33,7 @@ _FINE = {
 def fault_checks(judge: Judge, result: Search) -> list[Check]:
     """One check a fault, and one line for each kind that has none."""
     checks = [_check(judge, result, f) for f in result.found if f.move.kind in CHECK_OF]
+    checks = [c for c in checks if not _unsure(c)]
     names = {c.name for c in checks}
     live = judge.live(result.final.hypothesis)
     for name, text in _FINE.items():
@@ -72,6 +73,16 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
             )
         )
     return out
+
+
+def _unsure(check: Check) -> bool:
+    """Whether a gain may as well be right."""
+    if check.name != "gain of a joint" or not isinstance(check.interval, tuple):
+        return False
+    low, high = check.interval
+    assert isinstance(low, float)
+    assert isinstance(high, float)
+    return low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
 
 
 def _check(judge: Judge, result: Search, found: Found) -> Check:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.interpolate import CubicSpline
 
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
@@ -54,6 +55,39 @@ class DropRows(Repair):
 
     def __str__(self) -> str:
         return f"leave out {len(self.rows)} rows ({self.why})"
+
+
+@dataclass(frozen=True)
+class Bridge(Repair):
+    """Rows that only repeat the one before, interpolated between those that do not: motion by
+    cubic splines, torque linearly, as resampling does.
+
+    Attributes:
+        rows: their numbers, from 0.
+    """
+
+    rows: tuple[int, ...]
+
+    def apply(self, log: Log) -> Log:
+        """With values in those rows that lie between their neighbours'."""
+        fresh = torch.ones(log.samples, dtype=torch.bool)
+        fresh[list(self.rows)] = False
+        signals = {name: signal.clone() for name, signal in log.signals.items()}
+        for rows in log.slices():
+            t, kept = log.t[rows].numpy(), fresh[rows].numpy().copy()
+            kept[0] = kept[-1] = True
+            for name, signal in signals.items():
+                values = signal[rows].numpy()
+                if name in TORQUE:
+                    columns = [np.interp(t, t[kept], c[kept]) for c in values.T]
+                    signal[rows] = torch.from_numpy(np.stack(columns, 1))
+                else:
+                    signal[rows] = torch.from_numpy(CubicSpline(t[kept], values[kept])(t))
+        fields: dict[str, Any] = dict(signals)
+        return log.replace(**fields)
+
+    def __str__(self) -> str:
+        return f"{len(self.rows)} held rows interpolated between the others"
 
 
 @dataclass(frozen=True)

@@ -94,12 +94,16 @@ def _best(
     if not tried:
         return None
     tried.sort(key=lambda x: x[0])
-    loss, move, errors, gains = tried[0]
+    # Of those as good, the one that concerns fewest joints: a mirrored arm on the ceiling moves as
+    # one on the floor does, and nobody negates every joint.
+    tied = [x for x in tried if x[0] < tried[0][0] + TIE]
+    tied.sort(key=lambda x: len(x[1].joints))
+    loss, move, errors, gains = tied[0]
     gain = _loss(held) - loss
     agreeing, judged = int((gains > 0).sum()), int(np.isfinite(held).any(1).sum())
     if gain < CLEAR or agreeing < AGREE * judged:
         return None
-    rivals = tuple(m for other, m, _, _ in tried[1:] if other < loss + TIE)
+    rivals = tuple(m for _, m, _, _ in tied[1:])
     return Found(move, rms(held), rms(errors), gain, (agreeing, judged), rivals), errors
 
 
