@@ -59,7 +59,7 @@ def main() -> None:
     for fault, plant in FAULTS.items():
         if arguments.only not in fault:
             continue
-        hits, mended, missed = [], [], []
+        hits, missed = [], []
         for name, (robot, log) in found.items():
             for seed in range(arguments.seeds):
                 planted = plant(robot, log, np.random.default_rng(seed + len(name)))

@@ -56,9 +56,7 @@ def clean(
         described = Robot(**{**vars(described), "limits": limits})
     assert described.parameters is not None
     factor = 1 + OFF * uniform(n)
-    real = described.with_parameters(
-        InertialParameters(described.parameters.pi * factor[:, None])
-    )
+    real = described.with_parameters(InertialParameters(described.parameters.pi * factor[:, None]))
     motion = trajectory_log(
         random_trajectory(described, seed, fill=True, usage=0.8, duration=20.0), rate
     )
