@@ -20,13 +20,13 @@ from torchid.doctor.motion import (
     check_jumps,
     check_position_unit,
     check_standstill,
-    check_velocity,
 )
 from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import Search, search
 from torchid.doctor.size import check_nominal, check_size
 from torchid.doctor.torque import check_resolution, check_saturation, check_torque
+from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.robot.model import Robot

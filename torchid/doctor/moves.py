@@ -14,7 +14,8 @@ from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftT
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
-_LEAST_SLOPE = 1e-3
+_LEAST_SHARE = 0.02
+"""Of a torque's variance, what the other joints must predict of it to say anything of its size."""
 DEGREE = math.pi / 180.0
 LEAST_GAIN = 1.5
 """A joint's torque that is off by less is within what a gear or a drive gain may be."""
@@ -169,11 +170,12 @@ def gain_slopes(judge: Judge, now: Hypothesis) -> list[float]:
         basis = np.vstack([rigid, own])
         gram = basis @ normal.gram.sum(0)[i] @ basis.T
         cross = basis @ normal.cross.sum(0)[i]
-        # Nothing predicted beyond what the joint's own columns say.
+        # What is predicted beyond what the joint's own columns can be.
         rest = gram[0, 0] - gram[0, 1:] @ np.linalg.pinv(gram[1:, 1:]) @ gram[1:, 0]
-        if rest < 1e-3 * normal.spread[i] * 1e-2 * normal.count[:, i].sum() or gram[0, 0] <= 0:
+        if rest <= 1e-9 * gram[0, 0] or gram[0, 0] <= 0:
             slopes.append(math.nan)
             continue
         slope = float((np.linalg.pinv(gram, rcond=1e-10) @ cross)[0])
-        slopes.append(slope if abs(slope) > _LEAST_SLOPE else math.nan)
+        share = slope**2 * rest / (normal.spread[i] * normal.count[:, i].sum())
+        slopes.append(slope if share > _LEAST_SHARE else math.nan)
     return slopes
