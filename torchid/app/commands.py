@@ -33,6 +33,7 @@ app = typer.Typer(
 )
 app.command("robot")(robot_command)
 app.command("excite")(excite_command)
+app.add_typer(log_app, name="log")
 app.command("simulate")(simulate_command)
 app.add_typer(log_app, name="log")
 app.command("identify")(identify_command)

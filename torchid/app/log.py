@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torchid.app.log_doctor import doctor_command
 from torchid.app.options import (
     Columns,
     Json,
@@ -24,9 +25,7 @@ log_app = typer.Typer(
 )
 
 
-@log_app.callback()
-def _log() -> None:
-    """What a log is, before anything is computed from it."""
+log_app.command("doctor")(doctor_command)
 
 
 @log_app.command("show")

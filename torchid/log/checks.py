@@ -18,8 +18,8 @@ MOVING = 1e-2  # a joint must vary this much to compare its dq with the change o
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
 JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
-_DEGREES = 180.0 / math.pi
-_TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+DEGREES = 180.0 / math.pi
+TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 _COLUMN = {"q": "q", "dq": "dq", "ddq": "ddq", "tau": "tau", "current": "i"}
 
 
@@ -55,11 +55,11 @@ def check_log(
     _check_finite(log)
     _check_increasing(log)
     _check_positions_in_radians(log, position_limits, slides)
-    agreement = _velocity_agreement(log)
+    agreement = velocity_agreement(log)
     _check_time_unit(log, agreement)
     _check_velocity_unit(log, agreement, slides)
     return (
-        *_jumps(log),
+        *position_jumps(log),
         *_still_joints(log),
         *_no_torque(log),
         *_velocity_warnings(log, agreement),
@@ -136,7 +136,7 @@ def _check_positions_in_radians(log: Log, limits: Tensor | None, slides: Sequenc
         if slide:
             continue
         low, high = float(log.q[:, k].min()), float(log.q[:, k].max())
-        limit = _largest_angle(None if limits is None else limits[k])
+        limit = largest_angle(None if limits is None else limits[k])
         if max(-low, high) > limit:
             raise LogError(
                 f"{_label(log)}: q{k + 1} looks like degrees.",
@@ -147,7 +147,7 @@ def _check_positions_in_radians(log: Log, limits: Tensor | None, slides: Sequenc
             )
 
 
-def _largest_angle(limits: Tensor | None) -> float:
+def largest_angle(limits: Tensor | None) -> float:
     """The largest |q| of a revolute joint that is taken for radians."""
     if limits is None or torch.isnan(limits).any():
         return 4.0 * math.pi
@@ -156,7 +156,7 @@ def _largest_angle(limits: Tensor | None) -> float:
 
 
 @dataclass(frozen=True)
-class _Agreement:
+class Agreement:
     """How the measured dq of one joint relates to the change of its q.
 
     Attributes:
@@ -170,7 +170,7 @@ class _Agreement:
     correlation: float
 
 
-def _velocity_agreement(log: Log) -> list[_Agreement]:
+def velocity_agreement(log: Log) -> list[Agreement]:
     """One record a joint that moves; empty without dq.
 
     The integral of dq is compared with q, not dq with a derivative: encoder noise, quantisation
@@ -191,16 +191,16 @@ def _velocity_agreement(log: Log) -> list[_Agreement]:
     for k in range(log.n):
         a, b = float(moved[:, k].norm()), float(q[:, k].norm())
         if float(extent[k]) > MOVING and a > 0.0:
-            records.append(_Agreement(k, a / b, float(moved[:, k] @ q[:, k]) / (a * b)))
+            records.append(Agreement(k, a / b, float(moved[:, k] @ q[:, k]) / (a * b)))
     return records
 
 
-def _check_time_unit(log: Log, agreement: Sequence[_Agreement]) -> None:
+def _check_time_unit(log: Log, agreement: Sequence[Agreement]) -> None:
     """Refuse time in milli-, micro- or nanoseconds, or counted in samples."""
     step = max(float(log.t[rows].diff().median()) for rows in log.slices())
     clear = [a for a in agreement if a.correlation > FOLLOWS]
-    for factor, unit in _TIME_UNITS.items():
-        if clear and all(_near(a.ratio, factor) for a in clear):
+    for factor, unit in TIME_UNITS.items():
+        if clear and all(near(a.ratio, factor) for a in clear):
             k, ratio = clear[0].joint + 1, clear[0].ratio
             why = f"looks like {unit}: dq{k} is {ratio:.4g} times the derivative of q{k}"
             _refuse_time(log, why, step)
@@ -218,7 +218,7 @@ def _refuse_time(log: Log, why: str, step: float) -> None:
     )
 
 
-def _check_velocity_unit(log: Log, agreement: Sequence[_Agreement], slides: Sequence[bool]) -> None:
+def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Sequence[bool]) -> None:
     for a in agreement:
         column = f"dq{a.joint + 1}"
         if a.correlation < -FOLLOWS:
@@ -229,14 +229,14 @@ def _check_velocity_unit(log: Log, agreement: Sequence[_Agreement], slides: Sequ
             )
         if slides[a.joint] or a.correlation < FOLLOWS:
             continue
-        if _near(a.ratio, _DEGREES):
+        if near(a.ratio, DEGREES):
             raise LogError(
                 f"{_label(log)}: the units of {column} look like degrees per second.",
                 got=f"{a.ratio:.1f} times the derivative of q{a.joint + 1}",
                 expected="rad/s",
                 hint=f"multiply {column} by pi/180",
             )
-        if _near(a.ratio, 1.0 / _DEGREES):
+        if near(a.ratio, 1.0 / DEGREES):
             raise LogError(
                 f"{_label(log)}: the units of q{a.joint + 1} look like degrees.",
                 got=f"{column} is 1/{1.0 / a.ratio:.1f} of its derivative",
@@ -245,7 +245,8 @@ def _check_velocity_unit(log: Log, agreement: Sequence[_Agreement], slides: Sequ
             )
 
 
-def _near(ratio: float, factor: float) -> bool:
+def near(ratio: float, factor: float) -> bool:
+    """Whether a measured ratio is this factor, within 7 %."""
     return 0.93 < ratio / factor < 1.07
 
 
@@ -259,7 +260,7 @@ def _still_joints(log: Log) -> list[str]:
     ]
 
 
-def _jumps(log: Log) -> list[str]:
+def position_jumps(log: Log) -> list[str]:
     """Steps of a position that no motion makes: an angle wrapped at +-pi, or two runs in one."""
     found = []
     for part in log.trajectories():
@@ -297,10 +298,10 @@ def _no_torque(log: Log) -> list[str]:
     ]
 
 
-def _velocity_warnings(log: Log, agreement: Sequence[_Agreement]) -> list[str]:
+def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
 
-    def joints(odd: Callable[[_Agreement], bool]) -> list[_Agreement]:
+    def joints(odd: Callable[[Agreement], bool]) -> list[Agreement]:
         return [a for a in agreement if odd(a)]
 
     warnings = []
@@ -330,6 +331,6 @@ def _velocity_warnings(log: Log, agreement: Sequence[_Agreement]) -> list[str]:
     return [f"{_label(log)}: {warning}" for warning in warnings]
 
 
-def _list(records: Sequence[_Agreement]) -> str:
+def _list(records: Sequence[Agreement]) -> str:
     names = ", ".join(f"dq{a.joint + 1}" for a in records)
     return f"{names} {'is' if len(records) == 1 else 'are'}"

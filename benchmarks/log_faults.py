@@ -1,0 +1,438 @@
+"""Faults planted in a log, and what the doctor should say about each."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from torchid.doctor.check import Check
+from torchid.log.model import Log
+from torchid.robot.model import JointType, Robot
+
+MOTION = ("q", "dq", "ddq")
+DEGREES = 180.0 / math.pi
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A log with a fault (or a robot described with one) and the answer.
+
+    Attributes:
+        names: checks that may name it.
+        joints: from 0, that must be named; None where any answer will do.
+        estimate: what the check should measure, and the relative tolerance; None to pass it over.
+    """
+
+    robot: Robot
+    log: Log
+    names: tuple[str, ...]
+    joints: tuple[int, ...] | None = None
+    estimate: float | None = None
+    tolerance: float = 0.1
+
+    def found(self, checks: tuple[Check, ...]) -> bool:
+        """Whether a check that may name the fault does, on the right joints."""
+        return any(self._names(c) for c in checks if c.verdict in ("wrong", "doubtful"))
+
+    def _names(self, check: Check) -> bool:
+        if check.name not in self.names:
+            return False
+        if self.joints is not None and set(check.joints) != set(self.joints):
+            return False
+        if self.estimate is None:
+            return True
+        values = check.estimate if isinstance(check.estimate, tuple) else (check.estimate,)
+        return all(
+            v is not None and abs(v - self.estimate) <= self.tolerance * abs(self.estimate)
+            for v in values
+        )
+
+
+Fault = Callable[[Robot, Log, np.random.Generator], Planted | None]
+
+
+def scaled(log: Log, signals: tuple[str, ...], factors: torch.Tensor | float) -> Log:
+    return log.replace(**{s: x * factors for s, x in log.signals.items() if s in signals})
+
+
+def moved(log: Log, signals: tuple[str, ...], order: list[int]) -> Log:
+    return log.replace(**{s: x[:, order] for s, x in log.signals.items() if s in signals})
+
+
+def _revolute(robot: Robot) -> torch.Tensor:
+    return torch.tensor([k is JointType.REVOLUTE for k in robot.joint_types], dtype=torch.float64)
+
+
+def _turned(robot: Robot, factor: float) -> torch.Tensor:
+    return torch.where(_revolute(robot) > 0, factor, 1.0).double()
+
+
+def _all(robot: Robot) -> tuple[int, ...]:
+    return tuple(range(robot.n))
+
+
+def _joint(robot: Robot, rng: np.random.Generator) -> int:
+    return int(rng.integers(robot.n))
+
+
+def q_degrees(robot, log, rng):
+    if not _revolute(robot).any() or float(log.q.abs().max()) < 0.3:
+        return None
+    return Planted(
+        robot, scaled(log, ("q",), _turned(robot, DEGREES)),
+        ("position unit", "position unit, by torque"), None,
+    )  # fmt: skip
+
+
+def q_dq_degrees(robot, log, rng):
+    if not _revolute(robot).any():
+        return None
+    log = scaled(log, MOTION, _turned(robot, DEGREES))
+    return Planted(robot, log, ("position unit", "position unit, by torque"))
+
+
+def q_counts(robot, log, rng):
+    if log.dq is None or not _revolute(robot).all():
+        return None
+    counts = 2**17 / (2 * math.pi)
+    return Planted(
+        robot, log.replace(q=(log.q * counts).round()), ("position unit",), _all(robot), counts,
+        1e-3,
+    )  # fmt: skip
+
+
+def dq_degrees(robot, log, rng):
+    if log.dq is None:
+        return None
+    return Planted(robot, scaled(log, ("dq",), DEGREES), ("velocity",), _all(robot), DEGREES, 0.01)
+
+
+def dq_rpm(robot, log, rng):
+    if log.dq is None:
+        return None
+    return Planted(
+        robot, scaled(log, ("dq",), 30 / math.pi), ("velocity",), _all(robot), 9.5493, 0.01
+    )
+
+
+def dq_sign(robot, log, rng):
+    if log.dq is None:
+        return None
+    j = _joint(robot, rng)
+    factors = torch.ones(robot.n).double()
+    factors[j] = -1.0
+    return Planted(robot, scaled(log, ("dq",), factors), ("velocity",), (j,), -1.0)
+
+
+def dq_other_joint(robot, log, rng):
+    if log.dq is None or robot.n < 2:
+        return None
+    i, j, order = _pair(robot, rng)
+    return Planted(robot, moved(log, ("dq",), order), ("velocity",), (i, j))
+
+
+def dq_late(robot, log, rng):
+    if log.dq is None:
+        return None
+    return Planted(robot, shifted(log, ("dq",), 0.06), ("velocity",), None, 0.06, 0.15)
+
+
+def dq_filtered(robot, log, rng):
+    """A first-order low-pass of 60 ms."""
+    if log.dq is None:
+        return None
+    parts = []
+    for part in log.trajectories():
+        out = part.dq.clone()
+        step = part.t.diff()
+        for k in range(1, part.samples):
+            share = 1 - math.exp(-float(step[k - 1]) / 0.06)
+            out[k] = out[k - 1] + share * (part.dq[k] - out[k - 1])
+        parts.append(out)
+    return Planted(robot, log.replace(dq=torch.cat(parts)), ("velocity",))
+
+
+def tau_milli(robot, log, rng):
+    return Planted(robot, scaled(log, ("tau",), 1e3), ("torque unit",))
+
+
+def t_milli(robot, log, rng):
+    return Planted(robot, log.replace(t=log.t * 1e3), ("time unit",), None, 1e3)
+
+
+def t_micro(robot, log, rng):
+    return Planted(robot, log.replace(t=log.t * 1e6), ("time unit",), None, 1e6)
+
+
+def t_nano(robot, log, rng):
+    return Planted(robot, log.replace(t=log.t * 1e9), ("time unit",), None, 1e9)
+
+
+def wrong_rate(robot, log, rng):
+    if log.dq is None:
+        return None
+    return Planted(robot, log.replace(t=log.t * 2.5), ("velocity",), None, 2.5, 0.02)
+
+
+def tau_sign_all(robot, log, rng):
+    return Planted(robot, scaled(log, ("tau",), -1.0), ("torque sign",), _all(robot))
+
+
+def tau_sign(robot, log, rng):
+    j = _joint(robot, rng)
+    factors = torch.ones(robot.n).double()
+    factors[j] = -1.0
+    return Planted(robot, scaled(log, ("tau",), factors), ("torque sign",), (j,))
+
+
+def q_sign(robot, log, rng):
+    j = _joint(robot, rng)
+    factors = torch.ones(robot.n).double()
+    factors[j] = -1.0
+    return Planted(robot, scaled(log, MOTION, factors), ("position sign",), (j,))
+
+
+def _pair(robot: Robot, rng: np.random.Generator) -> tuple[int, int, list[int]]:
+    i, j = sorted(rng.choice(robot.n, 2, replace=False).tolist())
+    order = list(range(robot.n))
+    order[i], order[j] = j, i
+    return i, j, order
+
+
+def q_swap(robot, log, rng):
+    if robot.n < 2:
+        return None
+    i, j, order = _pair(robot, rng)
+    return Planted(robot, moved(log, MOTION, order), ("joint order",), (i, j))
+
+
+def tau_swap(robot, log, rng):
+    if robot.n < 2:
+        return None
+    i, j, order = _pair(robot, rng)
+    return Planted(robot, moved(log, ("tau",), order), ("joint order",), (i, j))
+
+
+def tau_shuffled(robot, log, rng):
+    if robot.n < 4:
+        return None
+    order = rng.permutation(robot.n).tolist()
+    if sum(k != j for k, j in enumerate(order)) < 3:
+        return None
+    return Planted(robot, moved(log, ("tau",), order), ("joint order",))
+
+
+def reversed_order(robot, log, rng):
+    if robot.n < 3:
+        return None
+    log = moved(log, (*MOTION, "tau"), list(reversed(range(robot.n))))
+    joints = tuple(k for k in range(robot.n) if k != robot.n - 1 - k)
+    return Planted(robot, log, ("joint order",), joints)
+
+
+def _gain(factor: float) -> Fault:
+    def fault(robot, log, rng):
+        if robot.n < 2:
+            return None
+        j = _joint(robot, rng)
+        factors = torch.ones(robot.n).double()
+        factors[j] = factor
+        return Planted(
+            robot, scaled(log, ("tau",), factors),
+            ("gain of a joint", "torque against nominal"), (j,),
+        )  # fmt: skip
+
+    return fault
+
+
+def ceiling(robot, log, rng):
+    return Planted(replace(robot, gravity=-robot.gravity), log, ("gravity",))
+
+
+def wall(robot, log, rng):
+    turned = torch.stack([robot.gravity[2], robot.gravity[0], robot.gravity[1]])
+    return Planted(replace(robot, gravity=turned), log, ("gravity",))
+
+
+def tilt(robot, log, rng):
+    """A base 15 degrees out of level."""
+    angle = math.radians(15.0)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = torch.tensor([[1.0, 0, 0], [0, c, -s], [0, s, c]], dtype=torch.float64)
+    return Planted(replace(robot, gravity=turn @ robot.gravity), log, ("gravity",))
+
+
+def shifted(log: Log, signals: tuple[str, ...], late: float) -> Log:
+    parts = []
+    for part in log.trajectories():
+        t = part.t.numpy()
+
+        def at(x: torch.Tensor, t: np.ndarray = t) -> torch.Tensor:
+            return torch.from_numpy(np.stack([np.interp(t - late, t, c) for c in x.T.numpy()], 1))
+
+        parts.append(part.replace(**{s: at(x) for s, x in part.signals.items() if s in signals}))
+    return Log.concatenate(parts)
+
+
+def _late(seconds: float) -> Fault:
+    def fault(robot, log, rng):
+        return Planted(robot, shifted(log, ("tau",), seconds), ("lag",), None, seconds, 0.4)
+
+    return fault
+
+
+def clock_repeated(robot, log, rng):
+    t = log.t.clone()
+    for k in rng.choice(log.samples - 2, 5, replace=False) + 1:
+        t[k] = t[k - 1]
+    return Planted(robot, log.replace(t=t), ("clock",))
+
+
+def clock_back(robot, log, rng):
+    t = log.t.clone()
+    t[log.samples // 2 :] -= 3.0
+    return Planted(robot, log.replace(t=t), ("clock",))
+
+
+def clock_jump(robot, log, rng):
+    t = log.t.clone()
+    t[_moving_row(log) + 1 :] += 30.0
+    return Planted(robot, log.replace(t=t), ("clock",))
+
+
+def _moving_row(log: Log) -> int:
+    """The row about the middle at which some joint moves fastest."""
+    middle = slice(log.samples // 3, 2 * log.samples // 3)
+    return middle.start + int(log.q[middle].diff(dim=0).abs().sum(1).argmax())
+
+
+def stamps_rounded(robot, log, rng):
+    step = float(log.t.diff().median())
+    unit = 3.3 * step
+    return Planted(robot, log.replace(t=(log.t / unit).floor() * unit), ("clock", "stamps"))
+
+
+def stamps_jitter(robot, log, rng):
+    """Stamps given by a logger that comes up to 0.8 steps late."""
+    step = log.t.diff().median()
+    late = torch.from_numpy(rng.uniform(0, 0.8, log.samples)) * step
+    return Planted(robot, log.replace(t=log.t + late), ("stamps",))
+
+
+def dropouts(robot, log, rng):
+    keep = torch.ones(log.samples, dtype=torch.bool)
+    length = max(5, log.samples // 200)
+    for k in rng.choice(np.arange(length, log.samples - 2 * length, 2 * length), 10, replace=False):
+        keep[k : k + length] = False
+    return Planted(robot, log.select(keep), ("dropouts",))
+
+
+def held(robot, log, rng):
+    source = torch.arange(log.samples)
+    again = torch.from_numpy(rng.random(log.samples) < 0.35)
+    again[0] = False
+    for k in again.nonzero().flatten().tolist():
+        source[k] = source[k - 1]
+    return Planted(
+        robot, log.replace(**{s: x[source] for s, x in log.signals.items()}), ("held samples",)
+    )
+
+
+def values_missing(robot, log, rng):
+    q = log.q.clone()
+    q[log.samples // 3, 0] = math.nan
+    return Planted(robot, log.replace(q=q), ("values",))
+
+
+def wrapped(robot, log, rng):
+    extent = log.q.amax(0) - log.q.amin(0)
+    j = int((extent * _revolute(robot)).argmax())
+    if float(extent[j]) < 0.5 or robot.joint_types[j] is JointType.PRISMATIC:
+        return None
+    q = log.q.clone()
+    middle = float(q[:, j].median())
+    # The wrap lies in the middle of the motion.
+    q[:, j] = torch.remainder(q[:, j] - middle, 2 * math.pi) - math.pi
+    shift = q[:, j].median()
+    q[:, j] -= shift - shift
+    return Planted(robot, log.replace(q=q), ("position jumps",), (j,))
+
+
+def clipped(robot, log, rng):
+    j = _joint(robot, rng)
+    tau = log.tau.clone()
+    level = float(torch.quantile(tau[:: max(1, log.samples // 10000), j], 0.93))
+    tau[:, j] = tau[:, j].clamp(max=level)
+    return Planted(robot, log.replace(tau=tau), ("saturation",), (j,))
+
+
+def coarse(robot, log, rng):
+    j = _joint(robot, rng)
+    tau = log.tau.clone()
+    unit = 0.3 * float(tau[:, j].std())
+    tau[:, j] = (tau[:, j] / unit).round() * unit
+    return Planted(robot, log.replace(tau=tau), ("resolution",), (j,))
+
+
+def torque_zero(robot, log, rng):
+    j = _joint(robot, rng)
+    tau = log.tau.clone()
+    tau[:, j] = 0.0
+    return Planted(robot, log.replace(tau=tau), ("torque columns",), (j,))
+
+
+def stands_still(robot, log, rng):
+    j = _joint(robot, rng)
+    signals = {s: x.clone() for s, x in log.signals.items() if s in MOTION}
+    for s, x in signals.items():
+        x[:, j] = x[0, j] if s == "q" else 0.0
+    return Planted(robot, log.replace(**signals), ("standstill",), (j,))
+
+
+FAULTS: dict[str, Fault] = {
+    "q in degrees": q_degrees,
+    "q and dq in degrees": q_dq_degrees,
+    "q in encoder counts": q_counts,
+    "dq in deg/s": dq_degrees,
+    "dq in rpm": dq_rpm,
+    "dq of a joint negated": dq_sign,
+    "dq of two joints exchanged": dq_other_joint,
+    "dq 60 ms late": dq_late,
+    "dq low-passed, 60 ms": dq_filtered,
+    "tau in mN m": tau_milli,
+    "t in ms": t_milli,
+    "t in us": t_micro,
+    "t in ns": t_nano,
+    "t 2.5 times too slow": wrong_rate,
+    "tau negated": tau_sign_all,
+    "tau of a joint negated": tau_sign,
+    "q of a joint negated": q_sign,
+    "q of two joints exchanged": q_swap,
+    "tau of two joints exchanged": tau_swap,
+    "tau columns shuffled": tau_shuffled,
+    "tip to base": reversed_order,
+    "tau of a joint x 0.1": _gain(0.1),
+    "tau of a joint x 3": _gain(3.0),
+    "tau of a joint x 100": _gain(100.0),
+    "mounted on the ceiling": ceiling,
+    "mounted on a wall": wall,
+    "tilted by 15 deg": tilt,
+    "tau 25 ms late": _late(0.025),
+    "tau 60 ms late": _late(0.06),
+    "tau 60 ms early": _late(-0.06),
+    "repeated stamps": clock_repeated,
+    "clock set back": clock_back,
+    "clock jumps ahead": clock_jump,
+    "stamps rounded": stamps_rounded,
+    "stamps late at random": stamps_jitter,
+    "dropouts": dropouts,
+    "held samples": held,
+    "NaN": values_missing,
+    "angle wrapped": wrapped,
+    "tau clipped": clipped,
+    "tau in coarse steps": coarse,
+    "tau of a joint zero": torque_zero,
+    "a joint stands still": stands_still,
+}

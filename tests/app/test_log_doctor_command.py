@@ -1,0 +1,52 @@
+"""`torchid log doctor` from the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from tests.doctor.synthetic import clean
+from torchid.app.commands import app
+from torchid.errors import TorchidError
+from torchid.log.readers import read_log, write_log
+
+
+@pytest.fixture
+def bad(tmp_path: Path) -> Path:
+    _, log = clean("3r", 0)
+    assert log.dq is not None
+    path = tmp_path / "run.parquet"
+    write_log(log.replace(q=log.q * 180 / torch.pi, dq=log.dq * 180 / torch.pi), path)
+    return path
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_path: Path) -> None:
+    before = bad.read_bytes()
+    copy, out = tmp_path / "mended.parquet", tmp_path / "out"
+    text = run("log", "doctor", "3r_friction", bad, "--apply", copy, "--out", out)
+    assert "degrees" in text
+    assert "fine: " in text
+    assert bad.read_bytes() == before
+    data = json.loads((out / "doctor.json").read_text())
+    assert data["schema"] == "torchid.doctor/1"
+    wrong = [c for c in data["checks"] if c["verdict"] == "wrong"]
+    assert [c["name"] for c in wrong] == ["position unit"]
+    assert wrong[0]["joints"] == [1, 2, 3]
+    assert (out / "doctor.png").stat().st_size > 10_000
+    assert torch.allclose(read_log(copy).q, clean("3r", 0)[1].q)
+    again = tmp_path / "again.json"
+    assert run("log", "doctor", "3r_friction", copy, "--json", again, "--quiet") == ""
+    assert json.loads(again.read_text())["silent"] is True
+
+
+def test_the_log_itself_is_never_written_over(bad: Path) -> None:
+    with pytest.raises(TorchidError, match="write over"):
+        run("log", "doctor", "3r", bad, "--apply", bad)

@@ -1,0 +1,139 @@
+"""Faults that dynamics show: order, signs, gains, gravity, lag, size; and their silence."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from tests.doctor.synthetic import clean, log_faults
+from torchid.doctor.examine import examine
+from torchid.doctor.record import SCHEMA, record
+from torchid.errors import LogError
+from torchid.log.readers import read_log, write_log
+
+SHOWN = (
+    "tau in mN m", "tau negated", "tau of a joint negated", "q of a joint negated",
+    "q of two joints exchanged", "tau of two joints exchanged", "tip to base",
+    "tau of a joint x 0.1", "tau of a joint x 100", "mounted on the ceiling",
+    "mounted on a wall", "tilted by 15 deg", "tau 60 ms late", "tau 60 ms early",
+)  # fmt: skip
+ROBOTS_FAULT = ("mounted on the ceiling", "mounted on a wall", "tilted by 15 deg")
+
+
+def alarms(result):
+    return [c for c in result.checks if c.verdict in ("wrong", "doubtful")]
+
+
+def check(fault, name, seed, nominal=False):
+    robot, log = clean(name, seed, nominal=nominal)
+    case = log_faults.FAULTS[fault](robot, log, np.random.default_rng(seed))
+    result = examine(case.robot, case.log)
+    assert case.found(result.checks), alarms(result)
+    return case, result
+
+
+@pytest.mark.parametrize("fault", ["tau of a joint negated", "q of a joint negated"])
+def test_a_sign_is_found_on_its_joint_and_mended(fault):
+    case, result = check(fault, "3r", 0)
+    again = examine(case.robot, result.mended())
+    assert again.silent, alarms(again)
+
+
+def test_a_clean_log_is_silent_and_unchanged():
+    robot, log = clean("3r", 0)
+    result = examine(robot, log)
+    assert result.silent, alarms(result)
+    assert result.repairs == ()
+    assert torch.equal(result.mended().q, log.q)
+
+
+def test_two_faults_at_once_are_both_found_and_mended():
+    robot, log = clean("3r", 1)
+    assert log.tau is not None
+    sign = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+    bad = log.replace(q=log.q * 180 / torch.pi, tau=log.tau * sign)
+    result = examine(robot, bad)
+    assert {c.name for c in alarms(result)} == {"position unit", "torque sign"}
+    assert torch.allclose(result.mended().q, log.q)
+    mended = result.mended().tau
+    assert mended is not None
+    assert torch.allclose(mended, log.tau)
+
+
+def test_torque_in_millinewton_metres_without_nominal_parameters():
+    _, result = check("tau in mN m", "3r", 0)
+    assert "0.001 tau" in str(result.repairs[0])
+
+
+def test_currents_are_said_to_need_gains():
+    robot, log = clean("3r", 0, nominal=True)
+    result = examine(robot, log.replace(tau=None, current=log.tau / 10.0))
+    (found,) = alarms(result)
+    assert found.name == "torque unit"
+    assert found.fix is not None
+    assert "--gain" in found.fix
+    assert np.median(found.estimate) == pytest.approx(10.0, rel=0.4)
+
+
+def test_record_is_plain():
+    robot, log = clean("3r", 0)
+    data = record(examine(robot, log))
+    assert data["schema"] == SCHEMA
+    assert data["silent"] is True
+    assert {"name", "verdict", "joints", "estimate", "interval", "evidence", "fix"} <= set(
+        data["checks"][0]
+    )
+
+
+def test_a_log_of_another_robot_is_refused():
+    robot, _ = clean("3r", 0)
+    _, log = clean("ur10e", 0)
+    with pytest.raises(LogError, match="number of joints"):
+        examine(robot, log)
+
+
+def test_a_log_without_torque_is_examined_all_the_same():
+    robot, log = clean("3r", 0)
+    result = examine(robot, log.replace(tau=None))
+    assert [c.name for c in alarms(result)] == ["torque columns"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nominal", [False, True])
+@pytest.mark.parametrize("fault", SHOWN)
+def test_every_fault_on_a_small_arm(fault, nominal, tmp_path):
+    """And after the fixes, written and read again, the doctor is silent."""
+    for seed in range(2):
+        case, result = check(fault, "3r", seed, nominal)
+        if fault in ROBOTS_FAULT:
+            continue
+        path = tmp_path / "mended.parquet"
+        write_log(result.mended(), path)
+        again = examine(case.robot, read_log(path))
+        assert again.silent, alarms(again)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kuka_lwr4", "ur10e"])
+@pytest.mark.parametrize("fault", SHOWN)
+def test_every_fault_on_arms_of_six_and_seven_joints(fault, name):
+    check(fault, name, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nominal", [False, True])
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "ur10e", "panda"])
+def test_clean_logs_are_silent(name, nominal):
+    for seed in range(3):
+        result = examine(*clean(name, seed, nominal=nominal))
+        assert result.silent, alarms(result)
+
+
+def test_gravity_says_how_the_arm_is_mounted():
+    robot, log = clean("3r", 0)
+    result = examine(dataclasses.replace(robot, gravity=-robot.gravity), log)
+    (found,) = [c for c in alarms(result) if c.name == "gravity"]
+    assert found.verdict == "wrong"
+    assert "floor" in found.evidence
+    assert np.asarray(found.estimate) == pytest.approx([0.0, 0.0, -9.81], abs=0.5)

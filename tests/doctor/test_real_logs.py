@@ -1,0 +1,25 @@
+"""The doctor is silent on logs of real arms, which are not part of the project."""
+
+import pytest
+import torch
+
+from tests.real_logs import FOLDER, NO_LOGS
+from torchid.doctor.examine import examine
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+
+GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+ODD = ("jointwise", "5periods")  # joints at rest; a time axis that was made up
+PATHS = [p for p in sorted(FOLDER.glob("*/*.parquet")) if not any(w in p.stem for w in ODD)]
+ABSENT = pytest.param(None, marks=pytest.mark.skip(reason=NO_LOGS))
+pytestmark = [pytest.mark.real, pytest.mark.slow]
+
+
+@pytest.mark.parametrize(
+    "path", PATHS or [ABSENT], ids=lambda path: path and f"{path.parent.name}/{path.stem}"
+)
+def test_a_real_log_raises_no_alarm(path):
+    robot, log = load_robot(next(path.parent.glob("robot.*"))), read_log(path)
+    log = log if log.tau is not None else log.with_torque(torch.tensor(GAINS))
+    result = examine(robot, log)
+    assert result.silent, [c for c in result.checks if c.verdict in ("wrong", "doubtful")]

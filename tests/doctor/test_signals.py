@@ -1,0 +1,87 @@
+"""Faults that need no dynamics to be seen: clock, units, velocities, torque by itself."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.doctor.synthetic import clean, log_faults
+from torchid.doctor.examine import signal_checks
+from torchid.doctor.repair import repaired
+
+SEEN = (
+    "q in degrees", "q and dq in degrees", "q in encoder counts", "dq in deg/s", "dq in rpm",
+    "dq of a joint negated", "dq of two joints exchanged", "dq 60 ms late",
+    "dq low-passed, 60 ms", "t in ms", "t in us", "t in ns", "t 2.5 times too slow",
+    "repeated stamps", "clock set back", "clock jumps ahead", "stamps rounded",
+    "stamps late at random", "dropouts", "held samples", "NaN", "angle wrapped", "tau clipped",
+    "tau in coarse steps", "tau of a joint zero", "a joint stands still",
+)  # fmt: skip
+NOT_MENDED = ("dropouts", "tau clipped", "tau in coarse steps", "tau of a joint zero",
+              "a joint stands still")  # fmt: skip
+SMALL_ANGLES = ("q and dq in degrees",)
+
+
+def planted(fault, name, seed):
+    robot, log = clean(name, seed)
+    return log_faults.FAULTS[fault](robot, log, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "ur10e"])
+@pytest.mark.parametrize("fault", SEEN)
+def test_a_planted_fault_is_named_and_mended(fault, name):
+    for seed in range(2):
+        case = planted(fault, name, seed)
+        checks, mended = signal_checks(case.robot, case.log)
+        assert case.found(tuple(checks)), [c for c in checks if c.verdict != "fine"]
+        others = {c.name for c in checks if c.verdict in ("wrong", "doubtful")} - set(case.names)
+        assert others <= {"stamps"}
+        if fault not in NOT_MENDED:
+            again, _ = signal_checks(case.robot, mended)
+            assert all(c.verdict == "fine" for c in again), [
+                c for c in again if c.verdict != "fine"
+            ]
+
+
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "ur10e", "panda"])
+def test_clean_logs_are_fine(name):
+    for seed in range(5):
+        checks, mended = signal_checks(*clean(name, seed))
+        assert all(c.verdict == "fine" for c in checks), [c for c in checks if c.verdict != "fine"]
+        assert torch.equal(mended.q, clean(name, seed)[1].q)
+
+
+def test_the_log_that_was_given_stays_as_it_was():
+    case = planted("q in degrees", "3r", 0)
+    copies = {name: signal.clone() for name, signal in case.log.signals.items()}
+    checks, _ = signal_checks(case.robot, case.log)
+    repaired(case.log, [r for c in checks for r in c.repairs])
+    assert all(torch.equal(case.log.signals[name], copy) for name, copy in copies.items())
+
+
+def test_mended_positions_are_those_before_the_fault():
+    robot, log = clean("3r", 1)
+    case = planted("q and dq in degrees", "3r", 1)
+    _, mended = signal_checks(robot, case.log)
+    assert torch.allclose(mended.q, log.q)
+    assert mended.dq is not None
+    assert log.dq is not None
+    assert torch.allclose(mended.dq, log.dq)
+
+
+def test_without_velocities_units_are_told_from_ranges_and_steps():
+    robot, log = clean("3r", 0)
+    bare = log.replace(dq=None, t=log.t * 1e3, q=log.q * 180 / torch.pi)
+    checks, mended = signal_checks(robot, bare)
+    assert {c.name for c in checks if c.verdict == "wrong"} == {"time unit", "position unit"}
+    assert torch.allclose(mended.q, log.q)
+    assert torch.allclose(mended.t, log.t)
+
+
+def test_two_faults_at_once():
+    robot, log = clean("3r", 0)
+    assert log.dq is not None
+    both = log.replace(t=log.t * 1e6, dq=log.dq[:, [1, 0, 2]] * 30 / torch.pi * 1e-6)
+    checks, mended = signal_checks(robot, both.replace(dq=both.dq * 1e6))
+    assert {c.name for c in checks if c.verdict == "wrong"} >= {"velocity"}
+    again, _ = signal_checks(robot, mended)
+    assert all(c.verdict == "fine" for c in again)

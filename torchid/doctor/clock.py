@@ -1,0 +1,280 @@
+"""Time stamps and rows: does the clock run on, evenly, in seconds, and is every row a new one?"""
+
+import numpy as np
+import torch
+
+from torchid.doctor.check import Check, fix_text
+from torchid.doctor.repair import Bridge, DropRows, EvenTime, RejoinTime, Repair, ScaleTime
+from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
+from torchid.log.model import Log
+from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
+from torchid.typing import Bool, Tensor
+
+SMOOTHER = 3.0
+"""Stamps are taken for wrong when positions are this many times smoother over even ones."""
+UNEVEN = 0.1
+"""Steps that spread by less than this share of the median are even."""
+HELD = 0.1
+"""Share of the moving rows that may repeat the one before; fewer are lost in any filter."""
+DROPPED = 0.01
+"""Share of the samples that may be missing in gaps."""
+USUAL_STEPS = 3.0
+"""A step of the clock across which no joint moves further than this many usual steps is a jump of
+the clock, not a gap in the log."""
+
+
+def check_values(log: Log) -> Check:
+    """Empty, NaN or infinite values."""
+    bad = ~torch.isfinite(log.t)
+    counts = {}
+    for name, signal in log.signals.items():
+        wrong = ~torch.isfinite(signal)
+        bad |= wrong.any(1)
+        if wrong.any():
+            counts[name] = int(wrong.sum())
+    rows = bad.nonzero().flatten().tolist()
+    if not rows:
+        return Check("values", "fine", "every value is a number")
+    repair = DropRows(tuple(rows), "NaN or infinite")
+    found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "in t"
+    return Check(
+        "values",
+        "wrong",
+        f"{len(rows)} of {log.samples} rows have values that are not numbers ({found})",
+        estimate=len(rows) / log.samples,
+        fix=str(repair),
+        repairs=(repair,),
+    )
+
+
+def check_clock(log: Log) -> Check:
+    """Stamps that repeat, go back, or jump while the arm does not."""
+    repeated, back, jumped = [], [], []
+    for rows in log.slices():
+        t, q = log.t[rows].numpy(), log.q[rows].numpy()
+        step = np.diff(t)
+        if not (step > 0).any():
+            return Check("clock", "wrong", "no time stamp is later than the one before it")
+        median = np.median(step[step > 0])
+        offset = rows.start
+        back += (np.flatnonzero(step < 0) + offset).tolist()
+        repeated += (np.flatnonzero(step == 0) + offset).tolist()
+        jumped += (_clock_jumps(step, q, median) + offset).tolist()
+    if not (repeated or back or jumped):
+        return Check("clock", "fine", f"{log.samples} stamps increase")
+    found = [
+        f"{len(kind)} {what}"
+        for kind, what in (
+            (repeated, "repeated stamps"),
+            (back, "steps back"),
+            (jumped, "jumps ahead while the arm does not move further than in one step"),
+        )
+        if kind
+    ]
+    first = min(repeated + back + jumped)
+    repairs = _clock_repairs(log, repeated, back + jumped)
+    return Check(
+        "clock",
+        "wrong",
+        f"{', '.join(found)}; the first after row {first + 1}, t = {float(log.t[first]):.6g}",
+        estimate=float(len(repeated) + len(back) + len(jumped)),
+        fix=fix_text(repairs),
+        repairs=repairs,
+    )
+
+
+def _clock_jumps(step: np.ndarray, q: np.ndarray, median: float) -> np.ndarray:
+    """Long steps of the clock across which the positions make a usual step only."""
+    long = np.flatnonzero(step > LONG_GAP_STEPS * median)
+    moved = np.abs(np.diff(q, axis=0))
+    found = []
+    for k in long:
+        near_by = np.r_[max(0, k - 10) : k, k + 1 : min(len(moved), k + 11)]
+        usual = np.median(moved[near_by], 0)
+        moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
+        if moving.any() and (moved[k] <= USUAL_STEPS * usual)[moving].all():
+            found.append(k)
+    return np.array(found, dtype=int)
+
+
+def _clock_repairs(log: Log, repeated: list[int], broken: list[int]) -> tuple[Repair, ...]:
+    same = [k for k in repeated if bool((log.q[k + 1] == log.q[k]).all())]
+    others = sorted({*broken, *repeated} - set(same))
+    if len(repeated) > 0.02 * log.samples and 2 * len(same) < len(repeated):
+        # Stamps coarser than the sampling: the rows are in order, and evenly taken.
+        return (*((RejoinTime(tuple(broken)),) if broken else ()), EvenTime())
+    repairs: list[Repair] = []
+    if others:
+        repairs.append(RejoinTime(tuple(others)))
+    if same:
+        repairs.append(DropRows(tuple(k + 1 for k in same), "the row before, once more"))
+    return tuple(repairs)
+
+
+def check_time_unit(log: Log) -> Check:
+    """Is t in seconds? By velocities where there are any, by the size of its step otherwise."""
+    step = max(s.median for s in time_steps(log))
+    clear = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
+    for factor, unit in TIME_UNITS.items():
+        if clear and all(near(a.ratio, factor) for a in clear):
+            return _time_in(unit, factor, f"dq is {factor:g} times the derivative of q", step)
+    if step <= SLOW_STEP_S or any(0.5 < a.ratio < 2.0 for a in clear):
+        return Check("time unit", "fine", f"seconds: median step {1e3 * step:.4g} ms", estimate=1.0)
+    for factor, unit in TIME_UNITS.items():
+        if 1e-4 <= step / factor <= SLOW_STEP_S:
+            why = "dq disagrees" if clear else "no arm is sampled so slowly"
+            return _time_in(unit, factor, why, step)
+    return Check("time unit", "doubtful", f"a median step of {step:g} is no arm's", estimate=None)
+
+
+def _time_in(unit: str, factor: float, why: str, step: float) -> Check:
+    repair = ScaleTime(1.0 / factor)
+    return Check(
+        "time unit",
+        "wrong",
+        f"t is in {unit}: median step {step:.4g}, and {why}",
+        estimate=factor,
+        unit="counts per second",
+        fix=str(repair),
+        repairs=(repair,),
+    )
+
+
+def check_stamps(log: Log) -> Check:
+    """Are uneven stamps real? Positions are smooth over the time at which they were taken."""
+    steps = time_steps(log)
+    text = "; ".join(dict.fromkeys(str(s) for s in steps[:3]))
+    worst, share = 0.0, 0.0
+    for part in log.trajectories():
+        t = part.t.numpy()
+        step = np.diff(t)
+        inner = step[step < SMALL_GAP * np.median(step)]
+        share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
+        worst = max(worst, _roughness_ratio(t, part.q.numpy()))
+    if share < UNEVEN or worst < SMOOTHER:
+        return Check("stamps", "fine", text, estimate=share)
+    repair = EvenTime()
+    return Check(
+        "stamps",
+        "wrong",
+        f"steps spread by {100 * share:.0f} % of the median, and positions are {worst:.3g} times "
+        f"smoother over even stamps: the stamps are rounded or were given late ({text})",
+        estimate=worst,
+        unit="ratio",
+        fix=str(repair),
+        repairs=(repair,),
+    )
+
+
+def _roughness_ratio(t: np.ndarray, q: np.ndarray) -> float:
+    """How badly a cubic through four neighbours predicts a position, over the given stamps and
+    over even ones: their ratio, the median over joints."""
+    if len(t) < 50:
+        return 1.0
+    step = np.diff(t)
+    windows = np.lib.stride_tricks.sliding_window_view(step, 4)
+    clean = (windows < SMALL_GAP * np.median(step)).all(1)
+    even = np.arange(len(t), dtype=float)
+    ends = np.ptp(q, 0)
+    moving = ends > 0.1 * ends.max()
+    if not moving.any() or clean.sum() < 20:
+        return 1.0
+    errors = [_cubic_error(x, q[:, moving])[clean] for x in (t, even)]
+    rms = [np.sqrt((e**2).mean(0)) for e in errors]
+    return float(np.median(rms[0] / np.maximum(rms[1], 1e-12)))
+
+
+def _cubic_error(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Each position minus the cubic through its two neighbours on either side (Lagrange)."""
+    offsets = (0, 1, 3, 4)
+    middle = t[2:-2]
+    nodes = [t[k : len(t) - 4 + k] for k in offsets]
+    error = q[2:-2].copy()
+    for a, k in enumerate(offsets):
+        weight = np.ones_like(middle)
+        for b in range(4):
+            if b != a:
+                weight *= (middle - nodes[b]) / (nodes[a] - nodes[b])
+        error -= weight[:, None] * q[k : len(t) - 4 + k]
+    return error
+
+
+def check_dropouts(log: Log) -> Check:
+    """Samples that are missing, as gaps between stamps."""
+    missing, gaps, longest, total = 0.0, 0, 0.0, 0.0
+    for rows in log.slices():
+        step = log.t[rows].diff().numpy()
+        median = float(np.median(step))
+        long = step[step > SMALL_GAP * median]
+        missing += float((long / median - 1).sum())
+        total += float(step.sum()) / median
+        gaps += len(long)
+        longest = max(longest, float(step.max()))
+    share = missing / total
+    text = f"{gaps} gaps of more than 3 steps, {100 * share:.2g} % of the samples missing"
+    if share < DROPPED and longest < LONG_GAP_S:
+        return Check("dropouts", "fine", text if gaps else "no gaps", estimate=share)
+    return Check(
+        "dropouts",
+        "doubtful",
+        f"{text}, the longest {1e3 * longest:.3g} ms",
+        estimate=share,
+        fix="nothing to add: short gaps are interpolated and the log is split at long ones; "
+        "record again if what matters fell into them",
+    )
+
+
+def check_held(log: Log) -> Check:
+    """Rows that repeat the one before while the arm moves."""
+    held = {name: _held(log, name) for name in ("q", "dq", "tau", "current") if name in log.signals}
+    moving = _moving(log)
+    usable = max(1, int(moving.sum()))
+    shares = {name: float((mask & moving).sum()) / usable for name, mask in held.items()}
+    text = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.items())
+    whole = torch.stack(list(held.values())).all(0)
+    rows = (whole & moving).nonzero().flatten() + 1
+    if len(rows) / usable > HELD:
+        repair = Bridge(tuple(rows.tolist()))
+        return Check(
+            "held samples",
+            "wrong",
+            f"{100 * len(rows) / usable:.3g} % of the rows in motion repeat the row before "
+            "(no new sample had come)",
+            estimate=len(rows) / usable,
+            fix=str(repair),
+            repairs=(repair,),
+        )
+    late = [name for name, share in shares.items() if share > 2 * HELD]
+    if late:
+        return Check(
+            "held samples",
+            "doubtful",
+            f"repeated values while the arm moves: {text}: {' and '.join(late)} came at a lower "
+            "rate and were held",
+            estimate=max(shares.values()),
+            fix="log all signals at the rate of the slowest; holding delays by half its step",
+        )
+    return Check("held samples", "fine", f"repeated while moving: {text}", estimate=0.0)
+
+
+def _held(log: Log, name: str) -> Bool[Tensor, " steps"]:
+    """Whether row k + 1 repeats row k in every joint of a signal."""
+    signal = log.signals[name]
+    live = (signal != signal[0]).any(0)
+    if not live.any():
+        return torch.zeros(log.samples - 1, dtype=torch.bool)
+    return (signal.diff(dim=0)[:, live] == 0).all(1)
+
+
+def _moving(log: Log) -> Bool[Tensor, " steps"]:
+    """Whether some joint is in motion around each step: what five samples either way cover."""
+    q = log.q
+    wide = torch.zeros(log.samples - 1, dtype=torch.bool)
+    reach = min(5, (log.samples - 1) // 2)
+    span = (q[2 * reach :] - q[: -2 * reach]).abs()
+    speed = span / max(1, 2 * reach)
+    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.9, dim=0)
+    active = (speed > 0.2 * fast) & (fast > 0)
+    wide[reach : reach + len(active) - 1] = active.any(1)[:-1]
+    same = log.trajectory.diff() == 0
+    return wide & same

@@ -1,0 +1,178 @@
+"""Fitting torque with bodies that can exist, without nominal parameters.
+
+Every link is a sum of point masses, each zero or more, on a grid around its frame: what such a sum
+can be is (up to the grid) what a rigid body can be, since a rigid body is a sum of point masses.
+With friction coefficients and rotor inertia zero or more and a free offset, the torque is linear in
+unknowns that are not negative: one small non-negative least-squares problem (Lawson and Hanson
+1974, chapter 23). A torque of the wrong sign needs negative masses and finds no fit at all, which
+is what makes signs and the direction of gravity decidable from a log alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from torchid.robot.model import Robot
+
+SIZES = (0.3, 0.12, 0.04)
+"""Half the edges of the cubes whose corners, edges' and faces' middles and centre are a link's
+points, as shares of the arm's reach."""
+OWN = 4
+"""Columns of a joint's own: dq, direction of motion, ddq, one."""
+_LEAST_REACH = 0.5
+_ROUNDS = 3
+_FLOOR = 0.005
+"""Errors below this share of a torque's spread count as none: no log is that good."""
+_RANK = 1e-9
+_UNSEEN = 1e-6
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of each joint's rows, a block of time apart.
+
+    Attributes:
+        gram: (B, n, P, P).
+        cross: (B, n, P) with the torque.
+        square: (B, n) of the torque.
+        count: (B, n) rows.
+        spread: (n,) variance of the torque about its mean, 0 where it never changes.
+    """
+
+    gram: np.ndarray
+    cross: np.ndarray
+    square: np.ndarray
+    count: np.ndarray
+    spread: np.ndarray
+
+    def without(self, block: int) -> "Normal":
+        """The other blocks."""
+        keep = np.arange(len(self.count)) != block
+        return Normal(
+            self.gram[keep], self.cross[keep], self.square[keep], self.count[keep], self.spread
+        )
+
+    def mean_square(self, x: np.ndarray) -> np.ndarray:
+        """(B, n) mean squared error of parameters x (P,)."""
+        error = (
+            np.einsum("p,bnpq,q->bn", x, self.gram, x, optimize=True)
+            - 2 * self.cross @ x
+            + self.square
+        )
+        return np.maximum(error, 0.0) / np.maximum(self.count, 1)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """From unknowns that are not negative to parameters.
+
+    Attributes:
+        matrix: (P, U); P = 10 n in the paper's order, then OWN a joint.
+    """
+
+    matrix: np.ndarray
+
+
+def cone(robot: Robot) -> Cone:
+    """Point masses of every link, then each joint's own coefficients."""
+    n = robot.n
+    reach = max(reach_of(robot), _LEAST_REACH)
+    axis = np.array([-1.0, 0.0, 1.0])
+    cube = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
+    points = np.unique(np.concatenate([size * cube for size in SIZES]), axis=0) * reach
+    body = np.stack([_point(x) for x in points], 1)
+    count = len(points)
+    rows = (OWN + 10) * n
+    matrix = np.zeros((rows, n * count + (OWN + 1) * n))
+    for link in range(n):
+        columns = slice(link * count, (link + 1) * count)
+        matrix[link, columns] = body[0]
+        matrix[n + 3 * link : n + 3 * link + 3, columns] = body[1:4]
+        matrix[4 * n + 6 * link : 4 * n + 6 * link + 6, columns] = body[4:]
+        first, own = 10 * n + OWN * link, n * count + (OWN + 1) * link
+        matrix[first : first + OWN, own : own + OWN] = np.eye(OWN)
+        matrix[first + OWN - 1, own + OWN] = -1.0
+    return Cone(matrix)
+
+
+def _point(x: np.ndarray) -> np.ndarray:
+    """Mass, first moment and inertia about the origin of one kilogram at x."""
+    j = x @ x * np.eye(3) - np.outer(x, x)
+    return np.array([1.0, *x, j[0, 0], j[0, 1], j[0, 2], j[1, 1], j[1, 2], j[2, 2]])
+
+
+def reach_of(robot: Robot) -> float:
+    """Length of the stretched arm [m]: the links' offsets added up."""
+    lengths = robot.before[:, :3, 3].norm(dim=-1).sum() + robot.after[:, :3, 3].norm(dim=-1).sum()
+    return float(lengths)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best bodies for a set of rows.
+
+    Attributes:
+        x: (P,) parameters.
+        variance: (n,) mean squared error of each joint's rows.
+        weights: (n,) what each row counted, times the spread of its torque.
+    """
+
+    x: np.ndarray
+    variance: np.ndarray
+    weights: np.ndarray
+
+
+def fit(
+    normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None, skip: int | None = None
+) -> Fit:
+    """Maximum likelihood with an unknown variance of each joint, by reweighting.
+
+    Args:
+        normal: rows.
+        bodies: what may be.
+        weights: (n,) of another fit, kept; None to find them.
+        skip: a joint (from 0) whose rows take no part.
+    """
+    gram, cross = normal.gram.sum(0), normal.cross.sum(0)
+    total = np.maximum(normal.count.sum(0), 1)
+    live = normal.spread > 0
+    if skip is not None:
+        live = live & (np.arange(len(live)) != skip)
+    spread = np.where(normal.spread > 0, normal.spread, 1.0)
+    given = weights
+    rounds = _ROUNDS if given is None else 1
+    w = live / spread if given is None else np.where(live, given, 0.0) / spread
+    x = np.zeros(gram.shape[-1])
+    variance = spread.copy()
+    for _ in range(rounds):
+        x = _solve(np.tensordot(w, gram, 1), w @ cross, bodies.matrix)
+        square = normal.square.sum(0) - 2 * cross @ x + np.einsum("p,npq,q->n", x, gram, x)
+        variance = np.maximum(square, 0.0) / total
+        if given is None:
+            w = live / np.maximum(variance, _FLOOR**2 * spread)
+    return Fit(x, variance, w * spread)
+
+
+def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Parameters M u with u >= 0 that minimise x' G x - 2 c' x."""
+    if not gram.any():
+        return np.zeros(len(gram))
+    size = np.sqrt(np.diagonal(gram))
+    size = np.where(size > 0, size, 1.0)
+    value, vector = np.linalg.eigh(gram / np.outer(size, size))
+    keep = value > _RANK * value[-1]
+    root = np.sqrt(value[keep])
+    rows = (vector[:, keep] * root).T * size @ matrix
+    target = vector[:, keep].T @ (cross / size) / root
+    norm = np.linalg.norm(rows, axis=0)
+    # What hardly shows in these rows is rounding, and would be fitted with masses of any size.
+    norm[norm < _UNSEEN * norm.max(initial=0.0)] = np.inf
+    u, _ = nnls(rows / norm, target, maxiter=50 * rows.shape[1])
+    return matrix @ (u / norm)
+
+
+def relative(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Errors as a share of the torque's spread, no smaller than any log's."""
+    safe = np.where(spread > 0, spread, 1.0)
+    return np.sqrt(np.maximum(variance / safe, _FLOOR**2))

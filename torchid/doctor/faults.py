@@ -1,0 +1,160 @@
+"""What the search found, as checks: order, signs, gains, and what cannot be told."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.hypothesis import Judge
+from torchid.doctor.moves import LEAST_GAIN, Move
+from torchid.doctor.profile import profile
+from torchid.doctor.repair import TORQUE, Scale
+from torchid.doctor.search import TIE, Found, Search
+
+CHECK_OF = {
+    "torque sign": "torque sign",
+    "position sign": "position sign",
+    "joint sign": "position sign",
+    "torque order": "joint order",
+    "position order": "joint order",
+    "joint order": "joint order",
+    "gain": "gain of a joint",
+    "position unit": "position unit, by torque",
+}
+_FINE = {
+    "joint order": "no exchange of columns explains the torque better",
+    "torque sign": "bodies with positive masses and friction that brakes explain the torque",
+    "position sign": "no other direction of a joint explains the torque better",
+    "gain of a joint": "the joints' torques agree with one another",
+}
+
+
+def fault_checks(judge: Judge, result: Search) -> list[Check]:
+    """One check a fault, and one line for each kind that has none."""
+    checks = [_check(judge, result, f) for f in result.found if f.move.kind in CHECK_OF]
+    checks = [c for c in checks if not _unsure(c)]
+    names = {c.name for c in checks}
+    live = judge.live(result.final.hypothesis)
+    for name, text in _FINE.items():
+        if name in names:
+            continue
+        if not live or (len(live) < 2 and name in ("joint order", "gain of a joint")):
+            checks.append(Check(name, "cannot tell", "fewer than two joints move with a torque"))
+        else:
+            checks.append(Check(name, "fine", text))
+    return checks
+
+
+def unseen(judge: Judge, result: Search) -> list[Check]:
+    """Faults that would not show in this log: mending what is right costs nothing."""
+    out = []
+    for kind, words in (
+        ("torque sign", "the sign of the torque of"),
+        ("position sign", "the sign of the position of"),
+        ("joint sign", "the direction of (position and torque together)"),
+        ("joint order", "the numbering of"),
+        ("torque order", "the order of the torques of"),
+        ("position order", "the order of the positions of"),
+    ):
+        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < TIE]
+        joints = sorted({g[0] for g in groups if len(g) == 1})
+        pairs = [g for g in groups if len(g) > 1]
+        if not joints and not pairs:
+            continue
+        told = [joint_list(joints)] if joints else []
+        told += [joint_list(g) for g in pairs[:3]]
+        out.append(
+            Check(
+                f"unseen {kind}",
+                "cannot tell",
+                f"{words} {', '.join(told)}: the other way explains the torque as well",
+                joints=tuple(sorted({*joints, *(k for g in pairs for k in g)})),
+            )
+        )
+    return out
+
+
+def _unsure(check: Check) -> bool:
+    """Whether a gain may as well be right."""
+    if check.name != "gain of a joint" or not isinstance(check.interval, tuple):
+        return False
+    low, high = check.interval
+    assert isinstance(low, float)
+    assert isinstance(high, float)
+    return low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
+
+
+def _check(judge: Judge, result: Search, found: Found) -> Check:
+    move = found.move
+    repairs = move.repairs
+    estimate: float | tuple[float, ...] | None = None
+    interval = None
+    text = improvement(found)
+    if move.kind == "gain":
+        factor, interval = _gain(judge, result, move)
+        joint = move.joints[0]
+        factors = tuple(1.0 / factor if k == joint else 1.0 for k in range(judge.robot.n))
+        repairs = (Scale(TORQUE, factors),)
+        estimate = factor
+        text = (
+            f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
+            f"joints' torques predict; {text}"
+        )
+    rivals = [r for r in found.rivals if (r.kind, r.joints) != (move.kind, move.joints)]
+    if rivals:
+        text += "; as good: " + ", ".join(_name(r) for r in rivals[:3])
+    return Check(
+        CHECK_OF[move.kind],
+        "wrong",
+        f"{_name(move)}: {text}",
+        joints=move.joints,
+        estimate=estimate,
+        interval=interval,
+        unit="ratio" if move.kind == "gain" else "",
+        fix=fix_text(repairs) + (" (or one of the others named)" if rivals else ""),
+        repairs=repairs,
+    )
+
+
+def improvement(found: Found) -> str:
+    """What mending does to the error of the joints it matters to most, held out."""
+    ratio = found.before / found.after
+    worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 1.1]
+    changes = ", ".join(
+        f"joint {k + 1} {100 * found.before[k]:.0f} % -> {100 * found.after[k]:.1f} %"
+        for k in worst
+    )
+    return f"held-out error {changes}, better in {found.blocks[0]} of {found.blocks[1]} blocks"
+
+
+def _gain(judge: Judge, result: Search, move: Move) -> tuple[float, tuple[float, float]]:
+    """The joint's torque over what it should be, refined with everything else mended."""
+    joint = move.joints[0]
+    end = result.final.hypothesis
+    fine = profile(
+        judge, lambda x: end.scaled((joint,), tau=math.exp(x)), (-0.3, 0.3), start=0.0, step=0.1
+    )
+    scale = next(r for r in move.repairs if isinstance(r, Scale)).factors[joint]
+    values = [1.0 / (scale * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
+    return values[0], (min(values[1:]), max(values[1:]))
+
+
+def _name(move: Move) -> str:
+    words = {
+        "torque sign": "torque has the wrong sign in",
+        "position sign": "position has the wrong sign in",
+        "joint sign": "position and torque have the wrong sign in",
+        "torque order": "torque columns exchanged among",
+        "position order": "position columns exchanged among",
+        "joint order": "joints numbered otherwise:",
+        "gain": "torque of another size in",
+        "position unit": "positions in degrees in",
+        "lag": "torque late or early",
+        "gravity": "another direction of gravity",
+    }[move.kind]
+    return f"{words} {_joints(move.joints)}".strip()
+
+
+def _joints(joints: Sequence[int]) -> str:
+    return joint_list(joints) if joints else ""

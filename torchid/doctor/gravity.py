@@ -1,0 +1,87 @@
+"""Where gravity points, by the torque, against where the robot's description has it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from torchid.doctor.check import Check
+from torchid.doctor.faults import improvement
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.profile import profile
+from torchid.doctor.search import CLEAR, TIE, Search
+
+TILT = math.radians(5.0)
+"""Tilts below this are within what a floor, a flange and a model of the friction make."""
+_LOOSE = math.radians(20.0)
+_STEP = math.radians(4.0)
+_HINT = "gravity: [{:.2f}, {:.2f}, {:.2f}] in the robot's yaml (base frame, m/s^2)"
+
+
+def check_gravity(judge: Judge, result: Search) -> Check:
+    """Estimated gravity with an interval of its tilt; the model's if nothing speaks against it."""
+    end = result.final.hypothesis
+    model = np.array(judge.robot.gravity.tolist())
+    size = float(np.linalg.norm(model))
+    flat = [cost for cost, m in result.costs if m.kind == "gravity"]
+    if size == 0.0 or not judge.live(end):
+        return Check("gravity", "cannot tell", "no gravity in the model, or nothing moves")
+    if flat and min(abs(c) for c in flat) < TIE:
+        return Check("gravity", "cannot tell", "another direction of gravity explains it as well")
+    estimate, tilt, half, gain = _estimate(judge, end)
+    angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
+    turned = [f for f in result.found if f.move.kind == "gravity"]
+    where = "({:.2f}, {:.2f}, {:.2f})".format(*estimate)
+    text = (
+        f"torque says {where} m/s^2, {math.degrees(angle):.1f} deg from the model's "
+        f"(± {math.degrees(half):.1f} deg)"
+    )
+    base = Check(
+        "gravity",
+        "fine",
+        text,
+        estimate=tuple(float(x) for x in estimate),
+        interval=(math.degrees(max(0.0, angle - half)), math.degrees(angle + half)),
+        unit="m/s^2; interval: deg from the model's",
+    )
+    fix = _HINT.format(*estimate)
+    if turned:
+        text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
+        return replace(base, verdict="wrong", evidence=text, fix=fix)
+    if half > _LOOSE:
+        return replace(base, verdict="cannot tell")
+    if tilt - half > TILT and gain > CLEAR:
+        return replace(base, verdict="doubtful", fix=fix)
+    return base
+
+
+def mounting(gravity: np.ndarray) -> str:
+    """Floor, ceiling or wall, of the base frame's nearest axis."""
+    axis = int(np.argmax(np.abs(gravity)))
+    if axis == 2:
+        return "on the floor" if gravity[2] < 0 else "on the ceiling"
+    return f"on a wall, {'-' if gravity[axis] < 0 else '+'}{'xy'[axis]} down"
+
+
+def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, float]:
+    """Gravity (3,), its tilt from the hypothesis's, the 95 % half-width [rad], and by how much
+    the loss falls; two turns, one after the other."""
+    down = np.array(end.gravity)
+    size = float(np.linalg.norm(down))
+    down = down / size
+    across = np.linalg.svd(down[None])[2][1:]
+
+    def turned(x: float, y: float) -> Hypothesis:
+        axis = x * across[0] + y * across[1]
+        angle = float(np.linalg.norm(axis))
+        if angle == 0.0:
+            return end
+        vector = math.cos(angle) * down + math.sin(angle) * axis / angle
+        return replace(end, gravity=tuple((size * vector).tolist()))
+
+    first = profile(judge, lambda x: turned(x, 0.0), (), 0.0, _STEP)
+    second = profile(judge, lambda y: turned(first.value, y), (), 0.0, _STEP)
+    half = math.hypot(0.5 * (first.high - first.low), 0.5 * (second.high - second.low))
+    tilt = math.hypot(first.value, second.value)
+    found = np.array(turned(first.value, second.value).gravity)
+    return found, tilt, half, first.gain + second.gain

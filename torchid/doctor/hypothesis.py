@@ -1,0 +1,199 @@
+"""What a log may mean: which column is which joint, of which sign and size, under which gravity."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from torchid.doctor.cone import OWN, Cone, Fit, Normal, cone, fit, relative
+from torchid.doctor.samples import BLOCKS, Samples
+from torchid.dynamics.regressor import regressor
+from torchid.robot.model import Robot
+
+FEWEST = 5
+"""Rows that a joint must have in a block of time to be judged there."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Joint k of the robot is column `q_order[k]` of the log times `q_factor[k]`, likewise torque.
+
+    Attributes:
+        q_order, tau_order: (n,) columns of the log, from 0.
+        q_factor, tau_factor: (n,) what they are multiplied by.
+        gravity: (3,) in the base frame [m/s^2].
+        late: by how much the torque is late [s].
+    """
+
+    q_order: tuple[int, ...]
+    tau_order: tuple[int, ...]
+    q_factor: tuple[float, ...]
+    tau_factor: tuple[float, ...]
+    gravity: tuple[float, ...]
+    late: float = 0.0
+
+    @classmethod
+    def literal(cls, robot: Robot) -> "Hypothesis":
+        """The log and the robot's gravity at their word."""
+        order, ones = tuple(range(robot.n)), (1.0,) * robot.n
+        return cls(order, order, ones, ones, tuple(robot.gravity.tolist()))
+
+    def scaled(
+        self, joints: Sequence[int], *, q: float | None = None, tau: float | None = None
+    ) -> "Hypothesis":
+        """With the factors of some joints multiplied."""
+
+        def times(values: tuple[float, ...], factor: float | None) -> tuple[float, ...]:
+            if factor is None:
+                return values
+            return tuple(v * factor if k in joints else v for k, v in enumerate(values))
+
+        return replace(
+            self, q_factor=times(self.q_factor, q), tau_factor=times(self.tau_factor, tau)
+        )
+
+    def reordered(
+        self, order: Sequence[int], *, q: bool = False, tau: bool = False
+    ) -> "Hypothesis":
+        """With joint k taken to be what was joint order[k]; factors go with their columns."""
+
+        def moved(values: tuple) -> tuple:
+            return tuple(values[j] for j in order)
+
+        out = self
+        if q:
+            out = replace(out, q_order=moved(self.q_order), q_factor=moved(self.q_factor))
+        if tau:
+            out = replace(out, tau_order=moved(self.tau_order), tau_factor=moved(self.tau_factor))
+        return out
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well bodies explain the torque under a hypothesis.
+
+    Attributes:
+        hypothesis: which.
+        fit: on all rows.
+        errors: (n,) in sample, as shares of the torque's spread.
+    """
+
+    hypothesis: Hypothesis
+    fit: Fit
+    errors: np.ndarray
+
+    @property
+    def loss(self) -> float:
+        """Mean logarithm of the errors times n: minus the log-likelihood of a row."""
+        return float(np.log(self.errors).sum())
+
+
+class Judge:
+    """Fits hypotheses about one log; keeps what several of them share."""
+
+    def __init__(self, robot: Robot, samples: Samples):
+        self.robot = robot
+        self.samples = samples
+        self.cone: Cone = cone(robot)
+        self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
+        self._torques: dict[float, np.ndarray] = {}
+        self._members = [(samples.block == b).numpy() for b in range(BLOCKS)]
+
+    def score(self, hypothesis: Hypothesis, weights: np.ndarray | None = None) -> Score:
+        """The fit on all rows; with given weights of a fit that was made, three times faster."""
+        normal = self.normal(hypothesis)
+        found = fit(normal, self.cone, weights=weights)
+        return Score(hypothesis, found, _shares(found.variance, normal.spread))
+
+    def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
+        """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
+        where a joint does not move."""
+        normal = self.normal(hypothesis)
+        rows = []
+        for b in range(BLOCKS):
+            found = fit(normal.without(b), self.cone)
+            shares = _shares(normal.mean_square(found.x)[b], normal.spread)
+            rows.append(np.where(normal.count[b] >= FEWEST, shares, np.nan))
+        return np.stack(rows)
+
+    def normal(self, hypothesis: Hypothesis) -> Normal:
+        """Normal equations of the rows under a hypothesis."""
+        a, gram = self.columns(hypothesis)
+        moving = self.moving(hypothesis)
+        tau = self.torque(hypothesis) * moving
+        weighted = [
+            (
+                np.einsum("tnp,tn->np", a[m], tau[m], optimize=True),
+                (tau[m] ** 2).sum(0),
+            )
+            for m in self._members
+        ]
+        counts = np.stack([moving[m].sum(0) for m in self._members])
+        total = np.maximum(counts.sum(0), 1)
+        spread = (tau**2).sum(0) / total - (tau.sum(0) / total) ** 2
+        dead = (spread < 1e-12 * max(1e-300, spread.max())) | (total < FEWEST * BLOCKS)
+        spread[dead] = 0.0
+        return Normal(
+            gram,
+            np.stack([w[0] for w in weighted]),
+            np.stack([w[1] for w in weighted]),
+            counts,
+            spread,
+        )
+
+    def torque(self, hypothesis: Hypothesis) -> np.ndarray:
+        """(T, n) torque of the robot's joints."""
+        late = hypothesis.late
+        if late not in self._torques:
+            self._torques[late] = self.samples.torque(late).numpy()
+        columns = self._torques[late][:, list(hypothesis.tau_order)]
+        return columns * np.array(hypothesis.tau_factor)
+
+    def live(self, hypothesis: Hypothesis) -> list[int]:
+        """Joints, from 0, that move enough to be judged and have a torque that varies."""
+        return np.flatnonzero(self.normal(hypothesis).spread > 0).tolist()
+
+    def moving(self, hypothesis: Hypothesis) -> np.ndarray:
+        """(T, n) whether each joint of the robot moves."""
+        return self.samples.moving[:, list(hypothesis.q_order)].numpy()
+
+    def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        """(T, n, P) regressor with each joint's own columns, and its (B, n, P, P) products."""
+        key = (hypothesis.q_order, hypothesis.q_factor, hypothesis.gravity)
+        if key not in self._columns:
+            if len(self._columns) > 6:
+                del self._columns[next(iter(self._columns))]
+            a = self.rows(hypothesis) * self.moving(hypothesis)[..., None]
+            gram = []
+            for m in self._members:
+                joints = np.ascontiguousarray(a[m].transpose(1, 0, 2))
+                gram.append(joints.transpose(0, 2, 1) @ joints)
+            self._columns[key] = (a, np.stack(gram))
+        return self._columns[key]
+
+    def motion(self, hypothesis: Hypothesis) -> list[torch.Tensor]:
+        """q, dq, ddq and direction (T, n) of the robot's joints."""
+        order = list(hypothesis.q_order)
+        factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
+        s = self.samples
+        return [
+            *(x[:, order] * factor for x in (s.q, s.dq, s.ddq)),
+            s.sign[:, order] * factor.sign(),
+        ]
+
+    def rows(self, hypothesis: Hypothesis) -> np.ndarray:
+        """(T, n, P) regressor with each joint's own columns."""
+        q, dq, ddq, sign = self.motion(hypothesis)
+        n = self.robot.n
+        gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
+        rigid = regressor(replace(self.robot, gravity=gravity), q, dq, ddq)
+        own = rigid.new_zeros(len(q), n, OWN * n)
+        for i in range(n):
+            columns = torch.stack([dq[:, i], sign[:, i], ddq[:, i], torch.ones_like(dq[:, i])], -1)
+            own[:, i, OWN * i : OWN * (i + 1)] = columns
+        return torch.cat([rigid, own], -1).numpy()
+
+
+def _shares(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    return np.where(spread > 0, relative(variance, spread), 1.0)

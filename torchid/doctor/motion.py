@@ -1,0 +1,173 @@
+"""Positions: units, whole turns, standstill."""
+
+import math
+
+import torch
+
+from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.repair import Repair, Scale, Unwrap
+from torchid.log.checks import (
+    DEGREES,
+    FOLLOWS,
+    STILL,
+    largest_angle,
+    near,
+    position_jumps,
+    velocity_agreement,
+)
+from torchid.log.model import Log
+from torchid.robot.model import JointType, Robot
+
+COUNTS = 100.0
+"""Positions beyond this [rad] that are whole numbers are encoder counts."""
+IDLE = 0.5
+"""Share of the log in which nothing may move."""
+
+
+def check_position_unit(robot: Robot, log: Log) -> Check:
+    """Degrees or encoder counts in place of radians."""
+    ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
+    factors, evidence = [1.0] * robot.n, []
+    unknown = []
+    for k, kind in enumerate(robot.joint_types):
+        if kind is JointType.PRISMATIC:
+            continue
+        q = log.q[:, k]
+        low, high = float(q.min()), float(q.max())
+        limits = robot.limits.position
+        far = max(-low, high) > largest_angle(None if limits is None else limits[k])
+        degrees = k in ratio and near(ratio[k], 1.0 / DEGREES)
+        if not (far or degrees):
+            continue
+        if bool((q == q.round()).all()) and max(-low, high) > COUNTS:
+            scale = _counts(ratio.get(k))
+            if scale is None:
+                unknown.append(k)
+            else:
+                factors[k] = scale
+            evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: encoder counts")
+        else:
+            factors[k] = 1.0 / DEGREES
+            why = f", dq{k + 1} is 1/{1 / ratio[k]:.1f} of its derivative" if degrees else ""
+            evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
+    factors = _same_for_all(factors, log, evidence)
+    return _position_check(factors, unknown, evidence, log, ratio)
+
+
+def _counts(ratio: float | None) -> float | None:
+    """Radians per count from dq in rad/s; a power of two per turn where that is near."""
+    if ratio is None or ratio > 0.05:
+        return None
+    turn = 2.0 * math.pi / ratio
+    power = 2.0 ** round(math.log2(turn))
+    return 2.0 * math.pi / (power if near(turn, power) else round(turn))
+
+
+def _same_for_all(factors: list[float], log: Log, evidence: list[str]) -> list[float]:
+    """Where most joints are in degrees, the others are too: they only stayed near zero."""
+    in_degrees = sum(f == 1.0 / DEGREES for f in factors)
+    if in_degrees == 0 or in_degrees == len(factors):
+        return factors
+    clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
+    return [
+        1.0 / DEGREES if f == 1.0 and (2 * in_degrees >= len(factors)) and k not in clear else f
+        for k, f in enumerate(factors)
+    ]
+
+
+def _position_check(
+    factors: list[float], unknown: list[int], evidence: list[str], log: Log, ratio: dict[int, float]
+) -> Check:
+    if not evidence:
+        size = float(log.q.abs().max())
+        return Check("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
+    joints = tuple(k for k, f in enumerate(factors) if f != 1.0 or k in unknown)
+    # A dq in the unit of q has the same fault; one in rad/s has not.
+    also = tuple(near(ratio.get(k, 0.0), 1.0) for k in range(log.n))
+    repairs: list[Repair] = []
+    if any(f != 1.0 for f in factors):
+        repairs.append(Scale(("q",), tuple(factors)))
+        moved = tuple(f if both else 1.0 for f, both in zip(factors, also, strict=True))
+        if log.dq is not None and any(f != 1.0 for f in moved):
+            repairs.append(Scale(("dq",), moved))
+    fix = fix_text(repairs)
+    if unknown:
+        fix = (fix + "; " if fix else "") + (
+            f"say how many counts make a turn in {joint_list(unknown)}: q = 2 pi / counts"
+        )
+    return Check(
+        "position unit",
+        "wrong",
+        "; ".join(evidence[:3]) + (f"; and {len(evidence) - 3} more" if len(evidence) > 3 else ""),
+        joints=joints,
+        estimate=tuple(1.0 / factors[k] for k in joints),
+        unit="per rad",
+        fix=fix,
+        repairs=tuple(repairs),
+    )
+
+
+def check_jumps(robot: Robot, log: Log) -> Check:
+    """Angles wrapped at a whole turn, or other steps that no motion makes."""
+    found = [*_wraps(robot, log), *position_jumps(log)]
+    if not found:
+        return Check("position jumps", "fine", "no jumps")
+    joints = []
+    for k in range(log.n):
+        mended = Unwrap((k,)).apply(log)
+        if not torch.equal(mended.q, log.q) and robot.joint_types[k] is JointType.REVOLUTE:
+            joints.append(k)
+    repairs = (Unwrap(tuple(joints)),) if joints else ()
+    mended = repairs[0].apply(log) if repairs else log
+    still_there = position_jumps(mended)
+    fix = fix_text(repairs) if repairs else ""
+    if still_there:
+        fix = (fix + "; " if fix else "") + "number the runs in a column traj"
+    return Check(
+        "position jumps",
+        "wrong" if repairs else "doubtful",
+        "; ".join(found[:3]),
+        joints=tuple(joints),
+        fix=fix,
+        repairs=repairs,
+    )
+
+
+def _wraps(robot: Robot, log: Log) -> list[str]:
+    """Angles within one turn that step by a whole one, however often."""
+    turn = 2.0 * math.pi
+    step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
+    extent = log.q.amax(0) - log.q.amin(0)
+    return [
+        f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
+        for k, kind in enumerate(robot.joint_types)
+        if kind is JointType.REVOLUTE
+        and float(extent[k]) < 1.01 * turn
+        and bool((step[:, k] > 0.9 * turn).any())
+    ]
+
+
+def check_standstill(log: Log) -> Check:
+    """Joints that never move, and time in which nothing does."""
+    extent = log.q.amax(0) - log.q.amin(0)
+    still = tuple(int(k) for k in (extent < STILL).nonzero().flatten())
+    speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in log.trajectories()]).abs()
+    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.95, dim=0)
+    idle = float((speed < 0.02 * fast.clamp(min=1e-9)).all(1).double().mean())
+    text = f"{100 * idle:.0f} % of the time nothing moves"
+    if still:
+        return Check(
+            "standstill",
+            "doubtful",
+            f"{joint_list(still)} never move{'s' if len(still) == 1 else ''} (q varies by less "
+            f"than {STILL:g}): parameters of their own cannot be identified",
+            joints=still,
+            estimate=tuple(float(extent[k]) for k in still),
+            unit="rad",
+            fix="add a log in which they move",
+        )
+    if idle > IDLE:
+        return Check(
+            "standstill", "doubtful", text, estimate=idle, fix="cut the pauses, or --rows moving"
+        )
+    return Check("standstill", "fine", text, estimate=idle)

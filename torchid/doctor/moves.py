@@ -1,0 +1,181 @@
+"""Single faults a log may have, as moves from one hypothesis to the next."""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from torchid.doctor.cone import OWN, fit
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftTorque
+
+LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
+"""How late torque may be [s]; what lies between is found afterwards."""
+_LEAST_SHARE = 0.02
+"""Of a torque's variance, what the other joints must predict of it to say anything of its size."""
+DEGREE = math.pi / 180.0
+LEAST_GAIN = 1.5
+"""A joint's torque that is off by less is within what a gear or a drive gain may be."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A fault and the hypothesis that has it mended.
+
+    Attributes:
+        kind: torque sign, position sign, joint sign, torque order, position order, joint order,
+            gravity, position unit, gain, lag.
+        joints: from 0, those whose columns change.
+        after: the hypothesis.
+        repairs: the same as changes of the log; none for gravity, which is the robot's.
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    after: Hypothesis
+    repairs: tuple[Repair, ...] = ()
+
+
+def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """All moves from a hypothesis."""
+    live = judge.live(now)
+    yield from _signs(now, live)
+    yield from _orders(now, live)
+    if len(live) == judge.robot.n:
+        yield from _assigned(judge, now)
+    yield from _gravities(now)
+    yield from _gains(judge, now)
+    yield from _lags(judge, now)
+    everyone = tuple(range(judge.robot.n))
+    yield _scaled("position unit", everyone, now, q=DEGREE)
+
+
+def _scaled(
+    kind: str,
+    joints: Sequence[int],
+    now: Hypothesis,
+    *,
+    q: float | None = None,
+    tau: float | None = None,
+) -> Move:
+    repairs = [
+        Scale(signals, tuple(f if k in joints else 1.0 for k in range(len(now.q_order))))
+        for signals, f in ((MOTION, q), (TORQUE, tau))
+        if f is not None
+    ]
+    return Move(kind, tuple(joints), now.scaled(joints, q=q, tau=tau), tuple(repairs))
+
+
+def _lags(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    if now.late == 0.0:
+        for late in LAGS:
+            if abs(late) < judge.samples.reach:
+                yield Move("lag", (), replace(now, late=late), (ShiftTorque(late),))
+
+
+def _signs(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
+    everyone = tuple(range(len(now.q_order)))
+    groups = [(k,) for k in live] + ([everyone] if len(live) > 1 else [])
+    for joints in groups:
+        yield _scaled("torque sign", joints, now, tau=-1.0)
+        yield _scaled("position sign", joints, now, q=-1.0)
+        yield _scaled("joint sign", joints, now, q=-1.0, tau=-1.0)
+
+
+def _orders(now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
+    n = len(now.q_order)
+    orders: list[tuple[int, ...]] = []
+    for i, j in itertools.combinations(live, 2):
+        exchanged = {i: j, j: i}
+        orders.append(tuple(exchanged.get(k, k) for k in range(n)))
+    if n > 3 and len(live) == n:
+        orders.append(tuple(reversed(range(n))))
+    if n > 2 and len(live) == n:
+        orders += [tuple(np.roll(range(n), shift).tolist()) for shift in (1, -1)]
+    for order in orders:
+        yield _order(now, order, q=False, tau=True)
+        yield _order(now, order, q=True, tau=False)
+        yield _order(now, order, q=True, tau=True)
+
+
+def _order(now: Hypothesis, order: tuple[int, ...], *, q: bool, tau: bool) -> Move:
+    kind = "joint order" if q and tau else ("position order" if q else "torque order")
+    joints = tuple(k for k, j in enumerate(order) if k != j)
+    repairs = [Reorder(s, order) for s, moved in ((MOTION, q), (TORQUE, tau)) if moved]
+    return Move(kind, joints, now.reordered(order, q=q, tau=tau), tuple(repairs))
+
+
+def _assigned(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """The order of the torque columns that single joints' rows, each by itself, explain best."""
+    a, _ = judge.columns(now)
+    tau = judge.torque(now)
+    moving = judge.moving(now)
+    n = judge.robot.n
+    if n < 3:
+        return
+    scale = np.where(tau.std(0) > 0, tau.std(0), 1.0)
+    errors = np.ones((n, n))
+    for i in range(n):
+        rows = moving[:, i]
+        if rows.sum() < 2 * a.shape[-1]:
+            continue
+        u, s, _ = np.linalg.svd(a[rows, i], full_matrices=False)
+        basis = u[:, s > 1e-8 * max(s[0], 1e-300)]
+        left = tau[rows] - basis @ (basis.T @ tau[rows])
+        errors[i] = left.std(0) / scale
+    _, order = linear_sum_assignment(np.log(np.maximum(errors, 1e-3)))
+    found = tuple(int(j) for j in order)
+    if found != tuple(range(n)):
+        yield _order(now, found, q=False, tau=True)
+
+
+def _gravities(now: Hypothesis) -> Iterator[Move]:
+    size = float(np.linalg.norm(now.gravity))
+    if size == 0.0:
+        return
+    down = np.array(now.gravity) / size
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            other = np.zeros(3)
+            other[axis] = sign
+            if down @ other < 0.99:
+                yield Move("gravity", (), replace(now, gravity=tuple((size * other).tolist())))
+
+
+def _gains(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """Each joint's torque at the size that the other joints' rows predict for it."""
+    for k, slope in enumerate(gain_slopes(judge, now)):
+        if math.isfinite(slope) and abs(math.log(max(abs(slope), 1e-9))) > math.log(LEAST_GAIN):
+            yield _scaled("gain", (k,), now, tau=1.0 / slope)
+
+
+def gain_slopes(judge: Judge, now: Hypothesis) -> list[float]:
+    """Measured torque over what the bodies that the other joints show predict, a joint; NaN where
+    they predict nothing. Friction, rotor inertia and offset of the joint are free."""
+    normal = judge.normal(now)
+    n = judge.robot.n
+    slopes = []
+    for i in range(n):
+        if n == 1 or normal.spread[i] == 0:
+            slopes.append(math.nan)
+            continue
+        others = fit(normal, judge.cone, skip=i)
+        rigid = others.x.copy()
+        rigid[10 * n :] = 0.0
+        own = np.zeros((OWN, len(rigid)))
+        own[np.arange(OWN), 10 * n + OWN * i + np.arange(OWN)] = 1.0
+        basis = np.vstack([rigid, own])
+        gram = basis @ normal.gram.sum(0)[i] @ basis.T
+        cross = basis @ normal.cross.sum(0)[i]
+        # What is predicted beyond what the joint's own columns can be.
+        rest = gram[0, 0] - gram[0, 1:] @ np.linalg.pinv(gram[1:, 1:]) @ gram[1:, 0]
+        if rest <= 1e-9 * gram[0, 0] or gram[0, 0] <= 0:
+            slopes.append(math.nan)
+            continue
+        slope = float((np.linalg.pinv(gram, rcond=1e-10) @ cross)[0])
+        share = slope**2 * rest / (normal.spread[i] * normal.count[:, i].sum())
+        slopes.append(slope if share > _LEAST_SHARE else math.nan)
+    return slopes

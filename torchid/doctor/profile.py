@@ -1,0 +1,83 @@
+"""The best value of a number in a hypothesis, with an interval that respects slow errors."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from torchid.doctor.cone import Normal, fit, relative
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.samples import BLOCKS
+
+Family = Callable[[float], Hypothesis]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A number and what is known of it.
+
+    Attributes:
+        value: where the loss is lowest.
+        low, high: 95 %, from leaving out one block of time after the other.
+        gain: by how much the loss is lower than at the starting value.
+        loss: there.
+    """
+
+    value: float
+    low: float
+    high: float
+    gain: float
+    loss: float
+
+
+def profile(
+    judge: Judge, family: Family, grid: Sequence[float], start: float, step: float
+) -> Profile:
+    """Minimise the loss over one number: on a grid, then by parabolas, then by the jackknife.
+
+    Args:
+        judge: of the log.
+        family: the hypothesis for each value.
+        grid: first values tried; `start` is one more.
+        start: the value that would be fine.
+        step: distance of the values that a parabola goes through.
+    """
+    at = {x: judge.score(family(x)).loss for x in {*grid, start}}
+    best = min(at, key=lambda x: at[x])
+    for _ in range(3):
+        values = (best - step, best, best + step)
+        best = _vertex(values, [judge.score(family(x)).loss for x in values])
+    loss = judge.score(family(best)).loss
+    low, high = _jackknife(judge, family, best, step)
+    return Profile(best, low, high, at[start] - loss, loss)
+
+
+def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
+    """The lowest point of the parabola through three points, at most two steps away."""
+    a, b, c = losses
+    step = values[2] - values[1]
+    curve = a - 2 * b + c
+    if curve <= 0:
+        return values[int(np.argmin(losses))]
+    return float(values[1] + np.clip(0.5 * (a - c) / curve, -2.0, 2.0) * step)
+
+
+def _jackknife(judge: Judge, family: Family, best: float, step: float) -> tuple[float, float]:
+    values = (best - step, best, best + step)
+    normals = [judge.normal(family(x)) for x in values]
+    weights = fit(normals[1], judge.cone).weights
+    estimates = []
+    for b in range(BLOCKS):
+        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
+        estimates.append(_vertex(values, losses))
+    centre = np.mean(estimates)
+    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((np.array(estimates) - centre) ** 2)))
+    half = float(student.ppf(0.975, BLOCKS - 1)) * spread
+    return best - half, best + half
+
+
+def _loss(normal: Normal, judge: Judge, weights: np.ndarray) -> float:
+    found = fit(normal, judge.cone, weights=weights)
+    live = normal.spread > 0
+    return float(np.log(relative(found.variance, normal.spread)[live]).sum())

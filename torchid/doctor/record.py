@@ -1,0 +1,42 @@
+"""An examination as plain data: the schema torchid.doctor/1. Joints are 1-based."""
+
+import math
+from typing import Any
+
+from torchid.doctor.check import Check
+from torchid.doctor.examine import Examination
+
+SCHEMA = "torchid.doctor/1"
+
+
+def record(examination: Examination) -> dict[str, Any]:
+    """The examination as JSON-ready data."""
+    return {
+        "schema": SCHEMA,
+        "robot": examination.robot.name,
+        "log": examination.log.source,
+        "silent": examination.silent,
+        "checks": [_check(check) for check in examination.checks],
+        "repairs": [str(repair) for repair in examination.repairs],
+    }
+
+
+def _check(check: Check) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "verdict": check.verdict,
+        "joints": [k + 1 for k in check.joints],
+        "estimate": _plain(check.estimate),
+        "interval": _plain(check.interval),
+        "unit": check.unit,
+        "evidence": check.evidence,
+        "fix": check.fix,
+        "applicable": bool(check.repairs),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON has, null for those it has not."""
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,158 @@
+"""A log as the doctor's model checks take it: smooth, on a coarse grid, in blocks of time."""
+
+from dataclasses import dataclass
+
+import torch
+from scipy.interpolate import CubicSpline
+
+from torchid.log.checks import MOVING
+from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.model import Log
+from torchid.log.sampling import resample, sampling_rate
+from torchid.typing import Bool, Float, Int, Tensor
+
+BLOCKS = 8
+"""Blocks of time that are held out in turn; longer than any filter's or friction's memory."""
+SLOW = 1e-3
+"""The direction of motion is taken seriously from here [rad/s or m/s]."""
+MOST = 1600
+"""Samples kept, spread evenly."""
+_LOOK_HZ = 15.0
+_CUTOFF_HZ = (2.0, 12.0)
+_MOTION_SHARE = 0.98
+_PER_PERIOD = 6.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One trajectory, low-passed and decimated.
+
+    Attributes:
+        t: (T,) [s].
+        q, dq, ddq: (T, n), derivatives of the smoothed positions.
+        sign: (T, n) smoothed direction of motion.
+        moving: (T, n) whether each joint moves: at rest, static friction holds any torque.
+        tau: (T, n) smoothed torque (or current).
+        inside: samples at either end that a shift of the torque may use and rows may not.
+    """
+
+    t: Float[Tensor, " T"]
+    q: Float[Tensor, "T n"]
+    dq: Float[Tensor, "T n"]
+    ddq: Float[Tensor, "T n"]
+    sign: Float[Tensor, "T n"]
+    moving: Bool[Tensor, "T n"]
+    tau: Float[Tensor, "T n"]
+    inside: slice
+
+    def torque(self, late: float) -> Float[Tensor, "T n"]:
+        """Torque of the rows, read `late` seconds later than their motion."""
+        if late == 0.0:
+            return self.tau[self.inside]
+        t = self.t.numpy()
+        spline = CubicSpline(t, self.tau.numpy())
+        return torch.from_numpy(spline(t[self.inside] + late))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """All trajectories of a log.
+
+    Attributes:
+        stretches: one a trajectory.
+        q, dq, ddq, sign, moving: (T, n) rows of all of them.
+        block: (T,) block of each row, 0..BLOCKS-1.
+        period: of the fastest motion kept [s].
+        reach: how far torque may be shifted [s].
+        step: of the log [s].
+    """
+
+    stretches: tuple[Stretch, ...]
+    q: Float[Tensor, "T n"]
+    dq: Float[Tensor, "T n"]
+    ddq: Float[Tensor, "T n"]
+    sign: Float[Tensor, "T n"]
+    moving: Bool[Tensor, "T n"]
+    block: Int[Tensor, " T"]
+    period: float
+    reach: float
+    step: float
+
+    def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
+        """Torque of the rows, read `late` seconds later than their motion."""
+        return torch.cat([s.torque(late) for s in self.stretches])
+
+
+def samples(log: Log) -> Samples | None:
+    """Rows for the model checks, or None where the log is too short or has no torque.
+
+    The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
+    """
+    log = log if log.tau is not None else log.replace(tau=log.current)
+    if log.tau is None:
+        return None
+    even = resample(log)
+    parts = list(zip(even.trajectories(), sampling_rate(even), strict=True))
+    usable = [(p, r) for p, r in parts if p.samples > 40]
+    if not usable:
+        return None
+    cutoff = max(_cutoff(p, r) for p, r in usable)
+    total = sum(p.samples / r for p, r in usable)
+    made = [_stretch(p, r, cutoff, MOST / total) for p, r in usable]
+    kept = [s for s in made if s is not None]
+    if not kept:
+        return None
+    rows = {
+        name: torch.cat([getattr(s, name)[s.inside] for s in kept])
+        for name in ("q", "dq", "ddq", "sign", "moving")
+    }
+    count = len(rows["q"])
+    if count < 10 * BLOCKS:
+        return None
+    return Samples(
+        tuple(kept),
+        **rows,
+        block=torch.arange(count) * BLOCKS // count,
+        period=1.0 / cutoff,
+        reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
+        step=1.0 / max(r for _, r in usable),
+    )
+
+
+def _cutoff(log: Log, rate: float) -> float:
+    dq = central_difference(log.q.T, rate)
+    power = torch.fft.rfft(dq - dq.mean(-1, keepdim=True)).abs() ** 2
+    frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate)
+    power = power[:, frequency < min(_LOOK_HZ, 0.3 * rate)]
+    share = power / power.sum(-1, keepdim=True).clamp(min=1e-300)
+    top = float(frequency[int((share.mean(0).cumsum(0) < _MOTION_SHARE).sum())])
+    low, high = _CUTOFF_HZ
+    return min(max(4.0 * top, low), high, 0.2 * rate)
+
+
+def _stretch(log: Log, rate: float, cutoff: float, most_per_second: float) -> Stretch | None:
+    low = ZeroPhaseFilter(rate, cutoff)
+    assert log.tau is not None
+    q = low.apply(log.q.T)
+    dq = central_difference(q, rate)
+    wide = min(5.0 * cutoff, 0.4 * rate)
+    sharp = central_difference(ZeroPhaseFilter(rate, wide).apply(log.q.T), rate)
+    fast = torch.quantile(sharp.abs(), 0.95, dim=-1, keepdim=True)
+    sign = low.apply(torch.tanh(sharp / (0.02 * fast).clamp(min=SLOW)))
+    extent = q.amax(-1, keepdim=True) - q.amin(-1, keepdim=True)
+    moving = (sign.abs() > 0.5) & (extent > MOVING)
+    every = max(1, int(rate / max(_PER_PERIOD * cutoff, 0.0)), int(rate / most_per_second))
+    # Torque is interpolated between kept samples, which must not be sparser than its band.
+    fine = max(1, int(rate / (_PER_PERIOD * cutoff)))
+    every = fine if every < 2 * fine else every
+    picked = slice(0, None, every)
+    edge = max(round(rate / cutoff), round(0.25 * rate))
+    edge = -(-min(edge, log.samples // 6) // every)
+    ddq, tau = central_difference(dq, rate), low.apply(log.tau.T)
+    q, dq, ddq, sign, moving, tau = (
+        x.T[picked].contiguous() for x in (q, dq, ddq, sign, moving, tau)
+    )
+    count = len(q)
+    if count < 2 * edge + 10:
+        return None
+    return Stretch(log.t[picked], q, dq, ddq, sign, moving, tau, slice(edge, count - edge))

@@ -1,0 +1,259 @@
+"""Is torque in newton metres at the joint? Against nominal parameters, limits, or plain sense."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.stats import t as student
+
+from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.cone import reach_of
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.moves import gain_slopes
+from torchid.doctor.repair import TORQUE, Scale
+from torchid.doctor.samples import BLOCKS
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.log.model import Log
+from torchid.robot.model import Robot
+
+WRONG, ODD = 5.0, 2.2
+"""Factors beyond which a torque is in another unit, or odd; CAD models err by up to 1.7."""
+BEYOND_LIMIT, BELOW_LIMIT = 5.0, 5e-3
+DENSITY = (0.03, 100.0)
+"""Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
+on arms from a desk to a foundry."""
+_LEAST_REACH = 0.2
+_UNITS = (
+    (1e3, "N mm or mN m, or mA"),
+    (1e-3, "kN m"),
+    (100.0, "N cm"),
+)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Measured torque over nominal, one a joint; friction, rotor and offset are free.
+
+    Attributes:
+        joints: from 0, those whose nominal torque varies enough to say.
+        value, low, high: (J,) with 95 % intervals, blocks of time left out in turn.
+    """
+
+    joints: tuple[int, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
+    """Slope of measured on nominal torque of each joint that moves."""
+    motion = judge.motion(hypothesis)
+    q, dq, ddq, _ = motion
+    nominal = inverse_dynamics(judge.robot, q, dq, ddq).numpy()
+    tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
+    block = judge.samples.block.numpy()
+    rows = []
+    for j in judge.live(hypothesis):
+        own = [motion[k][:, j].numpy() for k in (1, 3, 2)]
+        x = np.stack([nominal[:, j], *own, np.ones(len(tau))], 1)
+        found = _slope(x, tau[:, j], block, moving[:, j])
+        if found is not None:
+            rows.append((j, *found))
+    table = np.array([r[1:] for r in rows]).reshape(-1, 3)
+    return Slopes(tuple(r[0] for r in rows), *table.T)
+
+
+def _slope(
+    x: np.ndarray, y: np.ndarray, block: np.ndarray, use: np.ndarray
+) -> tuple[float, float, float] | None:
+    def solved(rows: np.ndarray) -> float:
+        return float(np.linalg.lstsq(x[rows], y[rows], rcond=1e-9)[0][0])
+
+    size = x[use].std(0)
+    if size[0] == 0.0:
+        return None
+    value = solved(use)
+    others = [solved(use & (block != b)) for b in range(BLOCKS) if (use & (block == b)).any()]
+    count = len(others)
+    if count < 3:
+        return None
+    spread = math.sqrt(
+        (count - 1) / count * float(((np.array(others) - np.mean(others)) ** 2).sum())
+    )
+    half = float(student.ppf(0.975, count - 1)) * spread
+    return value, value - half, value + half
+
+
+def check_size(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> Check:
+    """The unit of the torque as a whole."""
+    if log.tau is None:
+        return _currents(judge, robot, hypothesis)
+    if robot.parameters is not None and robot.parameters.pi.abs().sum() > 0:
+        found = _against_nominal(judge, robot, hypothesis)
+        if found is not None:
+            return found
+    return _against_limits(robot, log) or _plain_sense(robot, log, judge, hypothesis)
+
+
+def _overall(slopes: Slopes) -> float | None:
+    """The median size of the clear slopes."""
+    clear = (slopes.value > 0) & (slopes.high - slopes.low < 0.6 * slopes.value)
+    return float(np.median(slopes.value[clear])) if clear.any() else None
+
+
+def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check | None:
+    slopes = nominal_slopes(judge, hypothesis)
+    overall = _overall(slopes)
+    if overall is None:
+        return None
+    text = f"measured torque is {overall:.3g} times nominal (median of the joints)"
+    base = Check(
+        "torque unit",
+        "fine",
+        text,
+        joints=slopes.joints,
+        estimate=tuple(slopes.value.tolist()),
+        interval=tuple(zip(slopes.low.tolist(), slopes.high.tolist(), strict=True)),
+        unit="ratio",
+    )
+    off = abs(math.log(overall))
+    if off < math.log(ODD):
+        return base
+    factor, name = _named(overall)
+    repairs = (Scale(TORQUE, (1.0 / factor,) * robot.n),)
+    text += f": {name}" if name else ": a gain, a gear ratio, or another robot's parameters"
+    found = replace(base, verdict="doubtful", evidence=text, fix=fix_text(repairs))
+    return replace(found, verdict="wrong", repairs=repairs) if off > math.log(WRONG) else found
+
+
+def _named(ratio: float) -> tuple[float, str | None]:
+    for factor, name in _UNITS:
+        if abs(math.log(ratio / factor)) < math.log(ODD):
+            return factor, name
+    return float(f"{ratio:.3g}"), None
+
+
+def _against_limits(robot: Robot, log: Log) -> Check | None:
+    limits = robot.limits.torque
+    assert log.tau is not None
+    if limits is None or not bool(torch.isfinite(limits).all()) or not bool((limits != 0).any()):
+        return None
+    share = float((log.tau.abs().amax(0) / limits.abs().amax(-1).clamp(min=1e-9)).max())
+    text = f"the largest torque is {share:.3g} times its limit"
+    if share > BEYOND_LIMIT:
+        return _too_large(robot, text, share)
+    if share < BELOW_LIMIT:
+        return Check(
+            "torque unit",
+            "doubtful",
+            f"{text}: amperes, motor side, or kN m?",
+            estimate=share,
+            fix="--gain K1,K2,.. for currents; multiply motor torque by the gear ratio",
+        )
+    return Check("torque unit", "fine", text, estimate=share)
+
+
+def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -> Check:
+    """Is the mass that the largest torque would hold at arm's length one an arm can have?"""
+    assert log.tau is not None
+    gravity = float(robot.gravity.norm())
+    reach = reach_of(robot)
+    if gravity == 0.0 or reach < _LEAST_REACH or not judge.live(hypothesis):
+        return Check(
+            "torque unit",
+            "cannot tell",
+            "the robot has no nominal parameters, no torque limits and no reach to judge by",
+        )
+    mass = float(log.tau.abs().max()) / (gravity * reach)
+    density = mass / reach**3
+    text = f"the largest torque holds {mass:.3g} kg at the arm's length of {reach:.2g} m"
+    if density > DENSITY[1]:
+        return _too_large(robot, text, density)
+    if density < DENSITY[0]:
+        return Check(
+            "torque unit",
+            "doubtful",
+            f"{text}: amperes, motor side, or kN m?",
+            estimate=density,
+            unit="kg/m^3",
+            fix="--gain K1,K2,.. for currents; multiply motor torque by the gear ratio",
+        )
+    return Check("torque unit", "fine", text, estimate=density, unit="kg/m^3")
+
+
+def _too_large(robot: Robot, text: str, estimate: float) -> Check:
+    repairs = (Scale(TORQUE, (1e-3,) * robot.n),)
+    return Check(
+        "torque unit",
+        "wrong",
+        f"{text}: N mm, mN m or mA?",
+        estimate=estimate,
+        fix=fix_text(repairs),
+        repairs=repairs,
+    )
+
+
+def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
+    """Currents without gains; nominal parameters suggest some."""
+    text = "the log has currents [A] and no drive gains"
+    fix = "--gain K1,K2,.. [N m/A], or drive_gain in the robot's yaml"
+    if robot.parameters is None:
+        return Check("torque unit", "doubtful", text, fix=fix)
+    slopes = nominal_slopes(judge, hypothesis)
+    clear = [
+        (j, 1.0 / v)
+        for j, v, low, high in zip(
+            slopes.joints, slopes.value, slopes.low, slopes.high, strict=True
+        )
+        if v > 0 and high - low < 0.6 * v
+    ]
+    if clear:
+        guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
+        text += f"; nominal parameters suggest [N m/A] {guess}"
+    return Check(
+        "torque unit",
+        "doubtful",
+        text,
+        joints=tuple(j for j, _ in clear),
+        estimate=tuple(gain for _, gain in clear) or None,
+        unit="N m/A",
+        fix=fix,
+    )
+
+
+def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> list[Check]:
+    """Joints whose torque is far from the nominal one, and about which the other joints' torques
+    say nothing (such as the first, about a vertical axis)."""
+    if robot.parameters is None or log.tau is None:
+        return []
+    slopes = nominal_slopes(judge, hypothesis)
+    overall = _overall(slopes)
+    if overall is None or len(slopes.joints) < 3:
+        return []
+    low, high = slopes.low / overall, slopes.high / overall
+    # A payload is many times the nominal torque of a wrist, and no fault: the other joints know.
+    alone = [math.isnan(x) for x in gain_slopes(judge, hypothesis)]
+    odd = [
+        k
+        for k, joint in enumerate(slopes.joints)
+        if alone[joint] and (low[k] > WRONG or 0 < high[k] < 1.0 / WRONG)
+    ]
+    if not odd:
+        return []
+    joints = tuple(slopes.joints[k] for k in odd)
+    said = ", ".join(
+        f"{slopes.value[k]:.3g} ({slopes.low[k]:.3g} to {slopes.high[k]:.3g})" for k in odd
+    )
+    return [
+        Check(
+            "torque against nominal",
+            "doubtful",
+            f"torque of {joint_list(joints)} is {said} times nominal, the others' {overall:.3g}",
+            joints=joints,
+            estimate=tuple(float(slopes.value[k]) for k in odd),
+            interval=tuple((float(slopes.low[k]), float(slopes.high[k])) for k in odd),
+            unit="ratio",
+            fix="check the gear ratio or gain, or the nominal parameters, of these joints",
+        )
+    ]

@@ -1,0 +1,132 @@
+"""Torque columns by themselves: are they there, clipped, or coarse?"""
+
+import numpy as np
+
+from torchid.doctor.check import Check, joint_list
+from torchid.log.model import Log
+
+PILE = 0.004
+"""Share of the samples that may lie exactly at the largest torque."""
+RUN = 4
+"""Samples in a row at the largest torque that make it a level."""
+COARSE = 0.1
+"""Largest step between torque values, as a share of their standard deviation."""
+
+
+def check_torque(log: Log) -> Check:
+    """Columns of torque that are missing, zero or constant."""
+    signal = log.tau if log.tau is not None else log.current
+    if signal is None:
+        return Check(
+            "torque columns",
+            "wrong",
+            "the log has neither torque nor current",
+            fix="add columns tau1.. [N m] or i1.. [A]",
+        )
+    dead = tuple(k for k in range(log.n) if float(np.ptp(signal[:, k].numpy())) == 0.0)
+    if dead:
+        return Check(
+            "torque columns",
+            "wrong" if len(dead) == log.n else "doubtful",
+            f"torque of {joint_list(dead)} never changes: "
+            + ", ".join(f"{float(signal[0, k]):.4g}" for k in dead),
+            joints=dead,
+            fix="record it again, or leave these joints out of what you conclude",
+        )
+    kind = "torque" if log.tau is not None else "current"
+    return Check("torque columns", "fine", f"{kind} in all {log.n} joints")
+
+
+def check_saturation(log: Log) -> Check:
+    """Torque clipped at a level: many samples, in runs, exactly at the largest value."""
+    signal = log.tau if log.tau is not None else log.current
+    assert signal is not None
+    joints, levels, evidence = [], [], []
+    for k in range(log.n):
+        for sign, word in ((1.0, "largest"), (-1.0, "smallest")):
+            x = sign * signal[:, k].numpy()
+            share, level = _pile(x)
+            if share > PILE:
+                joints.append(k)
+                levels.append(float(sign * level))
+                evidence.append(
+                    f"tau{k + 1}: {100 * share:.2g} % of the samples are at the {word}, "
+                    f"{sign * level:.4g}"
+                )
+    if not joints:
+        return Check("saturation", "fine", "no torque is clipped")
+    return Check(
+        "saturation",
+        "wrong",
+        "; ".join(evidence[:4]),
+        joints=tuple(joints),
+        estimate=tuple(levels),
+        unit="N m",
+        fix="slow the motion down or raise the drive's limit and record again; clipped rows are "
+        "not the arm's torque",
+    )
+
+
+def _pile(x: np.ndarray) -> tuple[float, float]:
+    """Share of samples at the largest value if they come in runs and the values just below it do
+    not pile up likewise (as those of a coarse signal do); and that value."""
+    level = float(x.max())
+    spread = float(x.std())
+    if spread == 0.0:
+        return 0.0, level
+    at = x >= level - 1e-9 * max(abs(level), spread)
+    changes = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))
+    starts, ends = changes[::2], changes[1::2]
+    longest = int((ends - starts).max())
+    # The band just below the level, as wide as the signal's own resolution or a fiftieth of it.
+    width = max(_resolution(x), 0.02 * spread)
+    below = ((x < level) & ~at & (x >= level - 1.5 * width)).sum()
+    # A value that is held at rest is not clipped: runs must come more than once, or come steeply.
+    steep = _arrives_steeply(x, starts, ends)
+    if longest < RUN or at.sum() < 3 * max(1, below) or not steep:
+        return 0.0, level
+    return float(at.mean()), level
+
+
+def _arrives_steeply(x: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> bool:
+    """Whether the signal meets its level at a slope, as a clipped one does, and does not settle
+    there: the steps into and out of the runs are as large as its usual ones."""
+    step = np.abs(np.diff(x))
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    long = ends - starts >= RUN
+    edges = [step[a - 1] for a in starts[long] if a > 0]
+    edges += [step[b - 1] for b in ends[long] if b - 1 < len(step)]
+    return bool(edges) and float(np.median(edges)) >= 0.2 * usual
+
+
+def _resolution(x: np.ndarray) -> float:
+    """Median distance of neighbouring values that occur."""
+    values = np.unique(x)
+    return float(np.median(np.diff(values))) if len(values) > 1 else 0.0
+
+
+def check_resolution(log: Log) -> Check:
+    """Torque in steps that are coarse against its variation."""
+    signal = log.tau if log.tau is not None else log.current
+    assert signal is not None
+    shares = []
+    for k in range(log.n):
+        x = signal[:, k].numpy()
+        spread = float(x.std())
+        few = len(np.unique(x)) < 0.2 * len(x)
+        shares.append(_resolution(x) / spread if spread > 0 and few else 0.0)
+    coarse = tuple(k for k, share in enumerate(shares) if share > COARSE)
+    if not coarse:
+        return Check(
+            "resolution", "fine", f"torque steps up to {100 * max(shares):.2g} % of spread"
+        )
+    return Check(
+        "resolution",
+        "doubtful",
+        "torque comes in steps of "
+        + ", ".join(f"{100 * shares[k]:.0f} % of its spread (joint {k + 1})" for k in coarse),
+        joints=coarse,
+        estimate=tuple(shares[k] for k in coarse),
+        unit="share",
+        fix="log torque with more digits, or in smaller units",
+    )

@@ -1,0 +1,207 @@
+"""Is dq the derivative of q: of this joint, with this sign, size and timing?"""
+
+import math
+
+import numpy as np
+import torch
+from scipy.optimize import linear_sum_assignment
+
+from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
+from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.model import Log
+from torchid.log.sampling import resample, sampling_rate
+from torchid.typing import Tensor
+
+RPM = 30.0 / math.pi
+LATE_S = 0.015
+"""Lag of dq behind the derivative of q that is worth mending [s], and"""
+LATE_SHARE = 0.05
+"""... the share of dq that it, or anything else, makes wrong."""
+_CLOSE = 0.9
+"""Correlation of q with the integral of another joint's dq from which the two are taken for one."""
+_BAND_HZ = 10.0
+
+
+def check_velocity(log: Log) -> Check:
+    """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
+    if log.dq is None:
+        return Check("velocity", "fine", "no dq in the log: the derivative of q is used")
+    repairs: list[Repair] = []
+    said: list[str] = []
+    joints: list[int] = []
+    log = _reorder(log, repairs, said, joints)
+    factors = _velocity_factors(log, said, joints)
+    if isinstance(factors, float):
+        return _wrong_rate(factors)
+    if any(f != 1.0 for f in factors):
+        repairs.append(Scale(("dq",), tuple(factors)))
+        log = repairs[-1].apply(log)
+    lag, share, worst = velocity_lag(log)
+    text = f"dq follows the derivative of q within {100 * share:.2g} %, lag {1e3 * lag:.2g} ms"
+    unusable = share > LATE_SHARE and abs(lag) > LATE_S
+    if unusable:
+        word = "lags behind" if lag > 0 else "leads"
+        said.append(
+            f"dq {word} the derivative of q by {1e3 * abs(lag):.3g} ms, which makes it wrong by "
+            f"{100 * share:.2g} % (filtered, or from another clock)"
+        )
+        repairs.append(DropSignal("dq"))
+        joints = joints or list(worst)
+    elif share > 0.3:
+        said.append(
+            f"dq differs from the derivative of q by {100 * share:.3g} % in {joint_list(worst)}"
+        )
+        repairs.append(DropSignal("dq"))
+        joints = sorted({*joints, *worst})
+    if not said:
+        return Check("velocity", "fine", text, estimate=lag, unit="s")
+    return Check(
+        "velocity",
+        "wrong" if joints and not (len(said) == 1 and share > LATE_SHARE) else "doubtful",
+        "; ".join(said),
+        joints=tuple(joints),
+        estimate=lag if unusable else _ratios(factors, joints),
+        unit="s" if unusable else "ratio",
+        fix=fix_text(repairs),
+        repairs=tuple(repairs),
+    )
+
+
+def _ratios(factors: list[float], joints: list[int]) -> tuple[float, ...] | None:
+    """dq over the derivative of q in these joints, if that is what is wrong."""
+    ratios = tuple(1.0 / factors[k] for k in joints)
+    return ratios if any(r != 1.0 for r in ratios) else None
+
+
+def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]) -> Log:
+    """Velocity columns back to the positions whose derivative they are."""
+    matrix = _correlations(log)
+    moving = ~torch.isnan(matrix).all(1)
+    usable = torch.nan_to_num(matrix.abs(), nan=0.0)
+    _, order = linear_sum_assignment(-usable.numpy())
+    order = [int(j) for j in order]
+    wrong = [
+        k
+        for k, j in enumerate(order)
+        if j != k
+        and bool(moving[k])
+        and float(usable[k, j]) > max(_CLOSE, float(usable[k, k]) + 0.1)
+    ]
+    if not wrong:
+        return log
+    # Only a permutation of the joints that are clearly exchanged among themselves.
+    if sorted(wrong) != sorted(order[k] for k in wrong):
+        return log
+    full = tuple(order[k] if k in wrong else k for k in range(log.n))
+    said += [
+        f"dq{order[k] + 1} is the derivative of q{k + 1} (correlation {usable[k, order[k]]:.3f}; "
+        f"of dq{k + 1}: {float(torch.nan_to_num(matrix[k, k])):.2f})"
+        for k in wrong
+    ]
+    joints += wrong
+    repairs.append(Reorder(("dq",), full))
+    return repairs[-1].apply(log)
+
+
+def _correlations(log: Log) -> Tensor:
+    """Of each position with the integral of each velocity (n, n); NaN where nothing moves."""
+    assert log.dq is not None
+    moved, positions = [], []
+    for part in log.trajectories():
+        assert part.dq is not None
+        area = torch.zeros_like(part.q)
+        area[1:] = torch.cumulative_trapezoid(part.dq, part.t[:, None], dim=0)
+        moved.append(area - area.mean(0))
+        positions.append(part.q - part.q.mean(0))
+    a, q = torch.cat(moved), torch.cat(positions)
+    extent = log.q.amax(0) - log.q.amin(0)
+    a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
+    matrix = q.T @ a
+    matrix[extent < MOVING] = torch.nan
+    return matrix
+
+
+def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[float] | float:
+    """What dq must be multiplied by, a joint; one number where the clock is wrong instead."""
+    records = velocity_agreement(log)
+    factors = [1.0] * log.n
+    odd = []
+    for a in records:
+        if abs(a.correlation) < FOLLOWS:
+            continue
+        sign = -1.0 if a.correlation < 0 else 1.0
+        scaled = not 0.8 < a.ratio < 1.25
+        if sign < 0 or scaled:
+            odd.append(a)
+            factors[a.joint] = sign / _named_ratio(a.ratio)[0] if scaled else sign
+    if not odd:
+        return factors
+    ratios = [a.ratio for a in odd]
+    alike = len(odd) == len(records) and max(ratios) < 1.05 * min(ratios)
+    if alike and _named_ratio(ratios[0])[1] is None and all(a.correlation > 0 for a in odd):
+        return float(np.median(ratios))
+    for a in odd:
+        _ratio, name = _named_ratio(a.ratio)
+        minus = "-" if a.correlation < 0 else ""
+        unit = f", {name}" if name else ""
+        said.append(f"dq{a.joint + 1} is {minus}{a.ratio:.4g} times the derivative{unit}")
+        joints.append(a.joint)
+    # Joints that stand still share the unit of all the others.
+    if alike:
+        rest = set(range(log.n)) - {a.joint for a in odd}
+        for k in rest:
+            factors[k] = abs(factors[odd[0].joint])
+    return factors
+
+
+def _named_ratio(ratio: float) -> tuple[float, str | None]:
+    """The exact ratio of a known unit, if this is one."""
+    for factor, name in ((DEGREES, "deg/s"), (RPM, "rpm"), (1e3, "mrad/s"), (1.0, "rad/s")):
+        if near(ratio, factor):
+            return factor, name
+    return ratio, None
+
+
+def _wrong_rate(ratio: float) -> Check:
+    plain = float(f"{ratio:.2g}")
+    ratio = plain if abs(ratio / plain - 1.0) < 5e-3 else ratio
+    repair = ScaleTime(1.0 / ratio)
+    return Check(
+        "velocity",
+        "wrong",
+        f"every dq is {ratio:.4g} times the derivative of its q, which is no unit: the time stamps "
+        "run at another rate than the samples were taken at (or dq is scaled)",
+        estimate=ratio,
+        unit="ratio",
+        fix=f"{repair} (or scale dq by {1 / ratio:.4g}, if the stamps are right)",
+        repairs=(repair,),
+    )
+
+
+def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
+    """Lag [s] of dq behind the derivative of q (the median over joints), the largest share of a
+    moving joint's dq that is wrong, and the joints in which it is at least half as large."""
+    even = resample(log)
+    assert even.dq is not None
+    sums = []
+    for part, rate in zip(even.trajectories(), sampling_rate(even), strict=True):
+        assert part.dq is not None
+        low = ZeroPhaseFilter(rate, min(_BAND_HZ, 0.3 * rate))
+        reference = low.apply(central_difference(part.q.T, rate))
+        signal = low.apply(part.dq.T)
+        edge = min(round(rate / low.cutoff), part.samples // 4)
+        middle = slice(edge, part.samples - edge)
+        slope = central_difference(signal, rate)[:, middle]
+        difference = (reference - signal)[:, middle]
+        products = (difference * slope, slope**2, reference[:, middle] ** 2, difference**2)
+        sums.append(torch.stack([x.sum(-1) for x in products]))
+    numerator, denominator, size, gap = torch.stack(sums).sum(0)
+    active = size > 1e-3 * size.max()
+    if not bool(active.any()) or float(size.max()) == 0.0:
+        return 0.0, 0.0, ()
+    lag = float((numerator / denominator)[active].median())
+    share = torch.where(active, (gap / size.clamp(min=1e-300)).sqrt(), 0.0)
+    worst = (share > max(LATE_SHARE, 0.5 * float(share.max()))).nonzero().flatten()
+    return lag, float(share.max()), tuple(worst.tolist())

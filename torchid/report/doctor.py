@@ -1,0 +1,85 @@
+"""An examination of a log as a table and a figure for people."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from torchid.doctor.examine import Examination
+from torchid.report.figures import BLUE, INK, ORANGE, new_figure, styled
+from torchid.report.identification import compact
+from torchid.robot.model import JointType
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
+
+
+def tables(examination: Examination) -> list[Table]:
+    """What is not fine, wrong first; nothing where all is fine."""
+    rows = [c for c in examination.by_verdict() if c.verdict != "fine"]
+    if not rows:
+        return []
+    table = compact(f"log of {examination.robot.name}")
+    for heading in ("verdict", "check", "evidence", "fix"):
+        table.add_column(heading, no_wrap=heading in ("verdict", "check"))
+    for check in rows:
+        table.add_row(
+            Text(check.verdict, style=_STYLE[check.verdict]),
+            check.name,
+            Text(check.evidence),
+            Text(check.fix or ""),
+        )
+    return [table]
+
+
+def fine(examination: Examination) -> str:
+    """The checks that found nothing, in one line."""
+    names = [c.name for c in examination.checks if c.verdict == "fine"]
+    return "fine: " + ", ".join(names) if names else "nothing is fine"
+
+
+def headline(examination: Examination) -> str:
+    """One sentence."""
+    wrong = _named(examination, "wrong")
+    doubtful = _named(examination, "doubtful")
+    if not wrong and not doubtful:
+        return "Nothing speaks against this log."
+    said = []
+    if wrong:
+        said.append("wrong: " + ", ".join(wrong))
+    if doubtful:
+        said.append("to look at: " + ", ".join(doubtful))
+    return f"{'; '.join(said)[0].upper()}{'; '.join(said)[1:]}."
+
+
+def _named(examination: Examination, verdict: str) -> list[str]:
+    return list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))
+
+
+def torque_figure(examination: Examination) -> "Figure | None":
+    """Torque of each joint as the log has it, once mended, and what bodies explain of it."""
+    judge, search = examination.judge, examination.search
+    if judge is None or search is None:
+        return None
+    end = search.final.hypothesis
+    columns, _ = judge.columns(end)
+    measured, moving = judge.torque(end), judge.moving(end)
+    explained = np.where(moving, columns @ search.final.fit.x, np.nan)
+    n = examination.robot.n
+    figure = new_figure(10, 0.8 + 1.3 * n)
+    for k, axes in enumerate(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]):
+        styled(axes)
+        unit = "N" if examination.robot.joint_types[k] is JointType.PRISMATIC else "N m"
+        axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
+        axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
+        error = 100 * search.final.errors[k]
+        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %", fontsize=8, color=INK)
+        if k == 0:
+            axes.legend(
+                fontsize=8, ncols=2, frameon=False, loc="lower right", bbox_to_anchor=(1, 1)
+            )
+    axes.set_xlabel("low-passed samples, all trajectories", fontsize=8)
+    return figure
