@@ -72,6 +72,14 @@ def test_motion_is_the_filtered_derivative():
     assert torch.equal(found.moving, found.motion.dq.abs() > MOVING)
 
 
+def test_rounding_at_rest_has_no_direction():
+    """The same log from another file format differs in the last digit, at rest in its sign."""
+    dq = torch.tensor([0.0, 0.5, 1.0, 0.2, 0.0, 0.0, -0.4], dtype=torch.float64)
+    rounded = dq + 1e-13 * torch.tensor([-1.0, 1, 1, 1, -1, 1, -1], dtype=torch.float64)
+    both = torch.stack([dq, rounded], -1)
+    assert direction(both, torch.zeros(2)).T.tolist() == [[0, 1, 1, 1, 1, 1, -1]] * 2
+
+
 def test_the_direction_is_that_of_a_sharper_motion():
     found = one(LOG, reversal=torch.tensor([0.0, 0.05, 0.5], dtype=torch.float64))
     wide = ZeroPhaseFilter(RATE, WIDE * CUTOFF).apply(LOG.dq.T).T

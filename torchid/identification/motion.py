@@ -20,6 +20,9 @@ WIDE = 5.0
 """The direction of motion is taken from velocity filtered at this multiple of the cut-off, so that
 a reversal stays sharp until the common filter smooths it like the torque."""
 
+ROUNDED = 1e-9
+"""Share of a joint's largest speed below which it is rounding."""
+
 FEWEST = 10
 """Samples that a trajectory must have left when the filter's edges are cut."""
 
@@ -148,7 +151,10 @@ def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[T
 
 def _held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
     index = torch.arange(len(dq), device=dq.device)
-    last = torch.cummax(torch.where(dq.abs() > threshold, index, -1), 0).values
+    speed = dq.abs()
+    # At exact rest rounding has a sign too, another one in another file of the same log.
+    least = torch.maximum(threshold, ROUNDED * speed.max())
+    last = torch.cummax(torch.where(speed > least, index, -1), 0).values
     sign = torch.sign(dq).to(torch.int8)[last.clamp(min=0)]
     return torch.where(last >= 0, sign, torch.zeros_like(sign))
 
