@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torchid.effects.scan import affine_scan, clip_scan
+from torchid.effects.scan import affine_scan
 
 lengths = st.integers(0, 70)
 seeds = st.integers(0, 10_000)
@@ -25,10 +25,6 @@ def affine(z: Tensor, a: Tensor, b: Tensor) -> Tensor:
     return a * z + b
 
 
-def clip(z: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(z, low), high)
-
-
 @few
 @given(length=lengths, seed=seeds)
 def test_affine_scan_is_the_loop(length: int, seed: int) -> None:
@@ -42,35 +38,17 @@ def test_affine_scan_is_the_loop(length: int, seed: int) -> None:
     )
 
 
-@few
-@given(length=lengths, seed=seeds)
-def test_clip_scan_is_the_loop(length: int, seed: int) -> None:
-    g = torch.Generator().manual_seed(seed)
-    low = torch.randn(4, length, 3, generator=g, dtype=torch.float64)
-    high = low + torch.rand(4, length, 3, generator=g, dtype=torch.float64).round(decimals=1)
-    z = torch.randn(4, 3, generator=g, dtype=torch.float64)
-    assert torch.equal(clip_scan(low, high, z), loop(clip, low, high, z))
-
-
 @pytest.mark.parametrize("length", [1, 2, 3, 8, 1000])
 def test_long_and_short_sequences(length: int) -> None:
     a, b = torch.rand(length, 2), torch.randn(length, 2)
     z = torch.tensor([0.5, -2.0])
     torch.testing.assert_close(affine_scan(a, b, z), loop(affine, a, b, z), rtol=1e-12, atol=1e-12)
-    assert torch.equal(clip_scan(b, b + a, z), loop(clip, b, b + a, z))
 
 
 def test_a_mean_over_time_by_hand() -> None:
     """a = 1/2, b = 1 from 0: 1, 3/2, 7/4, .. -> 2."""
     found = affine_scan(torch.tensor(0.5), torch.ones(5, 1), torch.tensor(0.0))
     assert found.flatten().tolist() == [1.0, 1.5, 1.75, 1.875, 1.9375]
-
-
-def test_play_operator_by_hand() -> None:
-    """Half-width 1: the output follows once the gap is closed, and rests after a reversal."""
-    q = torch.tensor([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0, -1.0, 0.0]).unsqueeze(-1)
-    found = clip_scan(q - 1, q + 1, torch.tensor([0.0]))
-    assert found.flatten().tolist() == [0.0, 0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0, 0.0]
 
 
 def test_slopes_and_constants_are_broadcast_over_a_grid() -> None:

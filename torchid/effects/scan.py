@@ -1,13 +1,11 @@
 """Recursions along time without a loop over instants, for effects with a memory.
 
-Each step of these recursions is a map of the state (affine, or a clip) whose compositions are maps
-of the same kind, and composition is associative. So neighbouring steps are composed in pairs, the
-half as long sequence is scanned, and the instants between are filled in: 2 log2(T) passes over all
-signals and shape values at once, and about 2 T compositions (Blelloch 1990, Prefix Sums and Their
-Applications, section 1.4).
+Each step of the recursion is an affine map of the state, whose compositions are affine, and
+composition is associative. So neighbouring steps are composed in pairs, the half as long sequence
+is scanned, and the instants between are filled in: 2 log2(T) passes over all signals and shape
+values at once, and about 2 T compositions (Blelloch 1990, Prefix Sums and Their Applications,
+section 1.4).
 """
-
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -27,54 +25,31 @@ def affine_scan(a: Tensor, b: Tensor, initial: Tensor) -> Float[Tensor, "*batch 
         a, b: (..., T, n), broadcast with each other.
         initial: (..., n), or () for the same state everywhere.
     """
-    slope, constant = _scan(_affine_after, torch.broadcast_tensors(a, b))
+    slope, constant = _scan(torch.broadcast_tensors(a, b))
     return slope * _over_time(initial) + constant
-
-
-def clip_scan(low: Tensor, high: Tensor, initial: Tensor) -> Float[Tensor, "*batch T n"]:
-    """States z[0] .. z[T-1] (..., T, n) of z[k] = min(max(z[k-1], low[k]), high[k]), with
-    z[-1] = initial.
-
-    With low = q - w/2 and high = q + w/2 this is the play operator of width w. No arithmetic is
-    done on the values, so the result is exactly that of the plain loop.
-
-    Args:
-        low, high: (..., T, n) with low <= high, broadcast with each other.
-        initial: (..., n), or () for the same state everywhere.
-    """
-    low, high = _scan(_clip_after, torch.broadcast_tensors(low, high))
-    return torch.minimum(torch.maximum(_over_time(initial), low), high)
 
 
 def _over_time(initial: Tensor) -> Tensor:
     return initial.unsqueeze(-2) if initial.ndim else initial
 
 
-def _affine_after(first: Maps, second: Maps) -> Maps:
+def _after(first: Maps, second: Maps) -> Maps:
     """a2 (a1 z + b1) + b2."""
     (a1, b1), (a2, b2) = first, second
     return a2 * a1, a2 * b1 + b2
 
 
-def _clip_after(first: Maps, second: Maps) -> Maps:
-    """A clip of a clip is the clip to the second interval's part of the first, or to the second's
-    nearer end where they are apart."""
-    (low1, high1), (low2, high2) = first, second
-    low, high = (torch.minimum(torch.maximum(x, low2), high2) for x in (low1, high1))
-    return low, high
-
-
-def _scan(after: Callable[[Maps, Maps], Maps], maps: Maps) -> Maps:
+def _scan(maps: Maps) -> Maps:
     """Compositions of the maps from the first instant to each."""
     length = maps[0].shape[-2]
     if length < 2:
         return maps
     even, odd = (_every_other(maps, start) for start in (0, 1))
     pairs = odd[0].shape[-2]
-    to_odd = _scan(after, after(_instants(even, 0, pairs), odd))
+    to_odd = _scan(_after(_instants(even, 0, pairs), odd))
     # Instants 2, 4, ..: all before them, and their own map.
     later = even[0].shape[-2] - 1
-    to_even = after(_instants(to_odd, 0, later), _instants(even, 1, later + 1))
+    to_even = _after(_instants(to_odd, 0, later), _instants(even, 1, later + 1))
     out = tuple(torch.empty_like(x, memory_format=torch.contiguous_format) for x in maps)
     for whole, own, at_odd, at_even in zip(out, maps, to_odd, to_even, strict=True):
         whole[..., :1, :] = own[..., :1, :]
