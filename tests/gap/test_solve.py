@@ -242,3 +242,12 @@ def test_an_invisible_direction_of_an_effect_stays_at_zero():
     assert float(found.values[0][1]) == 0.0
     assert float(found.values[0][0]) == pytest.approx(5.0, abs=0.3)
     assert bool(found.std[0].isfinite().all())
+
+
+def test_a_term_that_is_not_in_these_rows_is_fitted_as_nothing():
+    """A contact's window may lie in the part that is left out."""
+    y = random(1, 300, seed=1)
+    term = term_of(bank(torch.zeros(1, 2, 300, dtype=torch.float64), 0))
+    found = fitted(problem(y, ()), [term])
+    assert found.values[0].tolist() == [0.0, 0.0]
+    assert found.loss == pytest.approx(float(y.square().sum()))

@@ -55,9 +55,10 @@ def fitted(problem: Problem, terms: Sequence[Term]) -> Fit:
     """
     both = (*problem.fixed, *terms)
     n = problem.y.shape[0]
-    if not both:
-        return Fit((), (), float(problem.y.square().sum()))
     bases = [_strong_directions(t) for t in both]
+    if not any(len(basis) for basis in bases):  # nothing, or nothing that is in these rows
+        zeros = tuple(t.columns.new_zeros(len(t.columns)) for t in both)
+        return Fit(zeros, zeros, float(problem.y.square().sum()))
     a = torch.cat(
         [basis @ in_all_rows(t.columns, t.place, n) for t, basis in zip(both, bases, strict=True)]
     )
