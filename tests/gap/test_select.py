@@ -143,6 +143,22 @@ def test_the_simpler_law_is_kept_while_something_else_is_left():
     assert [t.name for t in Search(made).run(5)] == [JUMP]
 
 
+def test_what_a_few_blocks_hold_is_not_given_to_a_simpler_law():
+    """The spread between blocks cannot tell a burst in one of them from anything: the simpler law
+    has a gain beyond chance, and a twentieth of the burst's."""
+    burst = torch.zeros(1, 1, N * ROWS, dtype=torch.float64)
+    burst[0, 0, 400:440] = 1.0
+    simple = random(1, 1, ROWS, seed=5)
+    simple[0, 0, 400:440] += 1.0
+    y = random(N, ROWS, seed=2) + 10 * burst[0].reshape(N, ROWS)
+    made = problem(y, (named(burst, None, "torque_crosstalk"), named(simple, 0, JUMP)))
+    one, two = Search(made).candidates(Search(made).model())
+    assert one.term.name == "torque_crosstalk"
+    assert made.threshold(1) < two.gain < 0.1 * one.gain
+    assert two.simplicity < one.simplicity
+    assert Search(made).run(5)[0].name == "torque_crosstalk"
+
+
 def test_a_composite_enters_as_its_parts():
     """Coulomb and viscous friction of one joint are offered together, and named one by one."""
     case = Case([(CoulombFriction(1), [0.5]), (ViscousFriction(1), [0.4])], tuple(KINDS))

@@ -22,7 +22,8 @@ def text_of(d) -> str:
 
 SENTENCES = {
     "no_gap": "No gap: measured torque and the model of 3r differ by no more than noise "
-    "(0.105 N m RMS over all joints; noise 0.0693 to 0.104).",
+    "(0.105 N m RMS over all joints; noise 0.0693 to 0.104). 2 effects could not have been seen "
+    "in these data, on joints 1 and 3.",
     "parametric_only": "The inertial parameters of link 3 are wrong, and no other effect is "
     "needed; with corrected ones the gap shrinks by 93 % [90, 95].",
     "explained": "Joint 2 has Coulomb friction that the model lacks (0.61 ± 0.02 N m); with it "
@@ -37,6 +38,14 @@ SENTENCES = {
 @pytest.mark.parametrize("status", SENTENCES)
 def test_verdict(status):
     assert verdict(diagnosis(status)) == SENTENCES[status]
+
+
+def test_causes_that_close_nothing_are_not_told_as_known():
+    d = diagnosis("detected_unexplained")
+    far = replace(d.how_far, rms_after=d.how_far.rms_before, closed=0.0, closed_ci95=(-0.1, 0.1))
+    said = verdict(replace(d, how_far=far))
+    assert said.startswith("There is a gap, and the data fitted say joint 2 has Coulomb friction")
+    assert said.endswith("so nothing is confirmed.")
 
 
 def test_verdict_of_several_effects():

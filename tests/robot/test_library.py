@@ -1,3 +1,4 @@
+import pickle
 from pathlib import Path
 
 import pytest
@@ -85,3 +86,11 @@ def test_a_urdf_is_read(arm_urdf: Path):
     assert load_robot(arm_urdf, tip="elbow").n == 2
     with pytest.raises(RobotError, match="available: world, base"):
         load_robot(arm_urdf, tip="nose")
+
+
+@pytest.mark.parametrize("name", ["kuka_lwr4_friction", "ur10e"])
+def test_a_robot_goes_to_another_process(name):
+    robot = load_robot(name)
+    again = pickle.loads(pickle.dumps(robot))
+    assert again.effects == robot.effects
+    assert torch.equal(again.before, robot.before)

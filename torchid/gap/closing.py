@@ -106,7 +106,7 @@ def closing(
         return Closing(rms[0], rms[1], gap_ci, improves, None, None)
     # There is no more noise than what is left.
     most = [torch.minimum(noise, share * left) for noise in ends for share in (1.0, SURELY_NOISE)]
-    intervals = [_interval(gain / (before_noise - noise)) for noise in most]
+    intervals = [_interval(_share(gain, before_noise - noise)) for noise in most]
     interval = min(i[0] for i in intervals), max(i[1] for i in intervals)
     value = float((l0 - l1).sum() / (l0.sum() - torch.minimum(counts.sum(), l1.sum())))
     return Closing(rms[0], rms[1], gap_ci, improves, value, interval)
@@ -168,6 +168,12 @@ def _draws(count: int, seed: int) -> Tensor:
     return torch.randint(0, count, (DRAWS, count), generator=generator)
 
 
+def _share(gain: Float[Tensor, " D"], gap: Float[Tensor, " D"]) -> Float[Tensor, " D"]:
+    """Closed shares of the draws in which there is a gap to close."""
+    return torch.where(gap > 0, gain / gap, torch.nan)
+
+
 def _interval(x: Float[Tensor, " D"]) -> Interval:
-    low, high = torch.quantile(x, torch.tensor([0.025, 0.975], dtype=x.dtype)).tolist()
+    ends = torch.tensor([0.025, 0.975], dtype=x.dtype)
+    low, high = torch.nanquantile(x, ends).tolist()
     return low, high

@@ -238,8 +238,10 @@ def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bo
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
+    # What happened once cannot be foretold elsewhere.
+    once = not found.parametric and all(f.effect.name in EVENTS for f in found.effects)
     least = far.closed_ci95 is not None and far.closed_ci95[1] < EXPLAINED
-    if unexplained or least or not far.improves:
+    if unexplained or not (once or (far.improves and not least)):
         return "detected_unexplained"
     return "explained" if found.effects else "parametric_only"
 

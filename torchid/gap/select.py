@@ -60,6 +60,9 @@ FEW_COLUMNS = 4
 DOUBTFUL = 0.2
 """Family-wise p-value above which an accepted effect leaves again where the noise is not known."""
 FLIP_LEVEL = 0.02
+HALF = 0.5
+"""Share of a gain that an effect must have to stand for another."""
+
 SIMPLER = 0.01
 """While misfit remains a simpler law is kept if it loses less than this share of the gain."""
 MISFIT = 1.12
@@ -307,7 +310,9 @@ class Search:
         for other in sorted(self.candidates(model), key=lambda c: c.simplicity):
             if other.simplicity >= best.simplicity:
                 return best
-            if other.gain < self.problem.threshold(other.df) or other.term.is_inertial:
+            # Where few blocks hold the gain, their spread cannot tell the best from anything.
+            least = max(self.problem.threshold(other.df), HALF * best.gain)
+            if other.gain < least or other.term.is_inertial:
                 continue
             loses_little = other.gain > (1 - SIMPLER) * best.gain
             # A secant is not taken at the estimate yet: it may lose that much.

@@ -110,6 +110,10 @@ def torque_unit(robot: Robot) -> str:
     return "N m" if kinds == {JointType.REVOLUTE} else "N m, N"
 
 
+UNCHANGED = 0.99
+"""Share of a gap's RMS that is left, from which the gap is as it was."""
+
+
 def verdict(diagnosis: Diagnosis) -> str:
     """The answer in plain words."""
     said = {
@@ -176,7 +180,19 @@ def _short_values(finding: Finding, robot: Robot) -> str:
 def _no_gap(d: Diagnosis) -> str:
     return (
         f"No gap: measured torque and the model of {d.robot.name} differ by no more than noise "
-        f"({_rms(d, 'before')} RMS over all joints; noise {_floor(d)})."
+        f"({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}).{_unseen(d)}"
+    )
+
+
+def _unseen(d: Diagnosis) -> str:
+    """What `no gap` does not say."""
+    count = len(d.not_testable)
+    if not count:
+        return ""
+    joints = sorted({x.joint for x in d.not_testable if x.joint is not None})
+    place = f", on {joints_words(joints)}" if joints else ""
+    return (
+        f" {count} effect{'s' if count > 1 else ''} could not have been seen in these data{place}."
     )
 
 
@@ -198,10 +214,22 @@ def _unexplained(d: Diagnosis) -> str:
             f"There is a gap ({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}) that no "
             f"effect of the library explains; it lies {_mostly(d)}"
         )
+    if _unconfirmed(d):
+        return _sentence(
+            f"there is a gap, and the data fitted say {_causes(d)}; but on data that took no part "
+            f"{_shrinks(d)}, so nothing is confirmed"
+        )
     return _sentence(
         f"Part of the gap is unexplained ({left} of it); what is known: {_causes(d)}; with "
         f"{_it(d)} {_shrinks(d)}; what is left is no effect of the library"
     )
+
+
+def _unconfirmed(d: Diagnosis) -> bool:
+    """Whether the causes that are named leave the held-out gap as it was."""
+    far = d.how_far
+    doubtful = far.closed_ci95 is None or far.closed_ci95[0] <= 0
+    return doubtful and float(far.rms_after.norm()) > UNCHANGED * float(far.rms_before.norm())
 
 
 def _not_testable(d: Diagnosis) -> str:

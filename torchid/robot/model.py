@@ -10,6 +10,7 @@ Classical DH has before = 1, modified DH has after = 1, a URDF joint with axis a
 that takes z to a on both sides. Inertial parameters are expressed in the link frames.
 """
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -67,6 +68,14 @@ class Limits:
                 hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
                 "--max-acceleration on the command line",
             )
+
+
+def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# A robot goes to other processes, its read-only mappings with it.
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _empty() -> Mapping[str, Any]:

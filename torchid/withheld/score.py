@@ -66,7 +66,6 @@ class Scored:
 def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     """A case from its key and answer, as they are in files."""
     far = answer.get("how_far") or {}
-    interval = far.get("closed_ci95")
     return Scored(
         case=str(key["id"]),
         kind=str(key["kind"]),
@@ -74,9 +73,16 @@ def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
         level=key.get("level"),
         row=row_of(key, answer),
         closed=float(far.get("closed") or 0.0),
-        closed_ci95=None if interval is None else (float(interval[0]), float(interval[1])),
+        closed_ci95=_interval(far.get("closed_ci95")),
         seconds=answer.get("seconds"),
     )
+
+
+def _interval(found: Sequence[float | None] | None) -> tuple[float, float] | None:
+    """As in a file, where what is not a number is null."""
+    if found is None or found[0] is None or found[1] is None:
+        return None
+    return float(found[0]), float(found[1])
 
 
 def scores(
