@@ -156,7 +156,7 @@ def test_what_a_few_blocks_hold_is_not_given_to_a_simpler_law():
     assert one.term.name == "torque_crosstalk"
     assert made.threshold(1) < two.gain < 0.1 * one.gain
     assert two.simplicity < one.simplicity
-    assert Search(made).run(5)[0].name == "torque_crosstalk"
+    assert [t.name for t in Search(made).run(1)] == ["torque_crosstalk"]
 
 
 def test_a_composite_enters_as_its_parts():

@@ -25,7 +25,8 @@ def own_headline(found: OwnCheck) -> str:
 
 def own_tables(found: OwnCheck) -> list[Table]:
     """What was withheld, and the smallest sizes planted that were found."""
-    return [*([_withheld(found.withheld)] if found.withheld else []), _planted(found.planted)]
+    withheld = [_withheld(found.withheld)] if found.withheld else []
+    return [*withheld, *([_planted(found.planted)] if found.planted else [])]
 
 
 def _withheld(rows: Sequence[Withheld]) -> Table:
