@@ -123,22 +123,17 @@ class Fit:
     weights: np.ndarray
 
 
-def fit(
-    normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None, skip: int | None = None
-) -> Fit:
+def fit(normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None) -> Fit:
     """Maximum likelihood with an unknown variance of each joint, by reweighting.
 
     Args:
         normal: rows.
         bodies: what may be.
         weights: (n,) of another fit, kept; None to find them.
-        skip: a joint (from 0) whose rows take no part.
     """
     gram, cross = normal.gram.sum(0), normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
-    if skip is not None:
-        live = live & (np.arange(len(live)) != skip)
     spread = np.where(normal.spread > 0, normal.spread, 1.0)
     given = weights
     rounds = _ROUNDS if given is None else 1

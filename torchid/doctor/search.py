@@ -16,6 +16,8 @@ TIE = 0.1
 """Moves whose held-out losses differ by less cannot be told apart."""
 _LOOK = 0.2
 FINALISTS = 5
+UNEXPLAINED = 0.6
+"""Share of the torque's spread (median of the joints) that nothing about this robot explains."""
 MOST_FAULTS = 6
 
 
@@ -54,6 +56,18 @@ class Search:
     final: Score
     held_out: np.ndarray
     costs: tuple[tuple[float, Move], ...]
+
+    @property
+    def left(self) -> np.ndarray:
+        """(n,) held-out errors with all of them mended, as shares of the torque's spread."""
+        return rms(self.held_out)
+
+    @property
+    def explained(self) -> bool:
+        """Whether bodies explain the torque at all; of torque that they do not, every hypothesis
+        is as wrong, and one that wins means nothing."""
+        live = np.isfinite(self.held_out).any(0)
+        return bool(live.any() and np.median(self.left[live]) < UNEXPLAINED)
 
 
 def search(judge: Judge, start: Hypothesis) -> Search:
