@@ -11,7 +11,7 @@ from torchid.doctor.hypothesis import Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale
-from torchid.doctor.search import TIE, Found, Search
+from torchid.doctor.search import CLEAR, Found, Search
 
 CHECK_OF = {
     "torque sign": "torque sign",
@@ -52,7 +52,7 @@ def fault_checks(judge: Judge, result: Search) -> list[Check]:
 
 
 def unseen(judge: Judge, result: Search) -> list[Check]:
-    """Faults that would not show in this log: mending what is right costs nothing."""
+    """Faults that would not show in this log: having them costs too little."""
     out = []
     for kind, words in (
         ("torque sign", "the sign of the torque of"),
@@ -62,7 +62,7 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
         ("torque order", "the order of the torques of"),
         ("position order", "the order of the positions of"),
     ):
-        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < TIE]
+        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
         joints = sorted({g[0] for g in groups if len(g) == 1})
         pairs = [g for g in groups if len(g) > 1]
         if not joints and not pairs:
@@ -73,7 +73,7 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
             Check(
                 f"unseen {kind}",
                 "cannot tell",
-                f"{words} {', '.join(told)}: the other way explains the torque as well",
+                f"{words} {', '.join(told)}: the other way explains the torque about as well",
                 joints=tuple(sorted({*joints, *(k for g in pairs for k in g)})),
             )
         )

@@ -51,6 +51,6 @@ def check_lag(judge: Judge, result: Search) -> Check:
             fix=fix_text((repair,)),
             repairs=(repair,),
         )
-    if half > 0.05 or searched or not result.explained:
+    if half > 0.05 or searched or (long and excludes_zero) or not result.explained:
         return Check("lag", "cannot tell", text, estimate=found.value, interval=interval, unit="s")
     return Check("lag", "fine", text, estimate=found.value, interval=interval, unit="s")
