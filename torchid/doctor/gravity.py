@@ -48,11 +48,11 @@ def check_gravity(judge: Judge, result: Search) -> Check:
         unit="m/s^2; interval: deg from the model's",
     )
     fix = _HINT.format(*estimate)
-    if half > _LOOSE or not result.explained:
-        return replace(base, verdict="cannot tell")
-    if turned:
+    if turned and result.explained:
         text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
         return replace(base, verdict="wrong", evidence=text, fix=fix)
+    if half > _LOOSE or not result.explained:
+        return replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:
         return replace(base, verdict="doubtful", fix=fix)
     return base

@@ -21,14 +21,12 @@ class Profile:
         value: where the loss is lowest.
         low, high: 95 %, from leaving out one block of time after the other.
         gain: by how much the loss is lower than at the starting value.
-        loss: there.
     """
 
     value: float
     low: float
     high: float
     gain: float
-    loss: float
 
 
 def profile(
@@ -49,8 +47,7 @@ def profile(
 
     best = minimum(loss, (*grid, start), step)
     low, high = _jackknife(judge, family, best, step)
-    lowest = loss(best)
-    return Profile(best, low, high, loss(start) - lowest, lowest)
+    return Profile(best, low, high, loss(start) - loss(best))
 
 
 def minimum(loss: Callable[[float], float], grid: Sequence[float], step: float) -> float:

@@ -10,13 +10,13 @@ from torchid.doctor.moves import Move, moves
 
 CLEAR = 0.4
 """A fault is found when mending it lowers the sum of the joints' log errors by this, held out: as
-if one joint's error fell by a third. On healthy logs of seven arms what bodies, friction and noise
-left over was worth up to 0.15; planted faults, nearly all, 1 to 15,"""
+if one joint's error fell by a third. On healthy logs, real ones and made ones with the friction of
+gears, no move was worth more than 0.15; those that mend a planted fault mostly 1 to 15,"""
 AGREE = 0.85
 """... and in this share of the blocks of time."""
 TIE = 0.1
 """Moves whose held-out losses differ by less cannot be told apart."""
-_LOOK = 0.2
+_LOOK = CLEAR + 0.1
 FINALISTS = 5
 UNEXPLAINED = 0.6
 """Share of the torque's spread (median of the joints) that nothing about this robot explains."""
