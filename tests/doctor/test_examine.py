@@ -9,6 +9,7 @@ import yaml
 
 from tests.doctor.synthetic import clean, log_faults
 from tests.doctor.test_signals import NOT_MENDED
+from torchid.app.options import numbers
 from torchid.doctor.examine import examine
 from torchid.doctor.record import SCHEMA, record
 from torchid.errors import LogError
@@ -73,7 +74,9 @@ def test_currents_are_said_to_need_gains():
     (found,) = alarms(result)
     assert found.name == "torque unit"
     assert found.fix is not None
-    assert "--gain" in found.fix
+    option, gains, *_ = found.fix.split()
+    assert option == "--gain"
+    assert numbers(option, gains, 3) == pytest.approx(list(found.estimate), rel=1e-3)
     assert np.median(found.estimate) == pytest.approx(10.0, rel=0.4)
 
 

@@ -22,8 +22,9 @@ OWN = 4
 """Columns of a joint's own: dq, direction of motion, ddq, one."""
 _LEAST_REACH = 0.5
 _ROUNDS = 3
-_FLOOR = 0.005
-"""Errors below this share of a torque's spread count as none: no log is that good."""
+_MODEL = 0.02
+"""Error of the model itself, as a share of a torque's spread: friction is not quite Coulomb's, nor
+a link a few points, and what is gained below this says nothing."""
 _RANK = 1e-9
 _UNSEEN = 1e-6
 
@@ -145,7 +146,7 @@ def fit(normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None) -> F
         square = normal.square.sum(0) - 2 * cross @ x + np.einsum("p,npq,q->n", x, gram, x)
         variance = np.maximum(square, 0.0) / total
         if given is None:
-            w = live / np.maximum(variance, _FLOOR**2 * spread)
+            w = live / (variance + _MODEL**2 * spread)
     return Fit(x, variance, w * spread)
 
 
@@ -168,6 +169,6 @@ def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarra
 
 
 def relative(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Errors as a share of the torque's spread, no smaller than any log's."""
+    """Errors as a share of the torque's spread, with that of the model."""
     safe = np.where(spread > 0, spread, 1.0)
-    return np.sqrt(np.maximum(variance / safe, _FLOOR**2))
+    return np.sqrt(np.maximum(variance, 0.0) / safe + _MODEL**2)

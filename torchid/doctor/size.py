@@ -197,9 +197,9 @@ def _too_large(robot: Robot, text: str, estimate: float) -> Check:
 def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
     """Currents without gains; nominal parameters suggest some."""
     text = "the log has currents [A] and no drive gains"
-    fix = "--gain K1,K2,.. [N m/A], or drive_gain in the robot's yaml"
+    fix = "--gain {} [N m/A], or drive_gain in the robot's yaml"
     if robot.parameters is None:
-        return Check("torque unit", "doubtful", text, fix=fix)
+        return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
     slopes = nominal_slopes(judge, hypothesis)
     clear = [
         (j, 1.0 / v)
@@ -211,6 +211,7 @@ def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
     if clear:
         guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
         text += f"; nominal parameters suggest [N m/A] {guess}"
+    every = ",".join(f"{gain:.4g}" for _, gain in clear)
     return Check(
         "torque unit",
         "doubtful",
@@ -218,7 +219,7 @@ def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
         joints=tuple(j for j, _ in clear),
         estimate=tuple(gain for _, gain in clear) or None,
         unit="N m/A",
-        fix=fix,
+        fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
     )
 
 
