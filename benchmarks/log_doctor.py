@@ -1,8 +1,9 @@
-"""How often the log doctor finds a fault that was planted in a real log, and what it does to clean
-ones.
+"""How often the log doctor finds a fault that was planted in a log, and what it does to clean ones.
 
 python benchmarks/log_doctor.py FOLDER [--seeds N] [--only WORDS] (FOLDER: of real logs, one folder
 an arm with robot.yaml or robot.urdf and log*.parquet)
+python benchmarks/log_doctor.py --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORDS] (made
+logs, N an arm with plain friction and N with that of gears; --only none: clean ones alone)
 """
 
 import argparse
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from log_clean import clean
 from log_faults import FAULTS
 
 from torchid.doctor.examine import examine
@@ -39,29 +41,46 @@ def logs(folder: Path) -> dict[str, tuple[Robot, Log]]:
     return found
 
 
+def made(arms: str, seeds: int) -> dict[str, tuple[Robot, Log]]:
+    """Clean logs of built-in arms, every second one described with nominal parameters."""
+    found = {}
+    for name in arms.split(","):
+        for seed in range(seeds):
+            for gears in (False, True):
+                nominal = (seed + gears) % 2 == 1
+                robot, log = clean(name, seed, nominal=nominal, gears=gears)
+                found[str(log.source)] = robot, log
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--arms", default="")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--only", default="")
     parser.add_argument("--logs", default="")
     arguments = parser.parse_args()
-    found = {k: v for k, v in logs(arguments.folder).items() if arguments.logs in k}
+    if (arguments.folder is None) == (arguments.arms == ""):
+        parser.error("give either FOLDER or --arms")
+    every = made(arguments.arms, arguments.seeds) if arguments.arms else logs(arguments.folder)
+    found = {k: v for k, v in every.items() if arguments.logs in k}
     alarms = 0
     torch.set_num_threads(1)
     for name, (robot, log) in found.items():
-        start = time.perf_counter()
+        start = time.process_time()
         checks = examine(robot, log).checks
         said = [f"{c.name} ({c.verdict})" for c in checks if c.verdict in ("wrong", "doubtful")]
         alarms += bool(said)
-        print(f"clean {name}: {', '.join(said) or 'silent'}, {time.perf_counter() - start:.1f} s")
+        took = time.process_time() - start
+        print(f"clean {name}: {', '.join(said) or 'silent'}, {took:.1f} s of CPU", flush=True)
     print(f"clean logs with an alarm: {alarms} of {len(found)}\n")
     for fault, plant in FAULTS.items():
         if arguments.only not in fault:
             continue
         hits, missed = [], []
         for name, (robot, log) in found.items():
-            for seed in range(arguments.seeds):
+            for seed in range(1 if arguments.arms else arguments.seeds):
                 planted = plant(robot, log, np.random.default_rng(seed + len(name)))
                 if planted is None:
                     continue

@@ -40,6 +40,8 @@ def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_
     wrong = [c for c in data["checks"] if c["verdict"] == "wrong"]
     assert [c["name"] for c in wrong] == ["position unit"]
     assert wrong[0]["joints"] == [1, 2, 3]
+    assert f'--columns "{data["columns"]}"' in text.replace("\n", " ")
+    assert torch.allclose(read_log(bad, columns=data["columns"]).q, clean("3r", 0)[1].q)
     assert (out / "doctor.png").stat().st_size > 10_000
     assert torch.allclose(read_log(copy).q, clean("3r", 0)[1].q)
     again = tmp_path / "again.json"

@@ -50,6 +50,15 @@ def test_clean_logs_are_fine(name):
         assert torch.equal(mended.q, clean(name, seed)[1].q)
 
 
+def test_torque_that_comes_at_a_lower_rate_is_not_clipped():
+    robot, log = clean("3r", 0)
+    assert log.tau is not None
+    short = log.select(torch.arange(log.samples) < 400)
+    slow = torch.arange(400) // 5 * 5
+    checks, _ = signal_checks(robot, short.replace(tau=short.tau[slow]))
+    assert {c.name for c in checks if c.verdict != "fine"} <= {"held samples"}
+
+
 def test_the_log_that_was_given_stays_as_it_was():
     case = planted("q in degrees", "3r", 0)
     copies = {name: signal.clone() for name, signal in case.log.signals.items()}

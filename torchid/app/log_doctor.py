@@ -68,8 +68,9 @@ def doctor_command(
     result = examine(found, read_logs(logs, gain, found, columns, topic))
     if apply is not None:
         write_log(result.mended(), apply)
-    _show(result, output, apply)
-    output.write_json({**record(result), "seed": seed}, "doctor.json")
+    flag = None if columns or topic else _flag(result, logs)
+    _show(result, output, apply, flag)
+    output.write_json({**record(result, flag), "seed": seed}, "doctor.json")
     _draw(result, output)
 
 
@@ -77,7 +78,20 @@ def _same(one: Path, other: Path) -> bool:
     return one.exists() and other.exists() and one.samefile(other)
 
 
-def _show(result: "Examination", output: Output, apply: Path | None) -> None:
+def _flag(result: "Examination", logs: list[Path]) -> str | None:
+    """The fixes as --columns, where the logs have columns of our names."""
+    if not result.repairs:
+        return None
+    from torchid.doctor.flag import columns_flag
+    from torchid.log.readers import open_log
+    from torchid.log.table import Request
+
+    tables = [open_log(log, Request())[0] for log in logs]
+    names = [set() if table is None else set(table.columns) for table in tables]
+    return columns_flag(result.repairs, result.robot.n, set.intersection(*names))
+
+
+def _show(result: "Examination", output: Output, apply: Path | None, flag: str | None) -> None:
     from torchid.report.doctor import fine, headline, tables
 
     for table in tables(result):
@@ -89,6 +103,8 @@ def _show(result: "Examination", output: Output, apply: Path | None) -> None:
         output.say(f"written to {apply}: a copy with {count} fix{'es' if count != 1 else ''}")
     elif result.repairs:
         output.say("--apply FILE writes a copy with the fixes that can be applied")
+    if flag is not None:
+        output.say(f'or read the log with --columns "{flag}"')
 
 
 def _draw(result: "Examination", output: Output) -> None:

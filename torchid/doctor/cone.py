@@ -22,8 +22,9 @@ OWN = 4
 """Columns of a joint's own: dq, direction of motion, ddq, one."""
 _LEAST_REACH = 0.5
 _ROUNDS = 3
-_FLOOR = 0.005
-"""Errors below this share of a torque's spread count as none: no log is that good."""
+_MODEL = 0.02
+"""Error of the model itself, as a share of a torque's spread: friction is not quite Coulomb's, nor
+a link a few points, and what is gained below this says nothing."""
 _RANK = 1e-9
 _UNSEEN = 1e-6
 
@@ -123,22 +124,17 @@ class Fit:
     weights: np.ndarray
 
 
-def fit(
-    normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None, skip: int | None = None
-) -> Fit:
+def fit(normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None) -> Fit:
     """Maximum likelihood with an unknown variance of each joint, by reweighting.
 
     Args:
         normal: rows.
         bodies: what may be.
         weights: (n,) of another fit, kept; None to find them.
-        skip: a joint (from 0) whose rows take no part.
     """
     gram, cross = normal.gram.sum(0), normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
-    if skip is not None:
-        live = live & (np.arange(len(live)) != skip)
     spread = np.where(normal.spread > 0, normal.spread, 1.0)
     given = weights
     rounds = _ROUNDS if given is None else 1
@@ -150,7 +146,7 @@ def fit(
         square = normal.square.sum(0) - 2 * cross @ x + np.einsum("p,npq,q->n", x, gram, x)
         variance = np.maximum(square, 0.0) / total
         if given is None:
-            w = live / np.maximum(variance, _FLOOR**2 * spread)
+            w = live / (variance + _MODEL**2 * spread)
     return Fit(x, variance, w * spread)
 
 
@@ -173,6 +169,6 @@ def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarra
 
 
 def relative(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Errors as a share of the torque's spread, no smaller than any log's."""
+    """Errors as a share of the torque's spread, with that of the model."""
     safe = np.where(spread > 0, spread, 1.0)
-    return np.sqrt(np.maximum(variance / safe, _FLOOR**2))
+    return np.sqrt(np.maximum(variance, 0.0) / safe + _MODEL**2)

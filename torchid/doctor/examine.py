@@ -32,8 +32,8 @@ from torchid.log.model import Log
 from torchid.robot.model import Robot
 
 MODEL_CHECKS = (
-    "joint order", "torque sign", "position sign", "gain of a joint", "gravity", "lag",
-    "torque unit", "torque side", "excitation",
+    "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
+    "lag", "torque unit", "torque side", "excitation",
 )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from torchid.doctor.hypothesis import Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale
-from torchid.doctor.search import TIE, Found, Search
+from torchid.doctor.search import CLEAR, Found, Search
 
 CHECK_OF = {
     "torque sign": "torque sign",
@@ -32,22 +33,26 @@ _FINE = {
 
 def fault_checks(judge: Judge, result: Search) -> list[Check]:
     """One check a fault, and one line for each kind that has none."""
-    checks = [_check(judge, result, f) for f in result.found if f.move.kind in CHECK_OF]
-    checks = [c for c in checks if not _unsure(c)]
-    names = {c.name for c in checks}
     live = judge.live(result.final.hypothesis)
+    checks = [_explained(result, live)]
+    checks += [
+        _sure(_check(judge, result, f), result) for f in result.found if f.move.kind in CHECK_OF
+    ]
+    names = {c.name for c in checks}
     for name, text in _FINE.items():
         if name in names:
             continue
         if not live or (len(live) < 2 and name in ("joint order", "gain of a joint")):
             checks.append(Check(name, "cannot tell", "fewer than two joints move with a torque"))
+        elif not result.explained:
+            checks.append(Check(name, "cannot tell", "the torque is not explained either way"))
         else:
             checks.append(Check(name, "fine", text))
     return checks
 
 
 def unseen(judge: Judge, result: Search) -> list[Check]:
-    """Faults that would not show in this log: mending what is right costs nothing."""
+    """Faults that would not show in this log: having them costs too little."""
     out = []
     for kind, words in (
         ("torque sign", "the sign of the torque of"),
@@ -57,7 +62,7 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
         ("torque order", "the order of the torques of"),
         ("position order", "the order of the positions of"),
     ):
-        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < TIE]
+        groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
         joints = sorted({g[0] for g in groups if len(g) == 1})
         pairs = [g for g in groups if len(g) > 1]
         if not joints and not pairs:
@@ -68,21 +73,44 @@ def unseen(judge: Judge, result: Search) -> list[Check]:
             Check(
                 f"unseen {kind}",
                 "cannot tell",
-                f"{words} {', '.join(told)}: the other way explains the torque as well",
+                f"{words} {', '.join(told)}: the other way explains the torque about as well",
                 joints=tuple(sorted({*joints, *(k for g in pairs for k in g)})),
             )
         )
     return out
 
 
-def _unsure(check: Check) -> bool:
-    """Whether a gain may as well be right."""
-    if check.name != "gain of a joint" or not isinstance(check.interval, tuple):
-        return False
-    low, high = check.interval
-    assert isinstance(low, float)
-    assert isinstance(high, float)
-    return low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
+def _explained(result: Search, live: Sequence[int]) -> Check:
+    """What bodies, friction, rotors and offsets leave of the torque, everything mended."""
+    if not live:
+        return Check("torque explained", "cannot tell", "nothing moves with a torque")
+    left = result.left[list(live)]
+    text = "bodies that can exist, friction and offsets leave " + ", ".join(
+        f"{100 * x:.0f} % (joint {k + 1})" for k, x in zip(live, left, strict=True)
+    )
+    return Check(
+        "torque explained",
+        "fine" if result.explained else "doubtful",
+        f"{text} of the torque's spread, on time held out",
+        joints=tuple(live),
+        estimate=tuple(left.tolist()),
+        unit="share",
+        fix=None
+        if result.explained
+        else "is it this robot's description, and the torque of its motors, gravity included?",
+    )
+
+
+def _sure(check: Check, result: Search) -> Check:
+    """The check, or none of its certainty where the torque stays unexplained or a gain may as well
+    be right."""
+    unsure = not result.explained
+    if check.name == "gain of a joint" and isinstance(check.interval, tuple):
+        low, high = check.interval
+        assert isinstance(low, float)
+        assert isinstance(high, float)
+        unsure |= low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
+    return replace(check, verdict="cannot tell", fix=None, repairs=()) if unsure else check
 
 
 def _check(judge: Judge, result: Search, found: Found) -> Check:

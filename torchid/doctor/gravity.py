@@ -15,7 +15,10 @@ TILT = math.radians(5.0)
 """Tilts below this are within what a floor, a flange and a model of the friction make."""
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-_HINT = "gravity: [{:.2f}, {:.2f}, {:.2f}] in the robot's yaml (base frame, m/s^2)"
+_HINT = (
+    "gravity: [{:.2f}, {:.2f}, {:.2f}] in the robot's yaml (of arm.urdf: arm.urdf.effects.yaml "
+    "beside it, with `joints: [their names]`)"
+)
 
 
 def check_gravity(judge: Judge, result: Search) -> Check:
@@ -26,7 +29,7 @@ def check_gravity(judge: Judge, result: Search) -> Check:
     flat = [cost for cost, m in result.costs if m.kind == "gravity"]
     if size == 0.0 or not judge.live(end):
         return Check("gravity", "cannot tell", "no gravity in the model, or nothing moves")
-    if flat and min(abs(c) for c in flat) < TIE:
+    if flat and min(flat) < TIE:
         return Check("gravity", "cannot tell", "another direction of gravity explains it as well")
     estimate, tilt, half, gain = _estimate(judge, end)
     angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
@@ -45,10 +48,10 @@ def check_gravity(judge: Judge, result: Search) -> Check:
         unit="m/s^2; interval: deg from the model's",
     )
     fix = _HINT.format(*estimate)
-    if turned:
+    if turned and result.explained:
         text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
         return replace(base, verdict="wrong", evidence=text, fix=fix)
-    if half > _LOOSE:
+    if half > _LOOSE or not result.explained:
         return replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:
         return replace(base, verdict="doubtful", fix=fix)

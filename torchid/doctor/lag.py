@@ -39,7 +39,7 @@ def check_lag(judge: Judge, result: Search) -> Check:
     long = abs(found.value) > max(LATE_S, LATE_STEPS * judge.samples.step)
     half = 0.5 * (found.high - found.low)
     interval = (found.low, found.high)
-    if searched or (long and excludes_zero and gain > CLEAR):
+    if long and excludes_zero and gain > CLEAR and result.explained:
         repair = ShiftTorque(float(f"{found.value:.4g}"))
         return Check(
             "lag",
@@ -51,6 +51,6 @@ def check_lag(judge: Judge, result: Search) -> Check:
             fix=fix_text((repair,)),
             repairs=(repair,),
         )
-    if half > 0.05:
+    if half > 0.05 or searched or (long and excludes_zero) or not result.explained:
         return Check("lag", "cannot tell", text, estimate=found.value, interval=interval, unit="s")
     return Check("lag", "fine", text, estimate=found.value, interval=interval, unit="s")

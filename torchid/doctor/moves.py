@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.cone import OWN, fit
 from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.profile import minimum
 from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftTorque
+from torchid.robot.model import JointType
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
-_LEAST_SHARE = 0.02
-"""Of a torque's variance, what the other joints must predict of it to say anything of its size."""
+GAINS = tuple(math.log(10.0) * x for x in (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0))
+"""Logarithms of the factors tried first."""
 DEGREE = math.pi / 180.0
 LEAST_GAIN = 1.5
 """A joint's torque that is off by less is within what a gear or a drive gain may be."""
@@ -47,10 +48,11 @@ def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     if len(live) == judge.robot.n:
         yield from _assigned(judge, now)
     yield from _gravities(now)
-    yield from _gains(judge, now)
+    yield from _gains(judge, now, live)
     yield from _lags(judge, now)
-    everyone = tuple(range(judge.robot.n))
-    yield _scaled("position unit", everyone, now, q=DEGREE)
+    turning = [k for k, kind in enumerate(judge.robot.joint_types) if kind is JointType.REVOLUTE]
+    if turning:
+        yield _scaled("position unit", turning, now, q=DEGREE)
 
 
 def _scaled(
@@ -145,37 +147,18 @@ def _gravities(now: Hypothesis) -> Iterator[Move]:
                 yield Move("gravity", (), replace(now, gravity=tuple((size * other).tolist())))
 
 
-def _gains(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    """Each joint's torque at the size that the other joints' rows predict for it."""
-    for k, slope in enumerate(gain_slopes(judge, now)):
-        if math.isfinite(slope) and abs(math.log(max(abs(slope), 1e-9))) > math.log(LEAST_GAIN):
-            yield _scaled("gain", (k,), now, tau=1.0 / slope)
+def _gains(judge: Judge, now: Hypothesis, live: Sequence[int]) -> Iterator[Move]:
+    """Each joint's torque at the size at which the joints' torques fit together best."""
+    if len(live) < 2:
+        return
+    weights = judge.score(now).fit.weights
+    for k in live:
 
+        def loss(log_factor: float, k: int = k) -> float:
+            return judge.score(now.scaled((k,), tau=math.exp(log_factor)), weights).loss
 
-def gain_slopes(judge: Judge, now: Hypothesis) -> list[float]:
-    """Measured torque over what the bodies that the other joints show predict, a joint; NaN where
-    they predict nothing. Friction, rotor inertia and offset of the joint are free."""
-    normal = judge.normal(now)
-    n = judge.robot.n
-    slopes = []
-    for i in range(n):
-        if n == 1 or normal.spread[i] == 0:
-            slopes.append(math.nan)
+        if min(GAINS, key=loss) == 0.0:
             continue
-        others = fit(normal, judge.cone, skip=i)
-        rigid = others.x.copy()
-        rigid[10 * n :] = 0.0
-        own = np.zeros((OWN, len(rigid)))
-        own[np.arange(OWN), 10 * n + OWN * i + np.arange(OWN)] = 1.0
-        basis = np.vstack([rigid, own])
-        gram = basis @ normal.gram.sum(0)[i] @ basis.T
-        cross = basis @ normal.cross.sum(0)[i]
-        # What is predicted beyond what the joint's own columns can be.
-        rest = gram[0, 0] - gram[0, 1:] @ np.linalg.pinv(gram[1:, 1:]) @ gram[1:, 0]
-        if rest <= 1e-9 * gram[0, 0] or gram[0, 0] <= 0:
-            slopes.append(math.nan)
-            continue
-        slope = float((np.linalg.pinv(gram, rcond=1e-10) @ cross)[0])
-        share = slope**2 * rest / (normal.spread[i] * normal.count[:, i].sum())
-        slopes.append(slope if share > _LEAST_SHARE else math.nan)
-    return slopes
+        best = minimum(loss, GAINS, step=0.3)
+        if abs(best) > math.log(LEAST_GAIN):
+            yield _scaled("gain", (k,), now, tau=math.exp(best))

@@ -21,14 +21,12 @@ class Profile:
         value: where the loss is lowest.
         low, high: 95 %, from leaving out one block of time after the other.
         gain: by how much the loss is lower than at the starting value.
-        loss: there.
     """
 
     value: float
     low: float
     high: float
     gain: float
-    loss: float
 
 
 def profile(
@@ -43,14 +41,25 @@ def profile(
         start: the value that would be fine.
         step: distance of the values that a parabola goes through.
     """
-    at = {x: judge.score(family(x)).loss for x in {*grid, start}}
+
+    def loss(x: float) -> float:
+        return judge.score(family(x)).loss
+
+    best = minimum(loss, (*grid, start), step)
+    low, high = _jackknife(judge, family, best, step)
+    return Profile(best, low, high, loss(start) - loss(best))
+
+
+def minimum(loss: Callable[[float], float], grid: Sequence[float], step: float) -> float:
+    """The lowest point of a grid, refined by three parabolas through points `step` apart."""
+    at = {x: loss(x) for x in grid}
     best = min(at, key=lambda x: at[x])
     for _ in range(3):
         values = (best - step, best, best + step)
-        best = _vertex(values, [judge.score(family(x)).loss for x in values])
-    loss = judge.score(family(best)).loss
-    low, high = _jackknife(judge, family, best, step)
-    return Profile(best, low, high, at[start] - loss, loss)
+        at |= {x: loss(x) for x in values if x not in at}
+        best = _vertex(values, [at[x] for x in values])
+    at[best] = loss(best)
+    return min(at, key=lambda x: at[x])
 
 
 def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:

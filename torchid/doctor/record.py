@@ -9,8 +9,13 @@ from torchid.doctor.examine import Examination
 SCHEMA = "torchid.doctor/1"
 
 
-def record(examination: Examination) -> dict[str, Any]:
-    """The examination as JSON-ready data."""
+def record(examination: Examination, columns: str | None = None) -> dict[str, Any]:
+    """The examination as JSON-ready data.
+
+    Args:
+        examination: of a log.
+        columns: what `--columns` must be to read it mended, where that can be said.
+    """
     return {
         "schema": SCHEMA,
         "robot": examination.robot.name,
@@ -18,6 +23,7 @@ def record(examination: Examination) -> dict[str, Any]:
         "silent": examination.silent,
         "checks": [_check(check) for check in examination.checks],
         "repairs": [str(repair) for repair in examination.repairs],
+        "columns": columns,
     }
 
 

@@ -7,23 +7,24 @@ import numpy as np
 import torch
 from scipy.stats import t as student
 
-from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.check import Check, Verdict, fix_text, joint_list
 from torchid.doctor.cone import reach_of
 from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.moves import gain_slopes
 from torchid.doctor.repair import TORQUE, Scale
 from torchid.doctor.samples import BLOCKS
+from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
-from torchid.robot.model import Robot
+from torchid.robot.model import JointType, Robot
 
 WRONG, ODD = 5.0, 2.2
 """Factors beyond which a torque is in another unit, or odd; CAD models err by up to 1.7."""
 BEYOND_LIMIT, BELOW_LIMIT = 5.0, 5e-3
-DENSITY = (0.03, 100.0)
+DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
-on arms from a desk to a foundry."""
+on arms from a desk to a foundry, a thousand times that in N mm."""
 _LEAST_REACH = 0.2
+_CHECK_GAINS = "--gain K1,K2,.. for currents; multiply motor torque by the gear ratio"
 _UNITS = (
     (1e3, "N mm or mN m, or mA"),
     (1e-3, "kN m"),
@@ -120,18 +121,16 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     off = abs(math.log(overall))
     if off < math.log(ODD):
         return base
-    factor, name = _named(overall)
-    repairs = (Scale(TORQUE, (1.0 / factor,) * robot.n),)
-    text += f": {name}" if name else ": a gain, a gear ratio, or another robot's parameters"
-    found = replace(base, verdict="doubtful", evidence=text, fix=fix_text(repairs))
-    return replace(found, verdict="wrong", repairs=repairs) if off > math.log(WRONG) else found
-
-
-def _named(ratio: float) -> tuple[float, str | None]:
+    verdict: Verdict = "wrong" if off > math.log(WRONG) else "doubtful"
     for factor, name in _UNITS:
-        if abs(math.log(ratio / factor)) < math.log(ODD):
-            return factor, name
-    return float(f"{ratio:.3g}"), None
+        if abs(math.log(overall / factor)) < math.log(ODD):
+            repairs = (Scale(TORQUE, (1.0 / factor,) * robot.n),)
+            fix = fix_text(repairs)
+            return replace(
+                base, verdict=verdict, evidence=f"{text}: {name}", fix=fix, repairs=repairs
+            )
+    text += ": a gain, a gear ratio, or another robot's parameters"
+    return replace(base, verdict=verdict, evidence=text, fix=_CHECK_GAINS)
 
 
 def _against_limits(robot: Robot, log: Log) -> Check | None:
@@ -149,7 +148,7 @@ def _against_limits(robot: Robot, log: Log) -> Check | None:
             "doubtful",
             f"{text}: amperes, motor side, or kN m?",
             estimate=share,
-            fix="--gain K1,K2,.. for currents; multiply motor torque by the gear ratio",
+            fix=_CHECK_GAINS,
         )
     return Check("torque unit", "fine", text, estimate=share)
 
@@ -159,13 +158,14 @@ def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -
     assert log.tau is not None
     gravity = float(robot.gravity.norm())
     reach = reach_of(robot)
-    if gravity == 0.0 or reach < _LEAST_REACH or not judge.live(hypothesis):
+    turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
+    if gravity == 0.0 or reach < _LEAST_REACH or not turning or not judge.live(hypothesis):
         return Check(
             "torque unit",
             "cannot tell",
             "the robot has no nominal parameters, no torque limits and no reach to judge by",
         )
-    mass = float(log.tau.abs().max()) / (gravity * reach)
+    mass = float(log.tau[:, turning].abs().max()) / (gravity * reach)
     density = mass / reach**3
     text = f"the largest torque holds {mass:.3g} kg at the arm's length of {reach:.2g} m"
     if density > DENSITY[1]:
@@ -177,7 +177,7 @@ def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -
             f"{text}: amperes, motor side, or kN m?",
             estimate=density,
             unit="kg/m^3",
-            fix="--gain K1,K2,.. for currents; multiply motor torque by the gear ratio",
+            fix=_CHECK_GAINS,
         )
     return Check("torque unit", "fine", text, estimate=density, unit="kg/m^3")
 
@@ -197,9 +197,9 @@ def _too_large(robot: Robot, text: str, estimate: float) -> Check:
 def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
     """Currents without gains; nominal parameters suggest some."""
     text = "the log has currents [A] and no drive gains"
-    fix = "--gain K1,K2,.. [N m/A], or drive_gain in the robot's yaml"
+    fix = "--gain {} [N m/A], or drive_gain in the robot's yaml"
     if robot.parameters is None:
-        return Check("torque unit", "doubtful", text, fix=fix)
+        return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
     slopes = nominal_slopes(judge, hypothesis)
     clear = [
         (j, 1.0 / v)
@@ -211,6 +211,7 @@ def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
     if clear:
         guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
         text += f"; nominal parameters suggest [N m/A] {guess}"
+    every = ",".join(f"{gain:.4g}" for _, gain in clear)
     return Check(
         "torque unit",
         "doubtful",
@@ -218,7 +219,7 @@ def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
         joints=tuple(j for j, _ in clear),
         estimate=tuple(gain for _, gain in clear) or None,
         unit="N m/A",
-        fix=fix,
+        fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
     )
 
 
@@ -233,11 +234,11 @@ def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) 
         return []
     low, high = slopes.low / overall, slopes.high / overall
     # A payload is many times the nominal torque of a wrist, and no fault: the other joints know.
-    alone = [math.isnan(x) for x in gain_slopes(judge, hypothesis)]
     odd = [
         k
         for k, joint in enumerate(slopes.joints)
-        if alone[joint] and (low[k] > WRONG or 0 < high[k] < 1.0 / WRONG)
+        if (low[k] > WRONG or 0 < high[k] < 1.0 / WRONG)
+        and _alone(judge, hypothesis, joint, 1.0 / slopes.value[k])
     ]
     if not odd:
         return []
@@ -257,3 +258,9 @@ def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) 
             fix="check the gear ratio or gain, or the nominal parameters, of these joints",
         )
     ]
+
+
+def _alone(judge: Judge, hypothesis: Hypothesis, joint: int, factor: float) -> bool:
+    """Whether the other joints' torques would fit this one's at another size as well."""
+    other = hypothesis.scaled((joint,), tau=factor)
+    return judge.score(other).loss < judge.score(hypothesis).loss + CLEAR

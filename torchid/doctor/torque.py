@@ -8,7 +8,7 @@ from torchid.log.model import Log
 PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
 RUN = 4
-"""Samples in a row at the largest torque that make it a level."""
+"""Samples in a row at the largest torque, over those at any other, that make it a level."""
 COARSE = 0.1
 """Largest step between torque values, as a share of their standard deviation."""
 
@@ -81,9 +81,11 @@ def _pile(x: np.ndarray) -> tuple[float, float]:
     # The band just below the level, as wide as the signal's own resolution or a fiftieth of it.
     width = max(_resolution(x), 0.02 * spread)
     below = ((x < level) & ~at & (x >= level - 1.5 * width)).sum()
-    # A value that is held at rest is not clipped: runs must come more than once, or come steeply.
+    # Torque that comes at a lower rate holds every value for as long, its largest too.
+    usual = len(x) / (1 + int((np.diff(x) != 0).sum()))
+    # A value that is held at rest is not clipped: it is met at a slope.
     steep = _arrives_steeply(x, starts, ends)
-    if longest < RUN or at.sum() < 3 * max(1, below) or not steep:
+    if longest < RUN * usual or at.sum() < 3 * max(1, below) or not steep:
         return 0.0, level
     return float(at.mean()), level
 

@@ -198,7 +198,8 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
         products = (difference * slope, slope**2, reference[:, middle] ** 2, difference**2)
         sums.append(torch.stack([x.sum(-1) for x in products]))
     numerator, denominator, size, gap = torch.stack(sums).sum(0)
-    active = size > 1e-3 * size.max()
+    extent = even.q.amax(0) - even.q.amin(0)
+    active = (size > 1e-3 * size.max()) & (extent > MOVING)
     if not bool(active.any()) or float(size.max()) == 0.0:
         return 0.0, 0.0, ()
     lag = float((numerator / denominator)[active].median())

@@ -1,0 +1,64 @@
+"""Repairs as the option `--columns`, with which every command reads the log mended."""
+
+import math
+from collections.abc import Collection, Sequence
+
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.log.columns import PREFIXES
+from torchid.log.units import UNITS
+
+SAYABLE = (Scale, Reorder, ScaleTime, DropSignal)
+"""Repairs that the option can say; the others change rows."""
+_EXACT = 1e-12
+
+
+def columns_flag(repairs: Sequence[Repair], n: int, columns: Collection[str]) -> str | None:
+    """What `--columns` must be for all repairs that it can say, in order; None where there are
+    none.
+
+    Args:
+        repairs: of an examination.
+        n: number of joints.
+        columns: that the file has; of signals that it has not in columns of our names (q1, q2, ..)
+            nothing is said.
+    """
+    entries = [
+        _entry(key, [r for r in repairs if isinstance(r, SAYABLE)], signal, n)
+        for signal, key in PREFIXES.items()
+        if all(f"{key}{k + 1}" in columns for k in range(n))
+    ]
+    factor = math.prod(r.factor for r in repairs if isinstance(r, ScaleTime))
+    if factor != 1.0 and "t" in columns:
+        entries.append(f"t=t{_factor('t', [factor])}")
+    return ",".join(e for e in entries if e) or None
+
+
+def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
+    order, factors = list(range(n)), [1.0] * n
+    for repair in repairs:
+        if isinstance(repair, DropSignal) and repair.signal == signal:
+            return f"{key}=none"
+        if isinstance(repair, Scale) and signal in repair.signals:
+            factors = [a * b for a, b in zip(factors, repair.factors, strict=True)]
+        if isinstance(repair, Reorder) and signal in repair.signals:
+            order = [order[j] for j in repair.order]
+            factors = [factors[j] for j in repair.order]
+    if order == list(range(n)):
+        source = f"{key}{{j}}"
+        if all(f == 1.0 for f in factors):
+            return ""
+    else:
+        source = "[" + ",".join(f"{key}{j + 1}" for j in order) + "]"
+    return f"{key}={source}{_factor(key, factors)}"
+
+
+def _factor(key: str, factors: Sequence[float]) -> str:
+    """A unit where there is one, else the numbers in full."""
+    if any(f != factors[0] for f in factors):
+        return " *[" + ",".join(f"{f:.17g}" for f in factors) + "]"
+    if factors[0] == 1.0:
+        return ""
+    for unit, factor in UNITS[key].items():
+        if abs(factors[0] / factor - 1.0) < _EXACT:
+            return f" {unit}"
+    return f" *{factors[0]:.17g}"
