@@ -5,7 +5,20 @@ still be made before torch loads.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchid.dynamics.newton_euler import inverse_dynamics
+    from torchid.dynamics.regressor import regressor
+    from torchid.errors import TorchidError
+    from torchid.gap.diagnose import diagnose
+    from torchid.identification.identify import identify
+    from torchid.identification.settings import Settings
+    from torchid.log.model import Log
+    from torchid.log.readers import read_log
+    from torchid.robot.inertia import InertialParameters
+    from torchid.robot.library import load_robot
+    from torchid.robot.model import Robot
 
 __version__ = "0.1.0"
 
@@ -19,10 +32,24 @@ _PUBLIC = {
     "regressor": "torchid.dynamics.regressor",
     "identify": "torchid.identification.identify",
     "Settings": "torchid.identification.settings",
+    "diagnose": "torchid.gap.diagnose",
     "TorchidError": "torchid.errors",
 }
 
-__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604
+__all__ = [
+    "InertialParameters",
+    "Log",
+    "Robot",
+    "Settings",
+    "TorchidError",
+    "__version__",
+    "diagnose",
+    "identify",
+    "inverse_dynamics",
+    "load_robot",
+    "read_log",
+    "regressor",
+]
 
 
 def __getattr__(name: str) -> Any:
