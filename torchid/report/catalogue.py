@@ -44,7 +44,8 @@ revolute joint (a prismatic one has N for N m and m for rad). `torchid identify 
 those that need nothing but the joint's own motion, `torchid gap` searches over all of them, and
 `torchid simulate --effect NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of
 one family look alike in a log: believe the family first, and the member where the diagnosis names
-no alternative. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
+no alternative. What an effect is confused with is told in general here; `torchid gap` computes it
+for your log. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
 """
 
 
