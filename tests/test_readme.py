@@ -27,7 +27,7 @@ SMALLER = {
 
 PREPARE = """
 torchid export 3r_friction --to urdf --name my_arm
-sed 's/"link_3"/"wrist_3"/' my_arm.urdf > renamed
+sed 's/"link_3"/"wrist_3"/; s/"3r_friction"/"my_arm"/' my_arm.urdf > renamed
 mv renamed my_arm.urdf
 for k in 1 2 3 4; do
   torchid excite my_arm.urdf --kind random --duration 15 --seed $k --max-acceleration 5 \\

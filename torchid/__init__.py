@@ -1,24 +1,11 @@
 """torchid: what a robot arm's dynamics really are, and why the simulator disagrees.
 
 The public names load on first use, so that `import torchid` is quick and thread settings can
-still be made before torch loads.
+still be made before torch loads. Their types are in __init__.pyi.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from torchid.dynamics.newton_euler import inverse_dynamics
-    from torchid.dynamics.regressor import regressor
-    from torchid.errors import TorchidError
-    from torchid.gap.diagnose import diagnose
-    from torchid.identification.identify import identify
-    from torchid.identification.settings import Settings
-    from torchid.log.model import Log
-    from torchid.log.readers import read_log
-    from torchid.robot.inertia import InertialParameters
-    from torchid.robot.library import load_robot
-    from torchid.robot.model import Robot
+from typing import Any
 
 __version__ = "0.1.0"
 
@@ -36,20 +23,7 @@ _PUBLIC = {
     "TorchidError": "torchid.errors",
 }
 
-__all__ = [
-    "InertialParameters",
-    "Log",
-    "Robot",
-    "Settings",
-    "TorchidError",
-    "__version__",
-    "diagnose",
-    "identify",
-    "inverse_dynamics",
-    "load_robot",
-    "read_log",
-    "regressor",
-]
+__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
