@@ -41,7 +41,7 @@ for run in run1 run2 run3 run4 run1_again; do
 done
 LOAD=payload:m=0.5,mx=0,my=0,mz=0,Jxx=0,Jxy=0,Jxz=0,Jyy=0,Jyz=0,Jzz=0
 torchid simulate my_arm.urdf motion1.csv --effect $LOAD --rate 200 --seed 9 --to full.csv
-torchid simulate my_arm.urdf motion1.csv --rate 200 --seed 8 --to empty.csv
+torchid simulate my_arm.urdf motion1.csv --closed-loop --rate 200 --seed 8 --to empty.csv
 torchid identify my_arm.urdf run1.csv --out monday
 torchid identify my_arm.urdf run2.csv --out tuesday
 """
