@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real lint format bench clean
+.PHONY: demo test test-all test-real lint format docs bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -30,6 +30,10 @@ lint: $(VENV)/.dev
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: $(VENV)/.dev
+	$(BIN)/torchid effects --out docs
+	$(BIN)/python docs/draw_concepts.py
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/dynamics.py

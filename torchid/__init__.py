@@ -1,7 +1,7 @@
 """torchid: what a robot arm's dynamics really are, and why the simulator disagrees.
 
 The public names load on first use, so that `import torchid` is quick and thread settings can
-still be made before torch loads.
+still be made before torch loads. Their types are in __init__.pyi.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ _PUBLIC = {
     "regressor": "torchid.dynamics.regressor",
     "identify": "torchid.identification.identify",
     "Settings": "torchid.identification.settings",
+    "diagnose": "torchid.gap.diagnose",
     "TorchidError": "torchid.errors",
 }
 

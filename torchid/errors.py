@@ -16,6 +16,13 @@ class TorchidError(Exception):
         expected: what would have been right.
         available: the choices that exist.
         hint: what to do next.
+
+    >>> import torchid
+    >>> try:
+    ...     torchid.load_robot("3R")
+    ... except TorchidError as error:
+    ...     print(error.problem)
+    unknown robot '3R'.
     """
 
     def __init__(

@@ -10,6 +10,7 @@ from torchid.app.atlas import atlas_command
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
 from torchid.app.demo import demo_command
+from torchid.app.effects import effects_command
 from torchid.app.excite import excite_command
 from torchid.app.export import export_command
 from torchid.app.extract import extract_command
@@ -33,7 +34,6 @@ app = typer.Typer(
 )
 app.command("robot")(robot_command)
 app.command("excite")(excite_command)
-app.add_typer(log_app, name="log")
 app.command("simulate")(simulate_command)
 app.add_typer(log_app, name="log")
 app.command("identify")(identify_command)
@@ -43,6 +43,7 @@ app.command("atlas")(atlas_command)
 app.command("wrenches")(wrenches_command)
 app.command("payload")(payload_command)
 app.command("gap")(gap_command)
+app.command("effects")(effects_command)
 app.command("export")(export_command)
 app.command("compare")(compare_command)
 app.command("study")(study_command)

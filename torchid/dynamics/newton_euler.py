@@ -39,6 +39,13 @@ def inverse_dynamics(
 
     Raises:
         RobotError: no parameters given and none in the robot.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("kuka_lwr4")
+    >>> rest = torch.zeros(7, dtype=torch.float64)
+    >>> upright = inverse_dynamics(robot, rest, rest, rest)  # gravity alone
+    >>> upright.shape, bool(upright[0].abs() < 1e-9)  # joint 1 is vertical: it carries none
+    (torch.Size([7]), True)
     """
     pi = _parameters(robot, parameters, "inverse dynamics").pi.to(q)
     geometry = chain_geometry(robot)

@@ -111,6 +111,14 @@ def regressor(
 
     Returns:
         (..., n, 10 n), dense. For long logs prefer `regressor_chunks`, which keeps the non-zeros.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> q, dq, ddq = torch.rand(3, 50, robot.n, dtype=torch.float64)
+    >>> y = regressor(robot, q, dq, ddq)
+    >>> tau = y @ robot.parameters.to_paper_order()
+    >>> y.shape, torch.allclose(tau, torchid.inverse_dynamics(robot, q, dq, ddq))
+    (torch.Size([50, 3, 30]), True)
     """
     q, dq, ddq = torch.broadcast_tensors(q, dq, ddq)
     batch, n = q.shape[:-1], q.shape[-1]

@@ -57,6 +57,18 @@ def identify(
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
         IdentificationError: nothing to identify from.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> t = torch.arange(2000, dtype=torch.float64) / 100
+    >>> w = torch.tensor([1.9, 2.7, 3.3], dtype=torch.float64)
+    >>> q, dq, ddq = (f(t[:, None] * w) * w**k for k, f in
+    ...               ((0, torch.sin), (1, torch.cos), (2, lambda x: -torch.sin(x))))
+    >>> log = torchid.Log(t, q, dq=dq, tau=torchid.inverse_dynamics(robot, q, dq, ddq))
+    >>> result = identify(robot, log, settings=torchid.Settings(effects=()))
+    >>> tau = result.predict(q, dq, ddq)
+    >>> bool((tau - log.tau).norm() < 1e-3 * log.tau.norm())
+    True
     """
     settings = settings or Settings()
     log, kept_back = _split(log, held_out, settings)

@@ -31,6 +31,9 @@ class Settings:
         held_out_fraction: share of each trajectory's end kept for validation if no log is given.
         error_cutoff: [Hz] filter under which errors are reported; the fit's if None.
         compiled: evaluate the final regressor by compiled code; pays on very long logs.
+
+    >>> Settings(effects=("viscous_friction",), cutoff=10.0).method
+    'huber'
     """
 
     effects: tuple[str, ...] = DEFAULT_EFFECTS

@@ -36,6 +36,12 @@ class Log:
 
     Raises:
         LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs.
+
+    >>> import torch
+    >>> t = torch.arange(100, dtype=torch.float64) / 50
+    >>> log = Log(t, q=torch.sin(t)[:, None].repeat(1, 3))
+    >>> log.n, log.samples, log.trajectory_count
+    (3, 100, 1)
     """
 
     t: Float[Tensor, " T"]

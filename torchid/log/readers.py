@@ -56,6 +56,17 @@ def read_log(
         LogError: a file is missing, is not what its suffix says, or lacks columns; or the files
             do not go together.
         MissingExtraError: the package that reads this format is not installed.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "run.csv"
+    ...     _ = file.write_text("ms,pos_1\\n0,0\\n10,90\\n20,180\\n")
+    ...     log = read_log(file, columns={"t": "ms ms", "q": "pos_{j} deg"})
+    >>> log.t.tolist()
+    [0.0, 0.01, 0.02]
+    >>> [round(q, 4) for q in log.q[:, 0].tolist()]
+    [0.0, 1.5708, 3.1416]
     """
     files = [paths] if isinstance(paths, str | Path) else list(paths)
     if not files:

@@ -28,6 +28,12 @@ class InertialParameters:
     Attributes:
         pi: (..., n, 10) m [kg], m c [kg m] (3), J [kg m^2] (xx, xy, xz, yy, yz, zz), with the
             first moment and the inertia tensor about the origin of the link frame, in its axes.
+
+    >>> import torch
+    >>> mass, com = torch.tensor([2.0]), torch.tensor([[0.5, 0.0, 0.0]])
+    >>> body = InertialParameters.from_com(mass, com, torch.zeros(1, 6))
+    >>> body.pi.tolist()  # 2 kg half a metre away: 0.5 kg m^2 about y and z
+    [[2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.5]]
     """
 
     pi: Pi

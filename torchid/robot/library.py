@@ -35,6 +35,9 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
 
     Raises:
         RobotError: no such robot, or a file that cannot be read as one.
+
+    >>> load_robot("3r").joint_names
+    ('joint_1', 'joint_2', 'joint_3')
     """
     text = str(name)
     path = Path(text)

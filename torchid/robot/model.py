@@ -101,6 +101,11 @@ class Robot:
         bounds: groups of bounds for the extraction, as read from the robot's yaml.
         warnings: what the reader noticed, one sentence each.
         source: file or built-in name it came from.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("kuka_lwr4")
+    >>> robot.n, robot.gravity.tolist()
+    (7, [0.0, 0.0, -9.81])
     """
 
     name: str

@@ -1,0 +1,177 @@
+"""The catalogue of effects as a page, from the registry."""
+
+import math
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.table import Table
+
+from torchid.effects.base import Effect, Family, ModelEffect, Scale, Shape
+from torchid.effects.catalogue import ENTRIES
+from torchid.effects.registry import COLUMN_KINDS, KINDS
+from torchid.effects.variation import JointPairEffect, OneJointEffect
+from torchid.files import atomic_write
+from torchid.gap.experiments import APART
+from torchid.report.identification import compact
+
+FAMILY_WORDS: dict[Family, str] = {
+    "speed": "Torque that follows speed.",
+    "sign": "Torque that follows the direction of motion: a step at each reversal.",
+    "constant": "Torque that stays.",
+    "gravity": "Torque that follows posture, as gravity does.",
+    "inertia": "Torque of bodies that the model does not have.",
+    "phase": "Torque or motion that is measured late, and joints that give way.",
+    "hysteresis": "Torque that depends on the way that led there.",
+    "periodic": "Torque that repeats along the joint's travel.",
+    "time": "Torque that changes while the arm works.",
+    "transient": "Torque of some instants only.",
+}
+_SCALES: dict[Scale, str] = {
+    "one": "",
+    "speed": " times the joint's 99 % speed",
+    "torque": " times the joint's 99 % torque",
+    "travel": " times the joint's travel",
+}
+_HEAD = """# The effects
+
+What besides the rigid body can make an arm's torque differ from a simulator's: {count} effects in
+{families} families. This page is written by the program (`torchid effects --out docs`).
+
+    tau = Y(q, dq, ddq) pi + sum of the effects
+
+Every effect is linear in its *coefficients*; *shape* parameters are searched. Units are those of a
+revolute joint (a prismatic one has N for N m and m for rad). `torchid identify --effects a,b` fits
+those that need nothing but the joint's own motion, `torchid gap` searches over all of them, and
+`torchid simulate --effect NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of
+one family look alike in a log: believe the family first, and the member where the diagnosis names
+no alternative. What an effect is confused with is told in general here; `torchid gap` computes it
+for your log. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
+"""
+
+
+def catalogue_page(images: str = "img") -> str:
+    """The page in Markdown.
+
+    Args:
+        images: folder of the families' pictures, relative to the page.
+    """
+    families = list(get_args(Family))
+    parts = [_HEAD.format(count=len(KINDS), families=len(families)), _contents(families)]
+    for family in families:
+        parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
+        parts += [f"![Effects of the family {family}]({images}/{picture_name(family)}.png)\n"]
+        parts += [effect_text(kind) for kind in KINDS.values() if kind.family == family]
+    return "\n".join(parts)
+
+
+def picture_name(family: Family) -> str:
+    """Name of a family's picture, without suffix."""
+    return f"effects-{family}"
+
+
+def effect_text(kind: type[Effect]) -> str:
+    """One effect in Markdown."""
+    entry = ENTRIES[kind.name]
+    rivals = ", ".join(f"[{name}](#{name})" for name in entry.rivals)
+    lines = [
+        f"### {kind.name}",
+        "",
+        kind.meaning,
+        "",
+        f"    {entry.equation}",
+        "",
+        *_coefficients(kind),
+        "",
+        *(_shape(shape) for shape in kind.shapes),
+        f"- place: {_place(kind)}; fitted by: {_fitted(kind)}",
+        f"- signature: {entry.signature}",
+        f"- confused with: {rivals}",
+        f"- to tell them apart: {APART[kind.name]}",
+        f"- remedy: {kind.remedy}",
+        f"- source: {kind.source}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def effects_table() -> Table:
+    """All effects by name, family, coefficients and meaning."""
+    out = compact(f"{len(KINDS)} effects")
+    for heading in ("effect", "family", "coefficients", "what it is"):
+        out.add_column(heading)
+    for kind in KINDS.values():
+        names = [c.name for c in kind.coefficients]
+        told = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
+        out.add_row(kind.name, kind.family, told, kind.meaning)
+    return out
+
+
+def effect_record(kind: type[Effect]) -> dict[str, Any]:
+    """One effect as plain data."""
+    entry = ENTRIES[kind.name]
+    return {
+        "effect": kind.name,
+        "family": kind.family,
+        "meaning": kind.meaning,
+        "equation": entry.equation,
+        "coefficients": [
+            {"name": c.name, "unit": c.unit, "non_negative": c.non_negative, "meaning": c.meaning}
+            for c in kind.coefficients
+        ],
+        "shapes": [{"name": s.name, "unit": s.unit, "meaning": s.meaning} for s in kind.shapes],
+        "signature": entry.signature,
+        "confused_with": list(entry.rivals),
+        "experiment": APART[kind.name],
+        "remedy": kind.remedy,
+        "source": kind.source,
+    }
+
+
+def write_catalogue(folder: Path) -> Path:
+    """Write effects.md, and its pictures to folder/img; returns the page's path."""
+    from torchid.report.catalogue_figures import family_figure
+    from torchid.report.figures import save
+
+    images = folder / "img"
+    images.mkdir(parents=True, exist_ok=True)
+    for family in get_args(Family):
+        save(family_figure(family), images / f"{picture_name(family)}.png")
+    page = folder / "effects.md"
+    with atomic_write(page) as stream:
+        stream.write(catalogue_page())
+    return page
+
+
+def _contents(families: list[Family]) -> str:
+    rows = ["| family | effects |", "|---|---|"]
+    for family in families:
+        names = [f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family]
+        rows.append(f"| [{family}](#{family}) | {', '.join(names)} |")
+    return "\n".join(rows) + "\n"
+
+
+def _coefficients(kind: type[Effect]) -> list[str]:
+    """A table of the coefficients."""
+    rows = ["| coefficient | unit | sign | at most | meaning |", "|---|---|---|---|---|"]
+    for c in kind.coefficients:
+        sign = "not negative" if c.non_negative else "any"
+        most = f"{c.largest:g}" if math.isfinite(c.largest) else ""
+        rows.append(f"| `{c.name}` | {c.unit} | {sign} | {most} | {c.meaning} |")
+    return rows
+
+
+def _shape(shape: Shape) -> str:
+    span = f"{shape.low:g} to {shape.high:g}{_SCALES[shape.scale]}"
+    return f"- shape `{shape.name}` [{shape.unit}]: {shape.meaning}; searched from {span}"
+
+
+def _place(kind: type[Effect]) -> str:
+    if issubclass(kind, JointPairEffect):
+        return "a pair of joints (`joint`, `source_joint`)"
+    if issubclass(kind, ModelEffect) and not issubclass(kind, OneJointEffect):
+        return "the whole arm"
+    return "one joint (`joint`)"
+
+
+def _fitted(kind: type[Effect]) -> str:
+    return "`identify` and `gap`" if kind.name in COLUMN_KINDS else "`gap`"
