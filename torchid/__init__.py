@@ -19,6 +19,9 @@ _PUBLIC = {
     "regressor": "torchid.dynamics.regressor",
     "identify": "torchid.identification.identify",
     "Settings": "torchid.identification.settings",
+    "problem_of": "torchid.extraction.from_identification",
+    "extract": "torchid.extraction.extract",
+    "export_dynamics": "torchid.export.export",
     "diagnose": "torchid.gap.diagnose",
     "TorchidError": "torchid.errors",
 }

@@ -1,6 +1,9 @@
 from torchid.dynamics.newton_euler import inverse_dynamics as inverse_dynamics
 from torchid.dynamics.regressor import regressor as regressor
 from torchid.errors import TorchidError as TorchidError
+from torchid.export.export import export_dynamics as export_dynamics
+from torchid.extraction.extract import extract as extract
+from torchid.extraction.from_identification import problem_of as problem_of
 from torchid.gap.diagnose import diagnose as diagnose
 from torchid.identification.identify import identify as identify
 from torchid.identification.settings import Settings as Settings

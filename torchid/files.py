@@ -50,6 +50,8 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
             with suppress(OSError):
                 temporary.unlink()
             raise
+    except BrokenPipeError:
+        raise  # the reader of a pipe has left: nothing is wrong with the file
     except OSError as error:
         # An error that names another file comes from the caller's own block, not from writing.
         if error.filename is not None and not _concerns(error, path):

@@ -36,7 +36,7 @@ def sets_file(path: Path, robot: str = "3r", count: int = 2, change=None) -> Pat
         pi = one.parameters.pi.clone()
         pi[0, 1, 4:] *= -1
         parts.append(type(one)((f"s{k}",), InertialParameters(pi), one.effects, one.coefficients))
-    data = to_record(joined(parts), robot)
+    data = to_record(joined(parts), load_robot(robot))
     if change is not None:
         change(data)
     path.write_text(json.dumps(data))

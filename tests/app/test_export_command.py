@@ -46,7 +46,7 @@ def test_sets_into_the_users_file(tmp_path):
     from torchid.feasibility.sets import nominal_set, to_record
 
     robot = load_robot(urdf)
-    sets.write_text(json.dumps(to_record(nominal_set(robot), robot.name, str(urdf))))
+    sets.write_text(json.dumps(to_record(nominal_set(robot), robot)))
     out = tmp_path / "out"
     said = run(sets, "--to", "urdf", "--out", out, "--name", "mine", "--geometry", "none")
     assert (out / "mine.urdf").is_file()
@@ -83,7 +83,7 @@ def test_a_corrected_model_goes_into_the_users_file(tmp_path):
 
 @pytest.mark.parametrize("name", ["a/b", "", ".x", ".."])
 def test_names_of_files(tmp_path, name):
-    with pytest.raises(TorchidError, match="--name"):
+    with pytest.raises(TorchidError, match="without folder"):
         run("3r", "--to", "yaml", "--out", tmp_path, "--name", name)
 
 

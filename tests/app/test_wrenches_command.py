@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     pi = own.parameters.pi.clone()
     pi[0, 2, :4] *= 2.2 / 1.2
     heavy = type(own)(("heavy",), InertialParameters(pi), (), own.coefficients)
-    (path / "sets.json").write_text(json.dumps(to_record(joined([own, heavy]), "3r")))
+    (path / "sets.json").write_text(json.dumps(to_record(joined([own, heavy]), robot)))
     motion = random_trajectory(robot, 0, duration=4.0)
     write_trajectory(motion, path / "motion.csv")
     log = synthetic_log(robot, trajectory_log(motion, 100.0), HonestNoise(), 0)

@@ -24,7 +24,7 @@ def sets(path, *, mass=0.0, spread=0.01, count=5, seed=0):
     pi[:, 1, 0] += mass
     ids = tuple(f"p_{k}" for k in range(count))
     made = ParameterSets(ids, InertialParameters(pi), (), pi.new_zeros(count, 0))
-    path.write_text(json.dumps(to_record(made, "3r")))
+    path.write_text(json.dumps(to_record(made, robot)))
     return path
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from tests.arms import consistent_parameters
 from tests.robot.conftest import ARM
 from torchid.export.dynamics import Dynamics
-from torchid.export.export import Export, Format, export
-from torchid.export.write_xml import Original
+from torchid.export.export import Export, Format, export_dynamics
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 
@@ -99,8 +98,8 @@ def exported(
     robot: Robot, to: Format, folder: Path, original: Path | None = None, tip: str | None = None
 ) -> Export:
     """An export of a robot's own dynamics, checked by physics alone."""
-    found = None
-    if original is not None:
-        found = Original(original, load_robot(original, tip=tip), tip)
+    found = None if original is None else load_robot(original, tip=tip)
     dynamics = Dynamics(robot, "robot", "the parameters of a test")
-    return export(dynamics, to, folder, "out", nominal=robot, original=found, geometry="none")
+    return export_dynamics(
+        dynamics, to, folder, "out", nominal=robot, original=found, geometry="none"
+    )

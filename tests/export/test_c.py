@@ -16,7 +16,7 @@ from torchid.export.c_code import c_file, identifier
 from torchid.export.checks import check_c, compiler
 from torchid.export.dynamics import Dynamics, of_base, robot_torque, states
 from torchid.identification.base_parameters import base_parameters, nominal_values
-from torchid.identification.reading import BaseValues
+from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")

@@ -126,14 +126,12 @@ def test_massless_links_between_two_joints_of_a_body(tmp_path):
     robot = load_robot(original)
     assert robot.link_names == ("a/b/x", "a/b")
     from torchid.export.dynamics import Dynamics
-    from torchid.export.export import export
-    from torchid.export.write_xml import Original
+    from torchid.export.export import export_dynamics
 
     def forced(pi):  # type: ignore[no-untyped-def]
         one = robot.with_parameters(InertialParameters(pi))
-        found = Original(original, robot, None)
         dynamics = Dynamics(one, "robot", "a test")
-        return export(dynamics, "mjcf", tmp_path, "o", nominal=one, original=found, force=True)
+        return export_dynamics(dynamics, "mjcf", tmp_path, "o", nominal=one, force=True)
 
     pi = robot.parameters.pi.clone()
     pi[1] *= 2
@@ -174,11 +172,11 @@ def test_bodies_that_are_not_written_out_are_refused(tmp_path):
 def test_an_infeasible_set_cannot_be_forced_into_mjcf(tmp_path):
     robot = arm("kuka_lwr4")
     from torchid.export.dynamics import Dynamics
-    from torchid.export.export import export
+    from torchid.export.export import export_dynamics
 
     dynamics = Dynamics(robot, "robot", "a test")
     with pytest.raises(TorchidError, match="nothing was kept"):
-        export(dynamics, "mjcf", tmp_path, "out", nominal=robot, force=True)
+        export_dynamics(dynamics, "mjcf", tmp_path, "out", nominal=robot, force=True)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,7 +13,7 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
-from torchid.export.export import export
+from torchid.export.export import export_dynamics
 from torchid.export.results import base_dynamics, load, robot_dynamics, robot_of, set_dynamics
 from torchid.export.tables import read_values
 from torchid.export.verdict import check, require_feasible
@@ -58,7 +58,7 @@ def sets_file(tmp_path, robot, scales=(1.0, 2.0, -1.0), **more):  # type: ignore
         torch.full((3, robot.n), 0.3),
     )
     path = tmp_path / "sets.json"
-    path.write_text(json.dumps({**to_record(sets, robot.name, robot.name), **more}))
+    path.write_text(json.dumps({**to_record(sets, robot), **more}))
     return path
 
 
@@ -80,7 +80,7 @@ def test_base_parameters_have_the_identifications_torque(tmp_path):
 def test_base_parameters_as_table_and_as_code(tmp_path, to):
     robot = arm("kuka_lwr4")
     path, base, _, values = identification(tmp_path, robot)
-    done = export(base_dynamics(path, robot), to, tmp_path, "out", nominal=robot)
+    done = export_dynamics(base_dynamics(path, robot), to, tmp_path, "out", nominal=robot)
     assert all(c.ok for c in done.comparisons)
     assert done.check is None
     if to == "csv":
@@ -93,17 +93,19 @@ def test_infeasible_base_parameters_lead_to_the_extraction(tmp_path):
     robot = arm("kuka_lwr4")  # its published parameters are infeasible
     path, *_ = identification(tmp_path, robot)
     with pytest.raises(TorchidError, match="torchid extract") as raised:
-        export(base_dynamics(path, robot), "urdf", tmp_path, "out", nominal=robot)
+        export_dynamics(base_dynamics(path, robot), "urdf", tmp_path, "out", nominal=robot)
     assert "inertia_3" in str(raised.value)
     assert [p.name for p in tmp_path.iterdir()] == ["identification.json"]
-    forced = export(base_dynamics(path, robot), "urdf", tmp_path, "o", nominal=robot, force=True)
+    forced = export_dynamics(
+        base_dynamics(path, robot), "urdf", tmp_path, "o", nominal=robot, force=True
+    )
     assert forced.comparisons[0].difference < 1e-9
 
 
 def test_feasible_base_parameters_are_written(tmp_path):
     robot = replace(arm("kuka_lwr4"), bounds={}).with_parameters(consistent_parameters(7, 2))
     path, *_ = identification(tmp_path, robot)
-    done = export(base_dynamics(path, robot), "yaml", tmp_path, "o", nominal=robot)
+    done = export_dynamics(base_dynamics(path, robot), "yaml", tmp_path, "o", nominal=robot)
     assert all(c.ok for c in done.comparisons)
 
 
@@ -151,11 +153,11 @@ def test_infeasible_sets_are_refused_with_labels_and_evidence(tmp_path):
     found = set_dynamics(path, load(path), robot, "c", "none")
     for to in ("urdf", "mjcf", "yaml", "csv", "c"):
         with pytest.raises(TorchidError, match="infeasible") as raised:
-            export(found, to, tmp_path, "out", nominal=robot, geometry="none")
+            export_dynamics(found, to, tmp_path, "out", nominal=robot, geometry="none")
         assert "mass_1 (-" in raised.value.got
         assert "inertia_2 (not positive definite" in raised.value.got
     assert [p.name for p in tmp_path.iterdir()] == ["sets.json"]
-    done = export(found, "urdf", tmp_path, "o", nominal=robot, geometry="none", force=True)
+    done = export_dynamics(found, "urdf", tmp_path, "o", nominal=robot, geometry="none", force=True)
     assert done.comparisons[0].ok
     assert not bool(done.check.feasibility.feasible[0])
 
@@ -176,7 +178,7 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     ("text", "words"),
     [
         ("not json", "not JSON"),
-        ("[1]", "carries no dynamics"),
+        ("[1]", "a JSON object"),
         ('{"schema": "torchid.gap/1"}', "--save-model"),
         ('{"schema": "torchid.feasibility/1"}', "carries no dynamics"),
     ],
@@ -202,7 +204,7 @@ def test_the_robot_is_the_one_recorded(tmp_path):
 
 def test_a_robot_needs_parameters():
     with pytest.raises(TorchidError, match="no inertial parameters"):
-        robot_dynamics(replace(arm("3r"), parameters=None), "3r")
+        robot_dynamics(replace(arm("3r"), parameters=None))
 
 
 def test_a_payload_becomes_part_of_the_last_link(tmp_path):

@@ -218,11 +218,11 @@ def test_a_first_moment_without_mass_is_refused(tmp_path):
     pi[1, 0] = 0.0
     massless = robot.with_parameters(InertialParameters(pi))
     from torchid.export.dynamics import Dynamics
-    from torchid.export.export import export
+    from torchid.export.export import export_dynamics
 
     dynamics = Dynamics(massless, "robot", "a test")
     with pytest.raises(TorchidError, match="no centre of mass"):
-        export(dynamics, "urdf", tmp_path, "out", nominal=massless, force=True)
+        export_dynamics(dynamics, "urdf", tmp_path, "out", nominal=massless, force=True)
     assert list(tmp_path.iterdir()) == []
 
 

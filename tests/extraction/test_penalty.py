@@ -24,12 +24,13 @@ from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
-from torchid.identification.reading import nominal_base
+from torchid.identification.values import nominal_base
 from torchid.robot.inertia import six, symmetric
 from torchid.robot.library import load_robot
 
-NEAR = 1e-8
-"""What the closed form may be off, as a share of the largest eigenvalue's size."""
+NEAR = 1e-7
+"""What the closed form may be off, as a share of the largest eigenvalue's size: where two are
+equal, its arc cosine has the square root of the rounding."""
 
 
 # ---- eigenvalues in closed form -------------------------------------------------------------

@@ -10,7 +10,7 @@ from torchid.extraction.torque import torque_error
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters, random_states
-from torchid.identification.reading import nominal_base
+from torchid.identification.values import nominal_base
 from torchid.robot.library import load_robot
 
 

@@ -77,7 +77,7 @@ def test_parts_and_joined_undo_each_other() -> None:
 def test_file_is_lossless(name: str, tmp_path: Path) -> None:
     robot = arm(name)
     for sets in (nominal_set(robot), some_sets(robot.n)):
-        path = written(tmp_path / "sets.json", to_record(sets, robot.name))
+        path = written(tmp_path / "sets.json", to_record(sets, robot))
         again = read_sets(path, robot)
         assert again.ids == sets.ids
         assert again.effects == sets.effects
@@ -94,7 +94,7 @@ def test_any_finite_numbers_survive_the_file(tmp_path: Path, pi: list[float], fv
         ("x",), InertialParameters(numbers), (ViscousFriction(1),), torch.tensor([[fv]])
     )
     robot = load_robot("3r")
-    again = read_sets(written(tmp_path / "s.json", to_record(sets, "3r")), robot)
+    again = read_sets(written(tmp_path / "s.json", to_record(sets, robot)), robot)
     # Of the bits, not of the values: -0.0 is not 0.0.
     assert torch.equal(again.vector.view(torch.int64), sets.vector.view(torch.int64))
 
@@ -127,8 +127,8 @@ BAD_FILES = {
     "empty": ("", "not JSON"),
     "not json": ("mass: [1, 2]", "not JSON"),
     "half written": (json.dumps({"sets": [entry()]})[:-20], "not JSON"),
-    "a list": ([entry()], "holds no parameter sets"),
-    "null": (None, "holds no parameter sets"),
+    "a list": ([entry()], "a JSON object"),
+    "null": (None, "a JSON object"),
     "another file": ({"parameters": []}, "holds no parameter sets"),
     "no sets": ({"sets": []}, "holds no parameter sets"),
     "sets by name": ({"sets": {"a": entry()}}, "holds no parameter sets"),

@@ -13,7 +13,8 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
 from torchid.gap.diagnosis import Parametric, RegimeGap, Status
-from torchid.gap.record import plain, record
+from torchid.gap.record import record
+from torchid.json_data import plain
 
 
 @pytest.mark.parametrize("status", get_args(Status))

@@ -101,7 +101,7 @@ def test_a_damaged_set_is_refused(made):
     path = made.folder / "cases.json"
     data = json.loads(path.read_text())
     for changed, words in (
-        ("{", "holds no JSON"),
+        ("{", "is not JSON"),
         ("[]", "is not a list of withheld cases"),
         (json.dumps(data | {"schema": "other/1"}), "another schema"),
         (json.dumps({k: v for k, v in data.items() if k != "seed"}), "incomplete"),

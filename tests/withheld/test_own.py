@@ -7,7 +7,7 @@ import pytest
 
 from tests.gap.test_diagnose import FC, NOISE, QUICK, REAL, ROBOT, logged
 from torchid.errors import TorchidError
-from torchid.gap.record import plain
+from torchid.json_data import plain
 from torchid.withheld import own, planting
 from torchid.withheld.own import check_own, own_record
 from torchid.withheld.planting import LEVELS

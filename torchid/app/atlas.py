@@ -24,7 +24,7 @@ from torchid.app.problems import (
 )
 
 if TYPE_CHECKING:
-    from torchid.identification.reading import BaseValues
+    from torchid.identification.values import BaseValues
 
 
 def atlas_command(

@@ -8,6 +8,7 @@ import typer
 
 from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, interval, open_output
 from torchid.errors import TorchidError
+from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.nearest import NearestSets
@@ -197,18 +198,14 @@ def _write_nearest(
     nearest: "NearestSets", check: "Check", path: Path, data: dict[str, Any]
 ) -> None:
     """Feasible sets to the file; what each cost in torque to the record."""
-    import json
     import math
 
     from torchid.feasibility.sets import to_record
-    from torchid.files import atomic_write
-    from torchid.robot.library import reference
 
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:
-        with atomic_write(path, "w") as stream:
-            sets = to_record(nearest.sets.part(good), check.robot.name, reference(check.robot))
-            stream.write(json.dumps(sets, indent=1) + "\n")
+        sets = nearest.sets.part(good)
+        write_json(to_record(sets, check.robot), path)
     else:
         data["warnings"].append(f"no feasible set was found: {path} was not written")
 

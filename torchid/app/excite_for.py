@@ -23,10 +23,10 @@ def robot_of_result(
     Raises:
         TorchidError: neither; or no result.
     """
-    from torchid.excitation.ambiguity import load
+    from torchid.json_data import read_json
     from torchid.robot.record import recorded_robot
 
-    found = robot or recorded_robot(load(path), str(path))
+    found = robot or recorded_robot(read_json(path, "a result"), str(path))
     if found is None:
         raise TorchidError(f"'{path}' does not record its robot.", expected="torchid excite ROBOT")
     return limited(found, velocity, acceleration)
@@ -47,10 +47,10 @@ def designed_for(
         TorchidError: a result that asks for no motion.
     """
     from torchid.excitation.ambiguity import SCHEMA as GAP
-    from torchid.excitation.ambiguity import load
     from torchid.identification.record import SCHEMA as IDENTIFICATION
+    from torchid.json_data import read_json
 
-    data = load(path)
+    data = read_json(path, "a result")
     if data.get("schema") == IDENTIFICATION:
         return _for_identification(path, robot, seed, criterion, restarts, settings, output)
     if data.get("schema") == GAP:

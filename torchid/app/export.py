@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, open_output
-from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.export.dynamics import Dynamics
     from torchid.export.export import Export
-    from torchid.export.write_xml import Original
     from torchid.robot.model import Robot
 
-_SUFFIX = {"urdf": ".urdf", "mjcf": ".xml"}
+_TREES = (".urdf", ".xml")
 
 
 def export_command(
@@ -76,15 +74,15 @@ def export_command(
     Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.export.export import export
+    from torchid.export.export import export_dynamics
     from torchid.report.export import export_record
 
-    dynamics, nominal, original = _read(result, robot, chosen, tip, geometry, to)
-    done = export(
+    dynamics, nominal, original = _read(result, robot, chosen, tip, geometry)
+    done = export_dynamics(
         dynamics,
         to,
         Path() if out is None else out,
-        _file_name(name, nominal),
+        name,
         nominal=nominal,
         original=original,
         geometry=geometry,
@@ -102,9 +100,8 @@ def _read(
     chosen: str | None,
     tip: str | None,
     geometry: str | None,
-    to: str,
-) -> "tuple[Dynamics, Robot, Original | None]":
-    """The dynamics, the robot they belong to, and the file to edit a copy of."""
+) -> "tuple[Dynamics, Robot, Robot]":
+    """The dynamics, the robot they belong to, and that whose file a copy is edited of."""
     from torchid.export.results import (
         base_dynamics,
         is_robot,
@@ -118,12 +115,11 @@ def _read(
     if is_robot(result):
         # A tip is for the files that can branch; where none can, the reader refuses it.
         names = [result] if robot is None else [result, robot]
-        trees = [name for name in names if Path(name).suffix.lower() in _SUFFIX.values()]
+        trees = [name for name in names if Path(name).suffix.lower() in _TREES]
         own, *others = [
             load_robot(name, tip=tip if name in trees or not trees else None) for name in names
         ]
-        named = others[0] if others else own
-        return robot_dynamics(own, result), own, _original(named, to, tip)
+        return robot_dynamics(own), own, others[0] if others else own
     path = Path(result)
     data = load(path)
     arm = robot_of(path, data, tip) if robot is None else load_robot(robot, tip=tip)
@@ -131,25 +127,7 @@ def _read(
         found = set_dynamics(path, data, arm, chosen, geometry)
     else:
         found = base_dynamics(path, arm)
-    return found, arm, _original(arm, to, tip)
-
-
-def _original(robot: "Robot", to: str, tip: str | None) -> "Original | None":
-    """The robot's file, where it is of the format that is written."""
-    from torchid.export.write_xml import Original
-
-    path = Path(robot.source)
-    if path.suffix.lower() != _SUFFIX.get(to):
-        return None
-    return Original(path, robot, tip)
-
-
-def _file_name(name: str | None, robot: "Robot") -> str:
-    if name is None:
-        return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
-    if not name or Path(name).name != name or name.startswith("."):
-        raise TorchidError("--name is the name of a file, without folder.", got=name)
-    return name
+    return found, arm, arm
 
 
 def _show(done: "Export", output: Output) -> None:

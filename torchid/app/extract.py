@@ -28,6 +28,7 @@ from torchid.app.problems import (
     build_problem,
 )
 from torchid.errors import TorchidError
+from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.certificate import Certificate
@@ -229,21 +230,16 @@ def _show(
 def _write(
     found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
 ) -> None:
-    import json
 
     from torchid.feasibility.sets import to_record
-    from torchid.files import atomic_write
     from torchid.report.extraction import extraction_record
     from torchid.report.figures import save
-    from torchid.robot.library import reference
 
     data: dict[str, Any] = extraction_record(found, proof, notes)
     output.write_json(data, "extraction.json")
     if output.folder is None:
         return
-    with atomic_write(output.folder / "sets.json", "w") as stream:
-        arm = found.problem.robot
-        stream.write(json.dumps(to_record(found.sets, arm.name, reference(arm)), indent=1) + "\n")
+    write_json(to_record(found.sets, found.problem.robot), output.folder / "sets.json")
     if found.search is not None:
         from torchid.report.extraction import search_figure
 

@@ -1,11 +1,10 @@
 """Options that every computing command takes, and what they do."""
 
-import json
 import logging
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchid.errors import TorchidError
-from torchid.files import atomic_write
+from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.log.model import Log
@@ -136,12 +135,10 @@ class Output:
 
     def write_json(self, data: dict[str, Any], name: str) -> None:
         """To --json and to DIR/name, whichever were given."""
-        text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-        targets = [self.json_file, None if self.folder is None else self.folder / name]
-        for target in targets:
+        for target in (self.json_file, None if self.folder is None else self.folder / name):
             if target is not None:
-                with atomic_write(target, "w") as stream:
-                    stream.write(text)
+                with suppress(BrokenPipeError):  # standard output, whose reader has left
+                    write_json(data, target)
 
     def say(self, *objects: Any) -> None:
         """Print for people, unless quiet."""
@@ -199,10 +196,19 @@ def _check_page(page_file: Path, json_file: Path | None) -> None:
     require_templates()
 
 
+class _Console(Console):
+    """Falls silent when its reader has left (`| head`), where rich ends the program: files that
+    were asked for are still written."""
+
+    def on_broken_pipe(self) -> None:
+        with suppress(SystemExit):
+            super().on_broken_pipe()
+
+
 def _console() -> Console:
     """As wide as the terminal; wide enough for the tables where there is none."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=120)
+    console = _Console(highlight=False)
+    return console if console.is_terminal else _Console(highlight=False, width=120)
 
 
 def _set_torch_threads(threads: int | None) -> None:

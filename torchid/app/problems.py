@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app.options import interval
-from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.extraction.problem import Problem
-    from torchid.feasibility.bounds import Bounds
-    from torchid.identification.reading import BaseValues
+    from torchid.extraction.problem import LossName, Problem
+    from torchid.identification.values import BaseValues
     from torchid.robot.model import Robot
 
 ResultArgument = Annotated[
@@ -63,67 +61,16 @@ def build_problem(
     geometry: str | None,
     shapes: bool,
     total_mass: str | None,
-    loss: str,
+    loss: "LossName",
 ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
     """The problem that the options describe, the base parameters, and notes for the user."""
-    from torchid.extraction.problem import extraction_problem, one_step, two_step
-    from torchid.feasibility.conditions import conditions
-    from torchid.identification.reading import nominal_base, read_base
+    from torchid.extraction.from_identification import problem_of
+    from torchid.identification.reading import read_base
+    from torchid.identification.values import nominal_base
 
     found = nominal_base(robot) if result is None else read_base(result, robot)
-    limits, notes = _bounds(robot, bounds, found)
-    if loss == "one-step":
-        if found.factor is None:
-            raise TorchidError(
-                "the one-step loss needs a log.",
-                got="the robot's nominal parameters",
-                expected="the JSON of `torchid identify`",
-            )
-        target = one_step(found.base, found.effects, found.values, found.factor)
-    else:
-        target = two_step(found.base, found.effects, found.values, found.known)
-    asked = conditions(
-        robot,
-        com_box=_geometry(robot, geometry, limits),
-        shapes=shapes,
-        total_mass=None if total_mass is None else interval("--total-mass", total_mass),
+    limits = None if total_mass is None else interval("--total-mass", total_mass)
+    problem, notes = problem_of(
+        robot, found, bounds=bounds, geometry=geometry, shapes=shapes, total_mass=limits, loss=loss
     )
-    return extraction_problem(robot, target, limits, asked), found, (*notes, *_unasked(found))
-
-
-def _unasked(found: "BaseValues") -> tuple[str, ...]:
-    """A note on base parameters that the log did not determine."""
-    names = [
-        n for n, known in zip(found.base.names, found.known.tolist(), strict=True) if not known
-    ]
-    if len(names) == len(found.base):
-        raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
-    if not names:
-        return ()
-    return (f"not determined by the log: {', '.join(names)}",)
-
-
-def _bounds(
-    robot: "Robot", asked: str | None, found: "BaseValues"
-) -> "tuple[Bounds, tuple[str, ...]]":
-    from torchid.extraction.problem import with_coefficient_bounds
-    from torchid.feasibility.bounds import bounds_groups
-    from torchid.feasibility.derived_bounds import NAME, named_bounds
-
-    group = asked or ("normal" if "normal" in bounds_groups(robot) else NAME)
-    limits = named_bounds(robot, group)
-    full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
-    note = f"bounds of {', '.join(added)}: within twice the identified sizes" if added else ""
-    return full, (note,) if note else ()
-
-
-def _geometry(robot: "Robot", asked: str | None, limits: "Bounds"):  # type: ignore[no-untyped-def]
-    """Boxes of the centres of mass to check: None lets the robot's own decide."""
-    from torchid.feasibility.bounds import bounds_groups, read_bounds
-    from torchid.feasibility.conditions import physics_only
-
-    if asked == "none":
-        return physics_only(robot.n).com_box
-    if asked is not None:
-        return read_bounds(robot, asked).com
-    return None if "normal" in bounds_groups(robot) else limits.com
+    return problem, found, notes

@@ -23,6 +23,7 @@ from torchid.app.options import (
 )
 from torchid.app.page import Named, hashed, robot_input, write_report
 from torchid.errors import TorchidError
+from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.report.page.origin import InputFile
@@ -132,11 +133,9 @@ def _run(
 
 
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
-    import json
 
     from rich.markup import escape
 
-    from torchid.files import atomic_write
     from torchid.report.study.report import headline, tables, write_study
     from torchid.study.record import record
 
@@ -146,8 +145,7 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
     output.say(f"\n{escape(headline(found))}\n")
     data = record(found)
     if folder is not None:
-        with atomic_write(folder / "study.json", "w") as stream:
-            stream.write(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        write_json(data, folder / "study.json")
         if figures:
             write_study(found, folder)
         output.say(f"results of {found.settings.name} are in {folder}")

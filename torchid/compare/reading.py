@@ -1,6 +1,5 @@
 """Results read back from their JSON, to be compared: what each holds, and of which robot."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from torchid.errors import TorchidError
 from torchid.feasibility.sets import SCHEMA as SETS
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.record import SCHEMA as IDENTIFICATION
+from torchid.json_data import read_json
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
 from torchid.robot.model import JointType, Robot
 from torchid.robot.record import recorded_robot
@@ -120,13 +120,8 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
-    except ValueError as error:
-        raise TorchidError(f"'{path}' is not JSON.", got=error) from error
-    schema = data.get("schema") if isinstance(data, Mapping) else None
+    data = read_json(path, "a result")
+    schema = data.get("schema")
     if schema not in KINDS:
         raise TorchidError(
             f"'{path}' is not a result that can be compared.",
@@ -134,7 +129,7 @@ def _load(path: Path) -> Mapping[str, Any]:
             available=[f"{name} ({what})" for name, what in KINDS.items()],
             hint="of an extraction, the file of its sets: sets.json",
         )
-    return dict(data)
+    return data
 
 
 def _labels(paths: Sequence[Path]) -> list[str]:

@@ -1,7 +1,5 @@
 """Comparisons as plain data: the schema torchid.compare/1. What is not a number is null."""
 
-import math
-from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -10,7 +8,7 @@ from torchid.compare.identifications import Compared, Comparison
 from torchid.compare.scatter import Scatter
 from torchid.compare.sets import Range, SetComparison
 from torchid.compare.torque import TorqueSpread
-from torchid.typing import Tensor
+from torchid.json_data import plain
 
 SCHEMA = "torchid.compare/1"
 
@@ -31,7 +29,7 @@ def record(result: Comparison | GapComparison | SetComparison) -> dict[str, Any]
         "torque": None if result.torque is None else _torque(result.torque),
         "notes": result.notes,
     }
-    return {key: _plain(value) for key, value in whole.items()}
+    return {**plain(whole)}
 
 
 def _identifications(result: Comparison) -> dict[str, Any]:
@@ -139,15 +137,3 @@ def _torque(t: TorqueSpread) -> dict[str, Any]:
         "pairs": t.pairs,
         "errors": t.errors,
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Tensor):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, Iterable):
-        return [_plain(item) for item in value]
-    return float(value) if math.isfinite(value) else None

@@ -1,6 +1,5 @@
 """What a gap diagnosis leaves open (schema torchid.gap/1), as pairs to be separated by a motion."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -101,23 +100,6 @@ def read_open(path: Path, data: Mapping[str, Any], robot: Robot | None) -> Open:
             got=f"status {data['status']}" + "".join(f"; {note}" for note in notes),
         )
     return Open(kind, setting, tuple(pairs), tuple(notes))
-
-
-def load(path: Path) -> Mapping[str, Any]:
-    """A result's JSON.
-
-    Raises:
-        TorchidError: not to be read, or no JSON object.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
-    except ValueError as error:
-        raise TorchidError(f"'{path}' is not JSON.", got=error) from error
-    if not isinstance(data, dict):
-        raise TorchidError(f"'{path}' is not a result.", got=type(data).__name__)
-    return data
 
 
 def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:

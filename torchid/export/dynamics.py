@@ -9,7 +9,7 @@ import torch
 from torchid.effects.base import Effect, Motion
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.registry import Valued, model_torque, nominal_effects
-from torchid.identification.reading import BaseValues
+from torchid.identification.values import BaseValues
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Joints, Tensor
@@ -49,10 +49,11 @@ def robot_torque(robot: Robot, motion: Motion) -> Joints:
     return model_torque(robot, nominal_effects(robot), motion)
 
 
-def of_base(
-    robot: Robot, values: BaseValues, title: str, warnings: tuple[str, ...] = ()
-) -> Dynamics:
-    """The dynamics of identified base parameters."""
+def of_base(robot: Robot, values: BaseValues, title: str | None = None) -> Dynamics:
+    """The dynamics of identified base parameters; `title` says for people what they are."""
+    unknown = [n for n, k in zip(values.base.names, values.known.tolist(), strict=True) if not k]
+    warnings = (f"not determined by the log, and 0 here: {', '.join(unknown)}",) if unknown else ()
+    title = f"{len(values.base)} identified base parameters" if title is None else title
     full = torch.zeros(len(values.base.parameter_names), dtype=torch.float64)
     full[list(values.base.independent)] = values.values
     return Dynamics(_with(robot, values, full), "base parameters", title, values, warnings)

@@ -8,10 +8,13 @@ from typing import Literal
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
+from torchid.export.results import dynamics_of
 from torchid.export.verdict import check, require_feasible
 from torchid.export.write_plain import Written, write_c, write_table, write_yaml
-from torchid.export.write_xml import Original, write_xml
+from torchid.export.write_xml import write_xml
 from torchid.feasibility.record import Check
+from torchid.feasibility.sets import ParameterSets
+from torchid.identification.result import Identification
 from torchid.robot.model import Robot
 
 Format = Literal["urdf", "mjcf", "yaml", "csv", "c"]
@@ -46,14 +49,14 @@ class Export:
     notes: tuple[str, ...]
 
 
-def export(
-    dynamics: Dynamics,
+def export_dynamics(
+    result: Dynamics | Identification | ParameterSets | Robot,
     to: Format,
     folder: Path,
-    name: str,
+    name: str | None = None,
     *,
     nominal: Robot,
-    original: Original | None = None,
+    original: Robot | None = None,
     geometry: str | None = None,
     force: bool = False,
     seed: int = 0,
@@ -62,13 +65,15 @@ def export(
     """Write dynamics to `folder`, once what was written has been reloaded and compared.
 
     Args:
-        dynamics: what to write.
+        result: what to write: an identification, one set of parameters, a robot, or what the
+            functions of `torchid.export.results` read from files.
         to: format. yaml, urdf and mjcf need physical parameters: of base parameters those nearest
             to the robot's own that have exactly them.
         folder: exists.
-        name: of the file, without suffix.
+        name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
-        original: for urdf and mjcf: the file to edit a copy of; a new one is written without.
+        original: for urdf and mjcf: the robot whose file a copy is edited of, the nominal one
+            by default. If its file is of another format, a new one is written.
         geometry: group of bounds, or `none`, of the check (see `check_sets`).
         force: write infeasible parameters, too.
         seed: of the states of the comparison.
@@ -78,10 +83,21 @@ def export(
         TorchidError: infeasible parameters that are not forced, frames that are not the original's,
             what the format has no place for, or a file that does not reproduce the result's torque.
             Nothing is left then, and files that were there before stay.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from torchid import load_robot
+    >>> robot = load_robot("3r")
+    >>> with TemporaryDirectory() as folder:
+    ...     done = export_dynamics(robot, "urdf", Path(folder), nominal=robot)
+    >>> [file.name for file in done.files], all(c.difference < 1e-9 for c in done.comparisons)
+    (['3r.urdf'], True)
     """
-    path = folder / f"{name}{SUFFIXES[to]}"
-    originals = [] if original is None else [original.path]
-    _refuse_overwriting(path, [*keep, Path(nominal.source), *originals])
+    dynamics = dynamics_of(result, nominal)
+    path = folder / f"{_file_name(name, nominal)}{SUFFIXES[to]}"
+    model = nominal if original is None else original
+    _refuse_overwriting(path, [*keep, Path(nominal.source), Path(model.source)])
+    same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
+    edited = model if same_format else None
     physical = dynamics.base is None or to not in ("csv", "c")
     written = dynamics.robot
     if dynamics.base is not None and physical:
@@ -89,7 +105,7 @@ def export(
     found = check(written, geometry) if physical else None
     if found is not None and not force:
         require_feasible(dynamics, found)
-    draft, comparisons = _write(dynamics, written, to, path, original, seed)
+    draft, comparisons = _write(dynamics, written, to, path, edited, seed)
     robot = dynamics.robot
     in_file, beside, left_out = (
         tuple(described(effect, values, robot) for effect, values in pairs)
@@ -99,7 +115,7 @@ def export(
         dynamics=dynamics,
         format=to,
         files=tuple(folder / file for file, data in draft.files.items() if data is not None),
-        original=None if original is None else original.path,
+        original=None if edited is None else Path(edited.source),
         check=found,
         comparisons=comparisons,
         in_file=in_file,
@@ -107,6 +123,14 @@ def export(
         left_out=left_out,
         notes=draft.notes,
     )
+
+
+def _file_name(name: str | None, robot: Robot) -> str:
+    if name is None:
+        return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
+    if not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("the name is that of a file, without folder.", got=name)
+    return name
 
 
 def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
@@ -118,7 +142,7 @@ def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
 
 
 def _write(
-    dynamics: Dynamics, written: Robot, to: Format, path: Path, original: Original | None, seed: int
+    dynamics: Dynamics, written: Robot, to: Format, path: Path, original: Robot | None, seed: int
 ) -> Written:
     motion = states(dynamics.robot, seed)
     if to == "yaml":

@@ -5,7 +5,6 @@ The JSON of `torchid identify` holds base parameters. Sets are those of sets.jso
 robot is a built-in name or a file, such as `torchid gap --save-model` writes.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,10 +18,14 @@ from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_sets
 from torchid.identification.reading import read_base
 from torchid.identification.record import SCHEMA as IDENTIFICATION
+from torchid.identification.result import Identification
+from torchid.identification.values import identified_base
+from torchid.json_data import read_json
 from torchid.robot.library import built_in_robots, load_robot
 from torchid.robot.model import Robot
 
 _ROBOT_FILES = (".yaml", ".yml", ".urdf", ".xml")
+Exportable = Dynamics | Identification | ParameterSets | Robot
 _KINDS = "the JSON of `torchid identify` or `extract`, a file of parameter sets, or a robot"
 
 
@@ -37,16 +40,9 @@ def load(path: Path) -> Mapping[str, Any]:
     Raises:
         TorchidError: not readable, not JSON, or a result that carries no dynamics.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TorchidError(
-            f"'{path}' cannot be read: {error.strerror or error}.", expected=_KINDS
-        ) from error
-    except ValueError as error:
-        raise TorchidError(f"'{path}' is not JSON: {error}", expected=_KINDS) from error
-    schema = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
-    if not isinstance(data, Mapping) or not ("sets" in data or schema == IDENTIFICATION):
+    data = read_json(path, _KINDS)
+    schema = data.get("schema")
+    if not ("sets" in data or schema == IDENTIFICATION):
         hint = None
         if schema == "torchid.gap/1":
             hint = "torchid gap ROBOT LOG... --save-model corrected.yaml, and export that file"
@@ -56,13 +52,34 @@ def load(path: Path) -> Mapping[str, Any]:
     return data
 
 
+def dynamics_of(
+    result: Dynamics | Identification | ParameterSets | Robot, robot: Robot
+) -> Dynamics:
+    """What is exported of a result in memory.
+
+    Args:
+        result: an identification, one set of parameters, a robot; dynamics stay as they are.
+        robot: that it belongs to.
+
+    Raises:
+        TorchidError: several sets, or a robot without parameters.
+    """
+    if isinstance(result, Identification):
+        return of_base(robot, identified_base(result))
+    if isinstance(result, ParameterSets):
+        return of_set(robot, result)
+    return robot_dynamics(result) if isinstance(result, Robot) else result
+
+
 def robot_of(result: Path, data: Mapping[str, Any], tip: str | None) -> Robot:
-    """The robot that a JSON result names, by the file or built-in name it records.
+    """The robot that a JSON result names, by the file or built-in name it records, with the tip
+    that it records unless another is given.
 
     Raises:
         TorchidError: it names none, or one that is not where it was.
     """
     source, name = data.get("robot_source"), data.get("robot")
+    tip = data.get("robot_tip") if tip is None else tip
     for place in (source, name):
         if not isinstance(place, str):
             continue
@@ -80,10 +97,9 @@ def robot_of(result: Path, data: Mapping[str, Any], tip: str | None) -> Robot:
 def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     """The base parameters of an identification."""
     values = read_base(path, robot)
-    unknown = [n for n, k in zip(values.base.names, values.known.tolist(), strict=True) if not k]
-    said = (f"not determined by the log, and 0 here: {', '.join(unknown)}",) if unknown else ()
-    title = f"the {len(values.base)} base parameters identified in {path.name}"
-    return of_base(robot, values, title, said)
+    return of_base(
+        robot, values, f"the {len(values.base)} base parameters identified in {path.name}"
+    )
 
 
 def set_dynamics(
@@ -97,24 +113,39 @@ def set_dynamics(
     """
     sets = read_sets(_with_parameters(path, data), robot)
     k, why = _chosen(sets, _losses(path, data), asked, robot, geometry)
-    one = sets.part([k])
+    found = of_set(robot, sets.part([k]), f"the set '{sets.ids[k]}' of {path.name}{why}")
+    if data.get("robot") in (None, robot.name):
+        return found
+    other = f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'"
+    return replace(found, warnings=(*found.warnings, other))
+
+
+def of_set(robot: Robot, one: ParameterSets, title: str | None = None) -> Dynamics:
+    """A set of parameters to export.
+
+    Args:
+        robot: that it belongs to.
+        one: one set, e.g. `sets.part([k])` of several.
+        title: what it is, for people; by its name otherwise.
+
+    Raises:
+        TorchidError: not one set.
+    """
+    if len(one) != 1:
+        raise TorchidError("one set is exported.", got=f"{len(one)} sets", hint="sets.part([k])")
     coefficients = iter(one.coefficients[0].tolist())
     effects = [(e, [next(coefficients) for _ in e.coefficients]) for e in one.effects]
-    left = {e.name for e, _ in nominal_effects(robot) if e.name not in COLUMN_KINDS}
-    said = []
-    if left:
-        said.append(f"effects of the robot that are not part of the sets: {', '.join(left)}")
-    if data.get("robot") not in (None, robot.name):
-        said.append(f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'")
+    left = sorted({e.name for e, _ in nominal_effects(robot) if e.name not in COLUMN_KINDS})
+    said = f"effects of the robot that are not part of the sets: {', '.join(left)}"
     return Dynamics(
         replace(one.to_robot(robot, 0), effects=records(effects)),
         "set",
-        f"the set '{one.ids[0]}' of {path.name}{why}",
-        warnings=tuple(said),
+        f"the set '{one.ids[0]}'" if title is None else title,
+        warnings=(said,) if left else (),
     )
 
 
-def robot_dynamics(robot: Robot, result: str) -> Dynamics:
+def robot_dynamics(robot: Robot) -> Dynamics:
     """A robot's own parameters and effects.
 
     Raises:
@@ -122,7 +153,7 @@ def robot_dynamics(robot: Robot, result: str) -> Dynamics:
     """
     robot.require_parameters("an export")
     nominal_effects(robot)
-    return Dynamics(robot, "robot", f"the parameters of {Path(result).name}")
+    return Dynamics(robot, "robot", f"the parameters of {Path(robot.source).name or robot.name}")
 
 
 def _with_parameters(path: Path, data: Mapping[str, Any]) -> Path:
@@ -143,11 +174,9 @@ def _losses(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
     """Losses by the sets' ids, from the result or from the extraction or study beside it."""
     for other in (path, path.parent / "extraction.json", path.parent / "study.json"):
         try:
-            entries = (
-                data["sets"] if other == path else json.loads(other.read_text("utf-8"))["sets"]
-            )
+            entries = data["sets"] if other == path else read_json(other, _KINDS)["sets"]
             found = {str(e["id"]): e["phi"] for e in entries if "phi" in e}
-        except (OSError, ValueError, KeyError, TypeError):
+        except (TorchidError, KeyError, TypeError):
             continue
         if found:
             return {k: math.inf if v is None else float(v) for k, v in found.items()}

@@ -12,7 +12,7 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
 from torchid.export.exact_text import number
-from torchid.identification.reading import BaseValues
+from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Tensor

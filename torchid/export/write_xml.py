@@ -1,7 +1,7 @@
 """Exports to URDF and MJCF: an edited copy of the user's file, or a new one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from torchid import __version__
@@ -27,23 +27,8 @@ SAME_FRAMES = 1e-9
 """Largest difference of entries of two poses of a frame that counts as the same [-; m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Original:
-    """The user's file that a copy is made of.
-
-    Attributes:
-        path: of the URDF or MJCF.
-        robot: as read from it.
-        tip: that it was read with.
-    """
-
-    path: Path
-    robot: Robot
-    tip: str | None
-
-
 def write_xml(
-    dynamics: Dynamics, written: Robot, path: Path, original: Original | None, motion: Motion
+    dynamics: Dynamics, written: Robot, path: Path, original: Robot | None, motion: Motion
 ) -> tuple[Draft, tuple[Comparison, ...]]:
     """Write, reload with torchid, Pinocchio and MuJoCo, compare, and keep.
 
@@ -51,15 +36,14 @@ def write_xml(
         dynamics: the result, whose torque counts.
         written: physical parameters and effects to write.
         path: .urdf or .xml (MJCF).
-        original: the file to edit a copy of.
+        original: the robot whose file a copy is edited of.
         motion: states of the comparison.
     """
     mjcf = path.suffix == ".xml"
     robot = folded(written)
     if original is not None:
         _require_same_frames(robot, original)
-        names = original.robot
-        robot = replace(robot, joint_names=names.joint_names, link_names=names.link_names)
+        robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)
     joints, rest = split(robot, mjcf=mjcf)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
@@ -111,22 +95,21 @@ def _file(
     joints: Sequence[JointDynamics],
     mjcf: bool,
     folder: Path,
-    original: Original | None,
+    original: Robot | None,
 ) -> XmlFile:
     if original is None:
         return new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
     if not mjcf:
-        return edited_urdf(original.path, original.tip, robot, joints, folder)
-    gravity = robot.gravity.tolist() != original.robot.gravity.tolist()
-    return edited_mjcf(original.path, robot, joints, gravity, folder)
+        return edited_urdf(Path(original.source), original.tip, robot, joints, folder)
+    gravity = robot.gravity.tolist() != original.gravity.tolist()
+    return edited_mjcf(Path(original.source), robot, joints, gravity, folder)
 
 
-def _require_same_frames(robot: Robot, original: Original) -> None:
+def _require_same_frames(robot: Robot, other: Robot) -> None:
     """Raise TorchidError where parameters are not in the frames of the original's links."""
-    other = original.robot
     if robot.n != other.n or robot.joint_types != other.joint_types:
         raise TorchidError(
-            f"the result is of another arm than '{original.path}'.",
+            f"the result is of another arm than '{other.source}'.",
             got=" ".join(robot.joint_types),
             expected=" ".join(other.joint_types),
             hint="choose the chain with --tip",
@@ -139,7 +122,7 @@ def _require_same_frames(robot: Robot, original: Original) -> None:
     ]
     if apart:
         raise TorchidError(
-            f"the result has its link frames elsewhere than '{original.path}', so its parameters "
+            f"the result has its link frames elsewhere than '{other.source}', so its parameters "
             "do not fit into it.",
             got=f"links {', '.join(dict.fromkeys(apart))}",
             hint="identify with this file as the robot; without --robot a new file is written",
@@ -156,7 +139,7 @@ def _head(dynamics: Dynamics, robot: Robot, rest: Sequence[Valued], sidecar: str
     return words
 
 
-def _notes(robot: Robot, original: Original | None) -> tuple[str, ...]:
+def _notes(robot: Robot, original: Robot | None) -> tuple[str, ...]:
     """What a reader of the file should know."""
     if original is None:
         lost = {
@@ -170,6 +153,6 @@ def _notes(robot: Robot, original: Original | None) -> tuple[str, ...]:
     return tuple(
         f"{warning}; their own inertials stay in the copy, and count twice if the log was recorded "
         "with them on the arm"
-        for warning in original.robot.warnings
+        for warning in original.warnings
         if "is not on the chain" in warning
     )

@@ -147,7 +147,7 @@ def require_possible(problem: Problem) -> None:
 
 def extract(
     problem: Problem,
-    settings: SearchSettings,
+    settings: SearchSettings = SearchSettings(),
     *,
     checkpoint: Path | None = None,
     resume: bool = False,
@@ -170,6 +170,14 @@ def extract(
 
     Raises:
         TorchidError: a checkpoint of another problem or of other settings.
+
+    >>> from torchid import load_robot, problem_of
+    >>> from torchid.identification.values import nominal_base
+    >>> robot = load_robot("3r")
+    >>> problem, _ = problem_of(robot, nominal_base(robot))
+    >>> found = extract(problem, SearchSettings(runs=2, stages=3, generations=20))
+    >>> found.sets.parameters.mass.shape, bool((found.phi < 1e-12).all())
+    (torch.Size([2, 3]), True)
     """
     began = time.monotonic()
     now = load(checkpoint, problem, settings) if resume and checkpoint is not None else None

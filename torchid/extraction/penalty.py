@@ -32,7 +32,7 @@ def gamma(
         problem: bounds and conditions.
         p: search vectors (..., D).
         exact: eigenvalues from LAPACK; otherwise in closed form, several times faster and good to
-            about 1e-8 of the largest, which is what a search needs.
+            some 1e-8 of the largest, which is what a search needs.
     """
     mass, com, inertia, coefficients = problem.split(p)
     return (

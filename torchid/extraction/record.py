@@ -7,7 +7,8 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import Feasibility
-from torchid.robot.library import reference
+from torchid.json_data import plain
+from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
 SCHEMA = "torchid.extraction/1"
@@ -21,8 +22,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     target, low = problem.target, problem.box[:, 0]
     total = problem.conditions.total_mass.tolist()
     return {
-        "robot": problem.robot.name,
-        "robot_source": reference(problem.robot),
+        **named_record(problem.robot),
         "loss": target.loss,
         "bounds": problem.bounds.name,
         "base_names": list(target.base.names),
@@ -41,11 +41,11 @@ def sets_record(
     return [
         {
             "id": name,
-            "phi": number(float(phi[k])),
-            "gamma": number(float(gamma[k])),
+            "phi": plain(phi[k]),
+            "gamma": plain(gamma[k]),
             "feasible": verdict[k],
             "reasons": list(found.reasons(k)),
-            "degree": number(degree[k]),
+            "degree": plain(degree[k]),
         }
         for k, name in enumerate(ids)
     ]
@@ -58,8 +58,8 @@ def certificate_record(proof: Certificate | None) -> dict[str, Any] | None:
     return {
         "feasible": proof.feasible and proof.with_conditions,
         "with_conditions": proof.with_conditions,
-        "phi_min": number(proof.phi_min),
-        "phi_strict": number(proof.phi_strict),
+        "phi_min": plain(proof.phi_min),
+        "phi_strict": plain(proof.phi_strict),
         "exact": proof.exact,
         "conflict": list(proof.conflict),
         "forcing": list(proof.forcing),
@@ -88,22 +88,17 @@ def atlas_record(atlas: Atlas, problem: Problem) -> dict[str, Any]:
         "schema": ATLAS_SCHEMA,
         **problem_record(problem),
         "kind": atlas.kind,
-        "radius": number(float(atlas.radius)),
+        "radius": plain(atlas.radius),
         "parameters": [
             {
                 "name": name,
                 "unit": unit,
-                "low": number(low),
-                "high": number(high),
-                "bounds": [number(below), number(above)],
-                "share_of_bounds": number(share),
+                "low": plain(low),
+                "high": plain(high),
+                "bounds": [plain(below), plain(above)],
+                "share_of_bounds": plain(share),
                 "status": list(status),
             }
             for name, unit, low, high, below, above, share, status in rows
         ],
     }
-
-
-def number(value: float) -> float | None:
-    """None for what is not finite."""
-    return value if math.isfinite(value) else None

@@ -17,6 +17,7 @@ from torchid.feasibility.margins import (
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets
+from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, link_shapes
 from torchid.typing import Float, Tensor
@@ -123,13 +124,13 @@ def _com_boxes(
 
 def record(check: Check) -> dict[str, Any]:
     """JSON-ready data; every number is finite or null."""
-    total = _finite(check.conditions.total_mass.tolist())
+    total = plain(check.conditions.total_mass)
     return {
         "schema": SCHEMA,
         "robot": check.robot.name,
         "conditions": {
             "geometry": check.geometry,
-            "com_box": [_finite(box) for box in check.conditions.com_box.tolist()],
+            "com_box": plain(check.conditions.com_box),
             "round_shapes": check.round_shapes,
             "total_mass": None if total == [None, None] else total,
         },
@@ -149,14 +150,14 @@ def _set(check: Check, k: int) -> dict[str, Any]:
         "margins": _named(
             found.margins[k], found.total_mass[k], found.coefficients[k], found.coefficient_reasons
         ),
-        "degree": _finite(float(found.degree[k])),
+        "degree": plain(found.degree[k]),
         "degrees": _named(
             found.degrees[k],
             found.total_mass_degree[k],
             found.coefficient_degrees[k],
             found.coefficient_reasons,
         ),
-        "total_mass": _finite(float(check.sets.parameters.mass[k].sum())),
+        "total_mass": plain(check.sets.parameters.mass[k].sum()),
         "links": [_link(check, k, i) for i in range(check.robot.n)],
         "plausibility": [_finding(f) for f in check.findings[k]],
     }
@@ -175,7 +176,7 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
         out[f"shape_{link}"] = shape
     out["total_mass"] = float(total)
     out |= dict(zip(names, coefficients.tolist(), strict=True))
-    return {name: _finite(value) for name, value in out.items() if value != math.inf}
+    return {name: plain(value) for name, value in out.items() if value != math.inf}
 
 
 def _link(check: Check, k: int, i: int) -> dict[str, Any]:
@@ -185,22 +186,22 @@ def _link(check: Check, k: int, i: int) -> dict[str, Any]:
     return {
         "link": i + 1,
         "name": check.robot.link_names[i],
-        "mass": _finite(margins[0]),
-        "com": _finite(parameters.com[k, i].tolist()),
-        "inertia_eigenvalues": _finite(eigenvalues),
+        "mass": plain(margins[0]),
+        "com": plain(parameters.com[k, i]),
+        "inertia_eigenvalues": plain(eigenvalues),
         "violation": found.inertia_violation(k, i),
-        "triangle_margin": _finite(margins[_TRIANGLE]),
+        "triangle_margin": plain(margins[_TRIANGLE]),
         "triangle_excess_percent": excess_percent(eigenvalues),
-        "com_margins": _finite([margins[c] for c in _COM]),
-        "shape_margin": _finite(margins[_SHAPE]),
+        "com_margins": plain([margins[c] for c in _COM]),
+        "shape_margin": plain(margins[_SHAPE]),
         "degrees": {
-            name: _finite(degree)
+            name: plain(degree)
             for name, degree in zip(LINK_CONDITIONS, degrees, strict=True)
             if degree != math.inf
         },
-        "density": _finite(float(check.bodies.density[k, i])),
-        "semi_axes": _finite(check.bodies.semi_axes[k, i].tolist()),
-        "gyration": _finite(float(check.bodies.gyration[k, i])),
+        "density": plain(check.bodies.density[k, i]),
+        "semi_axes": plain(check.bodies.semi_axes[k, i]),
+        "gyration": plain(check.bodies.gyration[k, i]),
     }
 
 
@@ -216,14 +217,7 @@ def _finding(found: Finding) -> dict[str, Any]:
         "link": found.link,
         "name": found.name,
         "what": found.what,
-        "value": _finite(found.value),
-        "threshold": _finite(found.threshold),
+        "value": plain(found.value),
+        "threshold": plain(found.threshold),
         "sentence": found.sentence,
     }
-
-
-def _finite(value: Any) -> Any:
-    """The number, or each in a list; None for what is not finite."""
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return value if math.isfinite(value) else None

@@ -1,6 +1,5 @@
 """Sets of physical parameters, and the file they are kept in (schema torchid.parameter_sets/1)."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +10,14 @@ import torch
 from torchid.effects.base import JointEffect
 from torchid.effects.registry import column_kind, nominal_columns
 from torchid.errors import TorchidError
+from torchid.json_data import read_json
 from torchid.robot.inertia import InertialParameters, parallel_axis
+from torchid.robot.library import named_record
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
 SCHEMA = "torchid.parameter_sets/1"
+_FILE = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +100,12 @@ def joined(parts: Sequence[ParameterSets]) -> ParameterSets:
     )
 
 
-def to_record(sets: ParameterSets, robot: str, source: str | None = None) -> dict[str, Any]:
+def to_record(sets: ParameterSets, robot: Robot) -> dict[str, Any]:
     """JSON-ready data, lossless: masses, first moments and inertias about the link frames.
 
     Args:
         sets: of one robot.
-        robot: its name.
-        source: its built-in name or file (`torchid.robot.library.reference`), if known.
+        robot: that they belong to.
     """
     first = torch.cumsum(torch.tensor([0] + [len(e.coefficients) for e in sets.effects]), 0)
     entries = []
@@ -130,8 +131,7 @@ def to_record(sets: ParameterSets, robot: str, source: str | None = None) -> dic
                 "effects": effects,
             }
         )
-    known = {} if source is None else {"robot_source": source}
-    return {"schema": SCHEMA, "robot": robot, **known, "sets": entries}
+    return {"schema": SCHEMA, **named_record(robot), "sets": entries}
 
 
 def read_sets(path: Path, robot: Robot) -> ParameterSets:
@@ -161,28 +161,17 @@ def read_sets(path: Path, robot: Robot) -> ParameterSets:
 
 def other_robot(path: Path, robot: Robot) -> str | None:
     """A sentence if the file says that its sets belong to a robot of another name."""
-    data = json.loads(path.read_text(encoding="utf-8"))
-    name = data.get("robot")
+    name = read_json(path, _FILE).get("robot")
     if name is None or name == robot.name:
         return None
     return f"'{path}' says that its sets belong to '{name}'; the robot here is '{robot.name}'"
 
 
 def _entries(path: Path) -> list[Any]:
-    expected = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
-    except ValueError as error:
-        raise TorchidError(f"'{path}' is not JSON: {error}", expected=expected) from error
-    entries = data.get("sets") if isinstance(data, Mapping) else None
+    data = read_json(path, _FILE)
+    entries = data.get("sets")
     if not isinstance(entries, list) or not entries:
-        raise TorchidError(
-            f"'{path}' holds no parameter sets.",
-            got=list(data) if isinstance(data, Mapping) else type(data).__name__,
-            expected=expected,
-        )
+        raise TorchidError(f"'{path}' holds no parameter sets.", got=list(data), expected=_FILE)
     return entries
 
 

@@ -4,11 +4,8 @@ Joints and links are 1-based, numbers are plain floats, and what is not a number
 contract's keys are always there; the others say more about the same thing.
 """
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
-
-import torch
 
 from torchid.effects.base import PLACES, Coefficient
 from torchid.gap.diagnosis import (
@@ -19,6 +16,7 @@ from torchid.gap.diagnosis import (
     Parametric,
     RegimeGap,
 )
+from torchid.json_data import plain
 from torchid.robot.model import JointType, Robot
 from torchid.robot.record import robot_record
 
@@ -68,20 +66,6 @@ def record(diagnosis: Diagnosis) -> dict[str, Any]:
             "corrected": robot_record(diagnosis.corrected),
         }
     )
-
-
-def plain(value: Any) -> Any:
-    """Tensors and tuples as lists, what is not finite as None, keys as text."""
-    if isinstance(value, torch.Tensor):
-        return plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, str) or value is None or isinstance(value, bool | int):
-        return value
-    if isinstance(value, Iterable):
-        return [plain(item) for item in value]
-    number = float(value)
-    return number if math.isfinite(number) else None
 
 
 def unit_of(unit: str, joints: Iterable[int], robot: Robot) -> str:

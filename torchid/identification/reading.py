@@ -1,6 +1,5 @@
 """An identification read back from its JSON (schema torchid.identification/1)."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,48 +8,14 @@ from typing import Any
 import torch
 
 from torchid.effects.base import JointEffect
-from torchid.effects.registry import nominal_columns, on_every_joint
+from torchid.effects.registry import on_every_joint
 from torchid.errors import TorchidError
-from torchid.identification.base_parameters import (
-    BaseParameters,
-    base_parameters,
-    nominal_values,
-)
+from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.identification.record import SCHEMA
+from torchid.identification.values import BaseValues
+from torchid.json_data import read_json
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class BaseValues:
-    """Values of base parameters, and what is known of their accuracy.
-
-    Attributes:
-        base, effects: which they are.
-        values: (B,).
-        known: (B,) those that the log determined.
-        covariance: (B, B), or None where the values are exact.
-        factor: (B + 1, B + 1) of the fit, or None where there was none.
-    """
-
-    base: BaseParameters
-    effects: tuple[JointEffect, ...]
-    values: Float[Tensor, " B"]
-    known: Bool[Tensor, " B"]
-    covariance: Float[Tensor, "B B"] | None
-    factor: Float[Tensor, "C C"] | None
-
-
-def nominal_base(robot: Robot) -> BaseValues:
-    """The base parameters of the robot's nominal parameters and effects, exact.
-
-    Raises:
-        RobotError: the robot has no nominal parameters.
-    """
-    effects = tuple(effect for effect, _ in nominal_columns(robot))
-    base = base_parameters(robot, effects)
-    known = torch.ones(len(base), dtype=torch.bool)
-    return BaseValues(base, effects, nominal_values(robot, base), known, None, None)
 
 
 def read_base(path: Path, robot: Robot) -> BaseValues:
@@ -92,16 +57,11 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
 
 def _load(path: Path) -> Mapping[str, Any]:
     hint = "torchid identify ROBOT LOG... --json FILE"
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror}.") from error
-    except ValueError as error:
-        raise TorchidError(f"'{path}' is not JSON.", got=error, hint=hint) from error
-    schema = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+    data = read_json(path, "a result of an identification", hint)
+    schema = data.get("schema")
     needed = {"settings", "base_names", "base_values", "undetermined", "covariance", "factor"}
     if schema != SCHEMA or not needed <= set(data):
-        missing = sorted(needed - set(data)) if isinstance(data, Mapping) else []
+        missing = sorted(needed - set(data))
         raise TorchidError(
             f"'{path}' is not a result of an identification.",
             got=f"schema {schema}" + (f", without {', '.join(missing)}" if missing else ""),

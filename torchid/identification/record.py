@@ -4,13 +4,12 @@ Joints are 1-based, numbers are plain floats, and what is not a number (an infin
 standard deviation, say) is null.
 """
 
-import math
-from collections.abc import Iterable
 from typing import Any
 
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Errors
-from torchid.robot.library import reference
+from torchid.json_data import plain
+from torchid.robot.library import named_record
 from torchid.robot.record import robot_record
 
 SCHEMA = "torchid.identification/1"
@@ -21,14 +20,13 @@ def record(result: Identification) -> dict[str, Any]:
     settings = result.settings
     return {
         "schema": SCHEMA,
-        "robot": result.robot.name,
-        "robot_source": reference(result.robot),
+        **named_record(result.robot),
         "n_base": result.base.n_rigid,
         "parameters": [_parameter(result, k) for k in range(result.base.n_rigid)],
         "effects": _effects(result),
         "combined": _combined(result),
-        "condition_number": _number(result.condition_number),
-        "scaled_condition_number": _number(result.scaled_condition_number),
+        "condition_number": plain(result.condition_number),
+        "scaled_condition_number": plain(result.scaled_condition_number),
         "cutoff_hz": result.cutoff,
         "cutoff_choice": _choice(result),
         "reversal_speed": result.reversal.tolist(),
@@ -86,7 +84,7 @@ def _parameter(result: Identification, k: int) -> dict[str, Any]:
         "unit": result.base.units[k],
         "value": float(result.values[k]),
         "std": float(result.std[k]) if free else None,
-        "relative_std_percent": _number(float(result.relative_std_percent[k])) if free else None,
+        "relative_std_percent": plain(result.relative_std_percent[k]) if free else None,
         "ci95": [low, high] if free else None,
         "estimated": free,
     }
@@ -136,12 +134,12 @@ def _positions(result: Identification) -> dict[int, int]:
 def _errors(e: Errors) -> dict[str, Any]:
     return {
         "trajectories": list(e.trajectories),
-        "rmse": _numbers(e.rmse.tolist()),
-        "relative_error_percent": _numbers(e.relative_percent.tolist()),
-        "relative_error_percent_moving": _numbers(e.relative_percent_moving.tolist()),
-        "relative_error_percent_raw": _numbers(e.relative_percent_raw.tolist()),
-        "standstill_fraction": _numbers(e.standstill_fraction.tolist()),
-        "standstill_error_share": _numbers(e.standstill_error_share.tolist()),
+        "rmse": plain(e.rmse),
+        "relative_error_percent": plain(e.relative_percent),
+        "relative_error_percent_moving": plain(e.relative_percent_moving),
+        "relative_error_percent_raw": plain(e.relative_percent_raw),
+        "standstill_fraction": plain(e.standstill_fraction),
+        "standstill_error_share": plain(e.standstill_error_share),
     }
 
 
@@ -150,13 +148,5 @@ def _choice(result: Identification) -> dict[str, Any] | None:
         return None
     return {
         "candidates_hz": list(result.cutoff_choice.candidates),
-        "cross_validated_error_percent": _numbers(result.cutoff_choice.scores),
+        "cross_validated_error_percent": plain(result.cutoff_choice.scores),
     }
-
-
-def _numbers(values: Iterable[float]) -> list[float | None]:
-    return [_number(v) for v in values]
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

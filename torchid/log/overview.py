@@ -1,6 +1,5 @@
 """What a log is seen as: sampling, signals, ranges, units, and what is odd about it."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import torch
 
 from torchid.errors import LogError
+from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
@@ -150,15 +150,13 @@ def overview_record(seen: Overview) -> dict[str, Any]:
         "joints": log.n,
         "joint_names": list(seen.joints) or None,
         "samples": log.samples,
-        "trajectories": [
-            {name: _finite(value) for name, value in vars(timing).items()} for timing in seen.timing
-        ],
+        "trajectories": [plain(vars(timing)) for timing in seen.timing],
         "signals": [
             {
                 "signal": name,
                 "source": seen.sources[name],
                 "unit": seen.units[name],
-                "range": [[_finite(v) for v in row] for row in values.tolist()],
+                "range": plain(values),
             }
             for name, values in seen.ranges.items()
         ],
@@ -167,11 +165,6 @@ def overview_record(seen: Overview) -> dict[str, Any]:
         "problem": seen.problem,
         "warnings": list(seen.warnings),
     }
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:

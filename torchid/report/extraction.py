@@ -14,13 +14,13 @@ from torchid.extraction.record import (
     SCHEMA,
     certificate_record,
     noticeable,
-    number,
     problem_record,
     sets_record,
 )
 from torchid.extraction.torque import torque_error
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.json_data import plain
 from torchid.report.figures import BLUE, GREY, INK, RED, new_figure, styled
 from torchid.report.identification import compact
 from torchid.typing import Float, Tensor
@@ -223,9 +223,9 @@ def extraction_record(
         "certificate": certificate_record(proof),
         "best": found.sets.ids[found.best],
         "sets": [
-            {**physical, **entry, "torque_error_percent": [number(100 * x) for x in torque]}
+            {**physical, **entry, "torque_error_percent": plain([100 * x for x in torque])}
             for physical, entry, torque in zip(
-                to_record(found.sets, found.problem.robot.name)["sets"],
+                to_record(found.sets, found.problem.robot)["sets"],
                 sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
                 found.torque.tolist(),
                 strict=True,

@@ -1,5 +1,6 @@
 """Find a robot by built-in name or by path."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from torchid.errors import RobotError
@@ -59,16 +60,21 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
 
-        return with_sidecar(read_urdf(path, tip=tip), path)
-    from torchid.robot.mjcf import read_mjcf
+        robot = read_urdf(path, tip=tip)
+    else:
+        from torchid.robot.mjcf import read_mjcf
 
-    return with_sidecar(read_mjcf(path, tip=tip), path)
+        robot = read_mjcf(path, tip=tip)
+    return replace(with_sidecar(robot, path), tip=tip)
 
 
-def reference(robot: Robot) -> str:
-    """What to call a robot so that `load_robot` finds it again: its built-in name, or its file."""
+def named_record(robot: Robot) -> dict[str, str]:
+    """A robot's name, and what `load_robot` finds it again by: its built-in name or its file, and
+    the tip that its chain was chosen by."""
     path = Path(robot.source)
-    return path.stem if path.parent == _folder() else robot.source
+    source = path.stem if path.parent == _folder() else robot.source
+    tip = {} if robot.tip is None else {"robot_tip": robot.tip}
+    return {"robot": robot.name, "robot_source": source, **tip}
 
 
 def _refuse_tip(tip: str | None, name: str) -> None:

@@ -101,6 +101,7 @@ class Robot:
         bounds: groups of bounds for the extraction, as read from the robot's yaml.
         warnings: what the reader noticed, one sentence each.
         source: file or built-in name it came from.
+        tip: that its chain was chosen by, of a URDF or MJCF.
 
     >>> import torchid
     >>> robot = torchid.load_robot("kuka_lwr4")
@@ -123,6 +124,7 @@ class Robot:
     bounds: Mapping[str, Any] = field(default_factory=_empty)
     warnings: tuple[str, ...] = ()
     source: str = ""
+    tip: str | None = None
 
     @property
     def n(self) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchid.errors import TorchidError
+from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.robot.writer import to_mapping
 from torchid.robot.yaml_file import from_mapping
@@ -16,7 +17,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
     """The robot's yaml as JSON-ready data, without bounds; infinite limits are null."""
     out = to_mapping(robot)
     out.pop("bounds", None)
-    return {key: _finite(value) for key, value in out.items()}
+    return {**plain(out)}
 
 
 def recorded_robot(data: Mapping[str, Any], source: str, key: str = KEY) -> Robot | None:
@@ -36,11 +37,3 @@ def recorded_robot(data: Mapping[str, Any], source: str, key: str = KEY) -> Robo
         for name, bounds in (entry.get("limits") or {}).items()
     }  # fmt: skip
     return from_mapping({**entry, **({"limits": limits} if limits else {})}, source)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

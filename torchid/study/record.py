@@ -4,8 +4,9 @@ from typing import Any
 
 import torch
 
-from torchid.extraction.record import certificate_record, number
+from torchid.extraction.record import certificate_record
 from torchid.identification.payload import record as payload_record
+from torchid.json_data import plain
 from torchid.study.result import ScenarioResult, Study
 
 SCHEMA = "torchid.study/1"
@@ -64,7 +65,7 @@ def record(study: Study) -> dict[str, Any]:
 
 def _held_out(study: Study) -> list[float | None]:
     errors = study.identification.held_out
-    return [] if errors is None else [number(x) for x in errors.relative_percent.tolist()]
+    return [] if errors is None else [plain(x) for x in errors.relative_percent.tolist()]
 
 
 def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
@@ -80,7 +81,7 @@ def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
         "gamma": result.gamma,
         "feasible": result.feasible,
         "reasons": list(result.reasons),
-        "degree": number(result.degree),
+        "degree": plain(result.degree),
         "torque_rms": result.torque_rms.tolist(),
         "force_norm_difference_rms": difference.tolist(),
         "runs": {
@@ -91,7 +92,7 @@ def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
             "feasible": int(result.feasibility.feasible.sum()),
             "gamma_zero": int(torch.count_nonzero(found.gamma == 0)),
             "reasons": [list(result.feasibility.reasons(k)) for k in range(len(found.phi))],
-            "degree": [number(x) for x in result.feasibility.degree.tolist()],
+            "degree": [plain(x) for x in result.feasibility.degree.tolist()],
         },
         "contradictions": list(found.contradictions),
     }

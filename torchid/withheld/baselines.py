@@ -25,10 +25,10 @@ from torchid.gap.passages import Rows
 from torchid.gap.prepare import Prepared, prepare, report_band
 from torchid.gap.problem import BASE, LINK, Term, term_of
 from torchid.gap.projection import Projector, Scanner, in_all_rows
-from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
 from torchid.gap.task import Task, banks_of
 from torchid.identification.base_parameters import base_parameters
+from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot

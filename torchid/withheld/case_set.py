@@ -11,14 +11,13 @@ can check that no key was changed after the answers were known.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from torchid.errors import TorchidError
-from torchid.files import atomic_write
+from torchid.json_data import read_json, write_json
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
@@ -72,23 +71,6 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def write_json(data: Mapping[str, Any], path: Path) -> bytes:
-    """Write JSON atomically; returns the bytes that are in the file."""
-    content = (json.dumps(data, indent=1, allow_nan=False) + "\n").encode()
-    with atomic_write(path, "wb") as file:
-        file.write(content)
-    return content
-
-
-def read_json(path: Path, what: str) -> dict[str, Any]:
-    """A JSON object from a file.
-
-    Raises:
-        TorchidError: no such file, or no JSON object in it; `what` says what it should be.
-    """
-    return _parsed(_content(path, what), path, what)
-
-
 def write_cases(found: CaseSet) -> None:
     """Write cases.json of a set."""
     data = {"schema": SCHEMA, **asdict(found), "cases": list(found.ids)}
@@ -132,15 +114,15 @@ def read_keys(found: CaseSet, path: Path) -> list[dict[str, Any]]:
     Raises:
         TorchidError: the file is not the one whose SHA-256 the set holds.
     """
-    content = _content(path, "a file of keys")
-    if sha256(content) != found.keys_sha256:
+    data = read_json(path, "a file of keys")
+    digest = sha256(path.read_bytes())
+    if digest != found.keys_sha256:
         raise TorchidError(
             f"'{path}' is not the key file that was sealed with '{found.folder}'.",
-            got=f"SHA-256 {sha256(content)}",
+            got=f"SHA-256 {digest}",
             expected=found.keys_sha256,
             hint="keys of another set, or changed after they were sealed",
         )
-    data = _parsed(content, path, "a file of keys")
     _check_schema(data, KEYS_SCHEMA, path)
     by_id = {str(key["id"]): dict(key) for key in data["cases"]}
     if set(by_id) != set(found.ids):
@@ -152,25 +134,6 @@ def read_answers(found: CaseSet) -> dict[str, dict[str, Any]]:
     """The answers that are there, by case."""
     paths = {case: found.answer(case) for case in found.ids}
     return {case: read_json(p, "an answer") for case, p in paths.items() if p.is_file()}
-
-
-def _content(path: Path, what: str) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise TorchidError(
-            f"'{path}' cannot be read: {error.strerror or error}.", expected=what
-        ) from error
-
-
-def _parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
-    try:
-        data = json.loads(content)
-    except ValueError as error:
-        raise TorchidError(f"'{path}' holds no JSON.", got=str(error), expected=what) from error
-    if not isinstance(data, dict):
-        raise TorchidError(f"'{path}' is not {what}.", got=type(data).__name__)
-    return data
 
 
 def _check_schema(data: Mapping[str, Any], schema: str, path: Path) -> None:

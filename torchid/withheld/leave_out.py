@@ -14,9 +14,9 @@ from typing import Any, get_args
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
-from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
-from torchid.withheld.case_set import ANSWER, LOG, ROBOT, read_json, write_json
+from torchid.json_data import plain, read_json, write_json
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT
 from torchid.withheld.make import write_shown
 from torchid.withheld.measures import Verdict, verdict
 from torchid.withheld.parallel import each

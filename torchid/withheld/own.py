@@ -21,8 +21,9 @@ from torchid.gap.diagnose import EVENTS, diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
-from torchid.gap.record import plain, record
+from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
+from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.withheld.parallel import each

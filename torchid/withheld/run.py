@@ -11,9 +11,9 @@ from typing import Any
 
 from torchid import __version__
 from torchid.errors import TorchidError
-from torchid.gap.record import plain
 from torchid.gap.settings import GapSettings
-from torchid.withheld.case_set import CaseSet, read_json, write_json
+from torchid.json_data import plain, read_json, write_json
+from torchid.withheld.case_set import CaseSet
 from torchid.withheld.parallel import each
 
 Progress = Callable[[str, int, int], None]

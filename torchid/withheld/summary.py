@@ -7,7 +7,7 @@ from typing import Any
 from torchid import __version__
 from torchid.effects.registry import FAMILIES
 from torchid.errors import TorchidError
-from torchid.gap.record import plain
+from torchid.json_data import plain
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.measures import joint_counts, matched, named, poor_verdict, verdict
 from torchid.withheld.oracle import closed_by

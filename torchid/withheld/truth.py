@@ -15,18 +15,19 @@ import torch
 
 from torchid.effects.registry import effect_from_record, nominal_effects
 from torchid.errors import TorchidError
+from torchid.gap.case import EVENTS
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
+from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid.withheld.case_set import CaseSet, read_json
+from torchid.withheld.case_set import CaseSet
 from torchid.withheld.compare import beside
 from torchid.withheld.run import Job, Progress, default_settings, run, written
 
-EVENTS = ("contact", "dropped_samples")
 """Effects of one log, which are no part of a corrected model."""
 
 

@@ -1,6 +1,5 @@
 """A whole study for people: tables in the terminal, and a folder with figures, page and sets."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +8,12 @@ from rich.table import Table
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import ParameterSets, joined, to_record
 from torchid.files import atomic_write
+from torchid.json_data import write_json
 from torchid.report.study.figures import drawings, save
 from torchid.report.study.page import page
 from torchid.report.study.sheets import rich_table
 from torchid.report.study.tables import all_sheets
 from torchid.report.study.verdict import headline
-from torchid.robot.library import reference
 from torchid.study.result import Study
 
 __all__ = ["headline", "tables", "write_study"]
@@ -63,12 +62,5 @@ def _named(sets: ParameterSets, scenario: str) -> ParameterSets:
 
 
 def _write_sets(sets: ParameterSets, study: Study, path: Path) -> Path:
-    with atomic_write(path) as stream:
-        json.dump(
-            to_record(sets, study.robot.name, reference(study.robot)),
-            stream,
-            indent=1,
-            allow_nan=False,
-        )
-        stream.write("\n")
+    write_json(to_record(sets, study.robot), path)
     return path

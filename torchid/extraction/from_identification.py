@@ -1,0 +1,101 @@
+"""The extraction problem of an identification, its bounds and conditions by their names."""
+
+from torchid.errors import TorchidError
+from torchid.extraction.problem import (
+    LossName,
+    Problem,
+    extraction_problem,
+    one_step,
+    two_step,
+    with_coefficient_bounds,
+)
+from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds
+from torchid.feasibility.conditions import conditions, physics_only
+from torchid.feasibility.derived_bounds import NAME, bounds_notes, named_bounds
+from torchid.identification.result import Identification
+from torchid.identification.values import BaseValues, identified_base
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+
+def problem_of(
+    robot: Robot,
+    result: Identification | BaseValues,
+    *,
+    bounds: str | None = None,
+    geometry: str | None = None,
+    shapes: bool = False,
+    total_mass: tuple[float, float] | None = None,
+    loss: LossName = "two-step",
+) -> tuple[Problem, tuple[str, ...]]:
+    """The problem whose solutions are physical parameters of the identified torque, and notes on
+    it for a person.
+
+    Args:
+        robot: that was identified, with nominal parameters or bounds.
+        result: its identification, or base parameters as `nominal_base` and `read_base` give.
+        bounds: group of the robot's yaml, or `from-robot`; normal if there is one.
+        geometry: group whose boxes of the centres of mass are conditions, or `none`; normal if
+            there is one, else those of the bounds.
+        shapes: centres of mass must also lie inside the links' shapes.
+        total_mass: interval of the arm's mass [kg].
+        loss: distance to the coefficients (2.28), or to the log's torques (2.29).
+
+    Raises:
+        TorchidError: a group that is not there, a one-step loss without a log, or nothing
+            determined.
+
+    >>> from torchid import load_robot
+    >>> from torchid.identification.values import nominal_base
+    >>> robot = load_robot("3r")
+    >>> problem, notes = problem_of(robot, nominal_base(robot))
+    >>> problem.size
+    30
+    """
+    found = identified_base(result) if isinstance(result, Identification) else result
+    limits, notes = _bounds(robot, bounds, found)
+    if loss == "two-step":
+        target = two_step(found.base, found.effects, found.values, found.known)
+    elif found.factor is None:
+        raise TorchidError(
+            "the one-step loss needs a log.",
+            got="the robot's nominal parameters",
+            expected="an identification: the JSON of `torchid identify`",
+        )
+    else:
+        target = one_step(found.base, found.effects, found.values, found.factor)
+    asked = conditions(
+        robot, com_box=_boxes(robot, geometry, limits), shapes=shapes, total_mass=total_mass
+    )
+    return extraction_problem(robot, target, limits, asked), (*notes, *_undetermined(found))
+
+
+def _undetermined(found: BaseValues) -> tuple[str, ...]:
+    """A note on base parameters that the log did not determine."""
+    names = [
+        n for n, known in zip(found.base.names, found.known.tolist(), strict=True) if not known
+    ]
+    if len(names) == len(found.base):
+        raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
+    if not names:
+        return ()
+    return (f"not determined by the log: {', '.join(names)}",)
+
+
+def _bounds(robot: Robot, asked: str | None, found: BaseValues) -> tuple[Bounds, tuple[str, ...]]:
+    group = asked or ("normal" if "normal" in bounds_groups(robot) else NAME)
+    limits = named_bounds(robot, group)
+    notes = bounds_notes(robot, limits) if group == NAME else ()
+    full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
+    if added:
+        notes = (*notes, f"bounds of {', '.join(added)}: within twice the identified sizes")
+    return full, notes
+
+
+def _boxes(robot: Robot, asked: str | None, limits: Bounds) -> Float[Tensor, "n 3 2"] | None:
+    """Boxes of the centres of mass to check: None lets the robot's own decide."""
+    if asked == "none":
+        return physics_only(robot.n).com_box
+    if asked is not None:
+        return read_bounds(robot, asked).com
+    return None if "normal" in bounds_groups(robot) else limits.com
