@@ -168,7 +168,11 @@ def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
 def _with_help(error: LogError, table: Table) -> LogError:
     """The same error with all columns, and a mapping that would do where one can be guessed."""
     guessed = proposal(table)
-    hints = [error.hint, None if guessed is None else f'perhaps --columns "{guessed}"']
+    hints = [error.hint]
+    if guessed is not None:
+        text, units = guessed
+        told = f" ({', '.join(units)}: guessed from the numbers)" if units else ""
+        hints.append(f'perhaps --columns "{text}"{told}')
     available = table.described
     more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
     return LogError(

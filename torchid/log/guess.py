@@ -1,10 +1,12 @@
 """A mapping that may be meant, from the names of a table's columns: proposed, never applied."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from torchid.log.columns import is_wanted
+from torchid.log.guess_units import guessed_units
+from torchid.log.mapping import read_mapping
 from torchid.log.table import Table
 
 # Words in the names of what is measured; the first kind that fits is taken.
@@ -49,8 +51,9 @@ class _Group:
     score: float
 
 
-def proposal(table: Table) -> str | None:
-    """A text for --columns; None where time or positions cannot be guessed.
+def proposal(table: Table) -> tuple[str, tuple[str, ...]] | None:
+    """A text for --columns, and the units in it that are guessed from the numbers' ranges; None
+    where time or positions cannot be guessed.
 
     Columns that have our names need no mapping and are not in it.
     """
@@ -66,8 +69,16 @@ def proposal(table: Table) -> str | None:
         return None
     if "tau" in chosen:
         chosen.pop("i", None)
-    text = ",".join(f"{key}={group.source}" for key, group in chosen.items())
-    return _every_group(text, chosen["t"].source if "t" in chosen else "", names) or None
+    text = _text(chosen, {})
+    if not text:
+        return None
+    units = guessed_units(read_mapping(text), table)
+    time = chosen["t"].source if "t" in chosen else ""
+    return _every_group(_text(chosen, units), time, names), tuple(units.values())
+
+
+def _text(chosen: Mapping[str, _Group], units: Mapping[str, str]) -> str:
+    return ",".join(f"{k}={g.source} {units.get(k, '')}".strip() for k, g in chosen.items())
 
 
 def _every_group(text: str, time: str, names: list[str]) -> str:

@@ -1,0 +1,50 @@
+"""Units that a refusal proposes, guessed from the numbers where the names say none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchid.errors import LogError
+from torchid.log.readers import read_log
+
+HEADER = ",".join(["stamp", *(f"{name}_{j}" for name in ("pos", "vel", "eff") for j in (1, 2))])
+
+
+def hint(folder: Path, time: float, angle: float, speed: float) -> str:
+    """What is proposed for a log with these factors on seconds, rad and rad/s."""
+    t = np.arange(400) * 0.005
+    q = 2.0 * np.sin(t[:, None] * [3.0, 5.0])
+    dq = np.gradient(q, 0.005, axis=0)
+    table = np.column_stack([t * time, q * angle, dq * speed, q])
+    path = folder / "log.csv"
+    np.savetxt(path, table, delimiter=",", header=HEADER, comments="")
+    with pytest.raises(LogError) as caught:
+        read_log(path)
+    return str(caught.value.hint)
+
+
+DEG = 180 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("factors", "mapping"),
+    [
+        ((1.0, 1.0, 1.0), "t=stamp,q=pos_{j},dq=vel_{j},tau=eff_{j}"),
+        ((1e3, DEG, DEG), "t=stamp ms,q=pos_{j} deg,dq=vel_{j} deg/s,tau=eff_{j}"),
+        ((1e9, DEG, 1.0), "t=stamp ns,q=pos_{j} deg,dq=vel_{j},tau=eff_{j}"),
+        ((1e6, 1.0, 1.0), "t=stamp us,q=pos_{j},dq=vel_{j},tau=eff_{j}"),
+        ((1.0, 20000.0, 20000.0), "t=stamp,q=pos_{j},dq=vel_{j},tau=eff_{j}"),
+    ],
+)
+def test_units_are_guessed(tmp_path: Path, factors: tuple[float, ...], mapping: str) -> None:
+    said = hint(tmp_path, *factors)
+    assert said.startswith(f'perhaps --columns "{mapping}"')
+    assert ("guessed from the numbers" in said) == (" " in mapping)
+
+
+def test_what_is_proposed_reads_the_log(tmp_path: Path) -> None:
+    columns = hint(tmp_path, 1e3, DEG, DEG).split('"')[1]
+    log = read_log(tmp_path / "log.csv", columns=columns)
+    assert float(log.q.abs().max()) == pytest.approx(2.0, rel=1e-3)
+    assert float(log.t[1]) == pytest.approx(0.005)
