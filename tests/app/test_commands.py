@@ -1,6 +1,7 @@
 """Every command from the outside: what it prints, writes and returns."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -200,3 +201,18 @@ def test_demo(command, tmp_path):
         "trajectory.png",
         "validation.png",
     }
+
+
+@pytest.mark.parametrize("more", [(), ("--json", "-")])
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...]) -> None:
+    """`torchid ... | head`: what is left unsaid is no failure, and files are still written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    arguments = ["robot", "3r", *(more or ("--json", tmp_path / "r.json"))]
+    done = subprocess.run(
+        [sys.executable, ROOT / "cli.py", *arguments],
+        check=False, stdout=writing, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert more or json.loads((tmp_path / "r.json").read_text())["schema"]

@@ -4,6 +4,7 @@ What a model holds beyond rigid bodies on independent joints is refused or told 
 <visual>, <collision>, <gazebo>, <mujoco> and <transmission> are not looked at.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ _MOTIONS = {
     "fixed": None,
 }
 _REFUSED = ("floating", "planar")
+_LIMITS = {"position": ("lower", "upper"), "velocity": ("velocity",), "effort": ("effort",)}
 _TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -90,6 +92,7 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
         joints[joint.name] = joint
     if not links:
         raise RobotError(f"{source}: the robot has no links.")
+    warnings += _unknown_limits(root)
     return Tree(links, tuple(joints.values()), source)
 
 
@@ -133,7 +136,7 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
         return TreeJoint(name, parent, carried, origin=origin(element, where))
     axis = element.find("axis")
     direction = None if axis is None else numbers(axis, "xyz", 3, where)
-    position, velocity, torque = _limits(element, kind, name, where, warnings)
+    position, velocity, torque = _limits(element, kind, where)
     damping, friction = _dynamics(element, name, where, warnings)
     return TreeJoint(
         name,
@@ -164,14 +167,14 @@ def _refusal(element: Any, kind: str, name: str, where: str) -> str | None:
 
 
 def _limits(
-    element: Any, kind: str, name: str, where: str, warnings: list[str]
+    element: Any, kind: str, where: str
 ) -> tuple[Interval | None, Interval | None, Interval | None]:
-    """Position, velocity and torque limits; None where not given."""
+    """Position, velocity and torque limits; None where not given, or 0 (see `_unknown_limits`)."""
     limit = element.find("limit")
     if limit is None:
         return None, None, None
-    velocity = _symmetric(limit, "velocity", name, where, warnings)
-    torque = _symmetric(limit, "effort", name, where, warnings)
+    velocity = _symmetric(limit, "velocity", where)
+    torque = _symmetric(limit, "effort", where)
     if kind == "continuous":
         return None, velocity, torque
     lower = numbers(limit, "lower", 1, where, finite=False)
@@ -181,24 +184,43 @@ def _limits(
     # URDF's default for the one that is missing is 0.
     low, high = (lower or [0.0])[0], (upper or [0.0])[0]
     if low == high == 0.0:
-        warnings.append(f"joint '{name}' has position limits 0 and 0: they are not used")
         return None, velocity, torque
     if low >= high:
         raise RobotError(f"{where}: the lower limit is not below the upper.", got=[low, high])
     return (low, high), velocity, torque
 
 
-def _symmetric(limit: Any, key: str, name: str, where: str, warnings: list[str]) -> Interval | None:
+def _symmetric(limit: Any, key: str, where: str) -> Interval | None:
     values = numbers(limit, key, 1, where, finite=False)
-    if values is None:
+    if values is None or values[0] == 0:
         return None
     if values[0] < 0:
         raise RobotError(f"{where}: <limit {key}> is negative.", got=values[0])
-    if values[0] == 0:
-        # What exporters write when nothing was entered.
-        warnings.append(f"joint '{name}' has the {key} limit 0: it is not used")
-        return None
     return (-values[0], values[0])
+
+
+def _unknown_limits(root: Any) -> list[str]:
+    """A sentence on limits of 0, which exporters write when nothing was entered."""
+    limited = [
+        (joint, limit)
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and (limit := joint.find("limit")) is not None
+    ]
+    found = {
+        what: [
+            f"'{joint.get('name')}'"
+            for joint, limit in limited
+            if _zero(limit, keys) and (what, joint.get("type")) != ("position", "continuous")
+        ]
+        for what, keys in _LIMITS.items()
+    }
+    said = [f"{what} of {', '.join(names)}" for what, names in found.items() if names]
+    return [f"limits of 0 are not used: {'; '.join(said)}"] if said else []
+
+
+def _zero(limit: Any, keys: Sequence[str]) -> bool:
+    values = [numbers(limit, key, 1, "", finite=False) for key in keys]
+    return any(values) and all(value is None or value[0] == 0 for value in values)
 
 
 def _dynamics(element: Any, name: str, where: str, warnings: list[str]) -> tuple[float, float]:
