@@ -117,7 +117,7 @@ def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
         "corrected.yaml",
     ):
         assert (folder / name).stat().st_size > 0, name
-    (code,) = blocks(README, "python")
+    code = "\n".join(blocks(README, "python"))
     before = Path.cwd()
     os.chdir(folder)
     try:
@@ -129,3 +129,4 @@ def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
         os.chdir(before)
     assert names["tau"].shape == (5, 3)
     assert torch.isfinite(names["tau"]).all()
+    assert names["best"].ids == (f"run_{names['found'].best + 1}",)

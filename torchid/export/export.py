@@ -52,7 +52,7 @@ class Export:
 def export_dynamics(
     result: Dynamics | Identification | ParameterSets | Robot,
     to: Format,
-    folder: Path,
+    folder: Path | str,
     name: str | None = None,
     *,
     nominal: Robot,
@@ -69,7 +69,7 @@ def export_dynamics(
             functions of `torchid.export.results` read from files.
         to: format. yaml, urdf and mjcf need physical parameters: of base parameters those nearest
             to the robot's own that have exactly them.
-        folder: exists.
+        folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
         original: for urdf and mjcf: the robot whose file a copy is edited of, the nominal one
@@ -88,11 +88,11 @@ def export_dynamics(
     >>> from torchid import load_robot
     >>> robot = load_robot("3r")
     >>> with TemporaryDirectory() as folder:
-    ...     done = export_dynamics(robot, "urdf", Path(folder), nominal=robot)
+    ...     done = export_dynamics(robot, "urdf", folder, nominal=robot)
     >>> [file.name for file in done.files], all(c.difference < 1e-9 for c in done.comparisons)
     (['3r.urdf'], True)
     """
-    dynamics = dynamics_of(result, nominal)
+    dynamics, folder = dynamics_of(result, nominal), Path(folder)
     path = folder / f"{_file_name(name, nominal)}{SUFFIXES[to]}"
     model = nominal if original is None else original
     _refuse_overwriting(path, [*keep, Path(nominal.source), Path(model.source)])
@@ -105,6 +105,7 @@ def export_dynamics(
     found = check(written, geometry) if physical else None
     if found is not None and not force:
         require_feasible(dynamics, found)
+    folder.mkdir(parents=True, exist_ok=True)
     draft, comparisons = _write(dynamics, written, to, path, edited, seed)
     robot = dynamics.robot
     in_file, beside, left_out = (
