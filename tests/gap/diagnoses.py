@@ -158,8 +158,8 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
         budget=Budget(0.02, 0.93, 0.05),
         floor=floor(),
         not_testable=(
-            NotTestable("rotor_inertia", 0, None, "kg m^2", "exactly a sum of base parameters"),
-            NotTestable("torque_offset", 2, 0.4, "N m", "too small beside the noise"),
+            NotTestable("rotor_inertia", (0,), None, "kg m^2", "exactly a sum of base parameters"),
+            NotTestable("torque_offset", (2,), 0.4, "N m", "too small beside the noise"),
         ),
         next_experiment={"effect": "coulomb_friction", "motion": "slow and fast", "speed": [0.1]},
         traces=(trace(coulomb, some_left),),

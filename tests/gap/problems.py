@@ -5,7 +5,8 @@ import torch
 from tests.gap.motions import motion_at, noises, passage_of, times
 from torchid.effects.base import Coefficient, Motion
 from torchid.effects.registry import KINDS, Valued, model_torque
-from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.bank import Bank
+from torchid.gap.candidates import Evaluator
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.prepare import sharp_direction
 from torchid.gap.problem import Problem

@@ -10,15 +10,10 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS, model_torque
 from torchid.effects.transient import Contact
-from torchid.gap.candidates import (
-    DIFFERENTIATING,
-    Evaluator,
-    all_banks,
-    best_windows,
-    composite,
-    rescaled,
-)
+from torchid.gap.bank import composite, rescaled
+from torchid.gap.candidates import Evaluator, all_banks, best_windows
 from torchid.gap.passages import Rows
+from torchid.gap.prediction import DIFFERENTIATING
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.typing import Tensor
 

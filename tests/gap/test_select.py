@@ -9,7 +9,7 @@ from tests.gap.problems import Case, ar_noise, bank, problem, random
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.registry import KINDS
-from torchid.gap.candidates import Bank
+from torchid.gap.bank import Bank
 from torchid.gap.problem import Problem, Term, term_of
 from torchid.gap.select import Search
 from torchid.typing import Tensor

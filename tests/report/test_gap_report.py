@@ -122,15 +122,15 @@ def test_tables_of_every_status_are_drawn():
 
 def test_joints_of_one_reason_share_a_line():
     same = tuple(
-        NotTestable("rotor_inertia", j, 0.1 * (j + 1), "kg m^2", "hidden") for j in range(3)
+        NotTestable("rotor_inertia", (j,), 0.1 * (j + 1), "kg m^2", "hidden") for j in range(3)
     )
     assert "1: 0.1 kg m^2; 2: 0.2 kg m^2; 3: 0.3 kg m^2" in text_of(diagnosis(not_testable=same))
 
 
 def test_reasons_that_differ_in_a_number_share_a_line():
     two = (
-        NotTestable("rotor_inertia", 0, None, "kg m^2", "only 0.27 % of it is its own"),
-        NotTestable("rotor_inertia", 1, None, "kg m^2", "only 1.3 % of it is its own"),
+        NotTestable("rotor_inertia", (0,), None, "kg m^2", "only 0.27 % of it is its own"),
+        NotTestable("rotor_inertia", (1,), None, "kg m^2", "only 1.3 % of it is its own"),
     )
     text = text_of(diagnosis(not_testable=two))
     assert "1, 2: no size only 0.27 to 1.3 % of it is its own" in text

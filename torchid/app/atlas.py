@@ -4,16 +4,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchid.app.options import (
-    Json,
-    Out,
-    Quiet,
-    RobotArgument,
-    Threads,
-    Tip,
-    open_output,
-    progress_bar,
-)
+from torchid.app.options import Json, Out, Quiet, RobotArgument, Threads, Tip
+from torchid.app.output import open_output, progress_bar
 from torchid.app.problems import (
     BoundsOption,
     GeometryOption,

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, interval, open_output
+from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip, interval
+from torchid.app.output import Output, open_output
 from torchid.errors import TorchidError
 from torchid.json_data import write_json
 

@@ -10,15 +10,14 @@ from torchid.app.options import (
     Gain,
     Json,
     Out,
-    Output,
     Quiet,
     Seed,
     Threads,
     Tip,
     Topic,
-    open_output,
     read_logs,
 )
+from torchid.app.output import Output, open_output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

@@ -5,17 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from torchid.app.options import (
-    Device,
-    Json,
-    Output,
-    Quiet,
-    Seed,
-    Threads,
-    device,
-    open_output,
-    progress_bar,
-)
+from torchid.app.options import Device, Json, Quiet, Seed, Threads, device
+from torchid.app.output import Output, open_output, progress_bar
 
 
 def demo_command(

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet, open_output
+from torchid.app.options import Json, Out, Quiet
+from torchid.app.output import open_output
 
 
 def effects_command(

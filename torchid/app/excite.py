@@ -11,7 +11,6 @@ from torchid.app.options import (
     Json,
     MaxAcceleration,
     Out,
-    Output,
     Quiet,
     Seed,
     Threads,
@@ -19,9 +18,8 @@ from torchid.app.options import (
     device,
     effect_names,
     limited,
-    open_output,
-    progress_bar,
 )
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

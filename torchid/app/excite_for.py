@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from torchid.app.options import Output, limited, progress_bar
+from torchid.app.options import limited
+from torchid.app.output import Output, progress_bar
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

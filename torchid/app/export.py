@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import Json, Out, Output, Quiet, Seed, Threads, Tip, open_output
+from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip
+from torchid.app.output import Output, open_output
 
 if TYPE_CHECKING:
     from torchid.export.dynamics import Dynamics

@@ -4,20 +4,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.options import (
-    Device,
-    Json,
-    Out,
-    Output,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Threads,
-    Tip,
-    device,
-    open_output,
-    progress_bar,
-)
+from torchid.app.options import Device, Json, Out, Quiet, RobotArgument, Seed, Threads, Tip, device
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.app.problems import (
     BoundsOption,
     GeometryOption,

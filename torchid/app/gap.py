@@ -14,7 +14,6 @@ from torchid.app.options import (
     Json,
     LogArguments,
     Out,
-    Output,
     Quiet,
     Report,
     RobotArgument,
@@ -23,10 +22,9 @@ from torchid.app.options import (
     Tip,
     Topic,
     number,
-    open_output,
-    progress_bar,
     read_both,
 )
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.app.page import hashed, log_inputs, robot_input, write_report
 from torchid.errors import TorchidError
 

@@ -14,7 +14,6 @@ from torchid.app.options import (
     Json,
     LogArguments,
     Out,
-    Output,
     Quiet,
     Report,
     RobotArgument,
@@ -26,10 +25,9 @@ from torchid.app.options import (
     device,
     effect_names,
     number,
-    open_output,
-    progress_bar,
     read_both,
 )
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.app.page import hashed, log_inputs, robot_input, write_report
 from torchid.errors import TorchidError
 

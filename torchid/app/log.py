@@ -6,16 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchid.app.log_doctor import doctor_command
-from torchid.app.options import (
-    Columns,
-    Json,
-    LogArguments,
-    Output,
-    Quiet,
-    Tip,
-    Topic,
-    open_output,
-)
+from torchid.app.options import Columns, Json, LogArguments, Quiet, Tip, Topic
+from torchid.app.output import Output, open_output
 
 if TYPE_CHECKING:
     from torchid.log.overview import Overview

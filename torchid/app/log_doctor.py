@@ -11,16 +11,15 @@ from torchid.app.options import (
     Json,
     LogArguments,
     Out,
-    Output,
     Quiet,
     RobotArgument,
     Seed,
     Threads,
     Tip,
     Topic,
-    open_output,
     read_logs,
 )
+from torchid.app.output import Output, open_output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchid.app.options import Output
+from torchid.app.output import Output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

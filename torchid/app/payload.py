@@ -14,7 +14,6 @@ from torchid.app.options import (
     Json,
     LogArguments,
     Out,
-    Output,
     Quiet,
     RobotArgument,
     Seed,
@@ -24,10 +23,9 @@ from torchid.app.options import (
     cutoff_hz,
     device,
     effect_names,
-    open_output,
-    progress_bar,
     read_logs,
 )
+from torchid.app.output import Output, open_output, progress_bar
 
 if TYPE_CHECKING:
     from torchid.identification.payload import Payload

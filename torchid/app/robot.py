@@ -1,6 +1,7 @@
 """`torchid robot`: what a robot description says."""
 
-from torchid.app.options import Json, Out, Quiet, RobotArgument, Tip, open_output
+from torchid.app.options import Json, Out, Quiet, RobotArgument, Tip
+from torchid.app.output import open_output
 
 
 def robot_command(

@@ -6,18 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import (
-    Device,
-    Json,
-    Out,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Threads,
-    Tip,
-    device,
-    open_output,
-)
+from torchid.app.options import Device, Json, Out, Quiet, RobotArgument, Seed, Threads, Tip, device
+from torchid.app.output import open_output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:

@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.options import (
-    LARGEST_SEED,
-    Device,
-    Json,
-    Out,
-    Output,
-    Quiet,
-    Report,
-    Threads,
-    device,
-    open_output,
-    progress_bar,
-)
+from torchid.app.options import LARGEST_SEED, Device, Json, Out, Quiet, Report, Threads, device
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.app.page import Named, hashed, robot_input, write_report
 from torchid.errors import TorchidError
 from torchid.json_data import write_json

@@ -15,16 +15,14 @@ from torchid.app.options import (
     Json,
     LogArguments,
     Out,
-    Output,
     Quiet,
     RobotArgument,
     Seed,
     Tip,
     Topic,
-    open_output,
-    progress_bar,
     read_both,
 )
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.errors import TorchidError
 
 PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")

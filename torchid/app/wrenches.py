@@ -10,7 +10,6 @@ from torchid.app.options import (
     Json,
     MaxAcceleration,
     Out,
-    Output,
     Quiet,
     RobotArgument,
     Seed,
@@ -18,9 +17,8 @@ from torchid.app.options import (
     Tip,
     interval,
     limited,
-    open_output,
-    progress_bar,
 )
+from torchid.app.output import Output, open_output, progress_bar
 from torchid.errors import LogError, TorchidError
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ the ambiguity set, with exact aliases that no data of this kind can separate.
 from dataclasses import dataclass
 
 from torchid.gap.blocks import block_sums, mean_bound
+from torchid.gap.evidence import block_losses
 from torchid.gap.problem import BASE, FRICTION, LINK, PENALTY, Candidate, Term
 from torchid.gap.select import Search
 from torchid.typing import Float, Tensor
@@ -45,7 +46,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
     search.terms = [t for t in kept if t is not term]
     candidates = search.candidates(without)
     search.terms = kept
-    own = search.block_losses(term, without)
+    own = block_losses(search.problem, term, without)
     gain = float((block_sums(without.r.square().sum(0), search.problem.block) - own).sum())
     most = len(term.columns) + MORE_COLUMNS
     out: dict[str, Alternative] = {}
@@ -53,7 +54,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
         name = other.term.name
         if name == BASE and not term.is_inertial:
             # Refitted parameters would do as well: the effect stands only if they are trusted.
-            worse = search.block_losses(other.term, without) - own
+            worse = block_losses(search.problem, other.term, without) - own
             if mean_bound(worse, CONFIDENCE) <= 0 or float(worse.sum()) < NEGLIGIBLE * gain:
                 out.setdefault(LINK, Alternative(LINK, other.term, other.gain, float(worse.mean())))
             continue
@@ -63,7 +64,7 @@ def alternatives(search: Search, term: Term) -> list[Alternative]:
             continue
         if name != LINK and len(other.term.columns) > most:
             continue
-        worse = search.block_losses(other.term, without) - own
+        worse = block_losses(search.problem, other.term, without) - own
         found = _not_worse(worse, gain, other, term)
         if found:
             out[name] = Alternative(name, other.term, other.gain, float(worse.mean()))

@@ -1,12 +1,10 @@
 """Columns of every effect on every joint, for whole grids of shapes, as rows of the least squares.
 
-A `Bank` holds the members of one effect at one place: one set of columns a shape. Columns are
-evaluated in the wide band, filtered and whitened like the torque.
+Columns are evaluated in the wide band, filtered and whitened like the torque.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 
@@ -14,10 +12,13 @@ import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
 from torchid.effects.transient import Contact
-from torchid.gap.passages import Passage, Rows
+from torchid.gap.bank import Bank, Place
+from torchid.gap.grids import grid_of
+from torchid.gap.passages import Rows
+from torchid.gap.prediction import DIFFERENTIATING, predicted_torque, smoothed
 from torchid.gap.windows import best_windows
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -26,45 +27,8 @@ from torchid.typing import Float, Tensor
 AT_ONCE = 64
 """Signals filtered at a time: bounds the memory of a search over long logs."""
 
-MOST_RIPPLES = 120
-"""Wave numbers tried on a joint."""
-
-Place = int | None
-"""A joint, from 0, whose rows alone the columns are in; or None for the rows of all joints."""
-
 Whiten = Callable[[Tensor, int], Tensor]
 """Rows (..., N) of a joint to whitened rows."""
-
-
-@dataclass(frozen=True)
-class Bank:
-    """Members of one effect at one place, which differ in shape parameters.
-
-    Attributes:
-        name: of the effect, or a composite's, e.g. `coulomb_friction+viscous_friction`.
-        place: whose rows the columns are in.
-        members: per member the effects whose coefficients the columns belong to, in order.
-        columns: (S, C, N) or, on all joints, (S, C, n N); whitened rows.
-        coefficients: C; signs and sizes that physics allows. Base parameters have none.
-        looks: tests this bank counts for: its members, or fewer where they are strongly related.
-        extra: penalty beyond that of its columns (see select.PENALTY).
-        known: what the model as given has of each coefficient: a correction may be negative down
-            to minus that. Zeros if empty.
-    """
-
-    name: str
-    place: Place
-    members: tuple[tuple[Effect, ...], ...]
-    columns: Float[Tensor, "S C R"]
-    coefficients: tuple[Coefficient, ...]
-    looks: float
-    extra: float = 0.0
-    known: tuple[float, ...] = ()
-
-    @property
-    def size(self) -> int:
-        """C."""
-        return len(self.coefficients)
 
 
 class Evaluator:
@@ -193,6 +157,10 @@ class Evaluator:
             parts.append(self.on_joint([x.transpose(-1, -2) for x in signals], joint))
         return torch.cat(parts)
 
+    def grid(self, kind: type[JointEffect], joint: int) -> Float[Tensor, "S P"]:
+        """Values of the shape parameters tried at first, one combination a row."""
+        return grid_of(self.motions, kind, joint, self.rows.cutoff)
+
     def joint_bank(
         self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"] | None = None
     ) -> Bank:
@@ -317,41 +285,6 @@ class Evaluator:
         numbers = range(first, first + PARAMETERS_PER_LINK)
         return self.rigid_bank(effect.name, (effect,), numbers)
 
-    def grid(self, kind: type[JointEffect], joint: int) -> Float[Tensor, "S P"]:
-        """Values of the shape parameters tried at first, one combination a row."""
-        if kind.name == "cogging":
-            return self._wave_numbers(joint).unsqueeze(-1)
-        scales = [self.scale(s, joint) for s in kind.shapes]
-        values = [[v * k for v in s.grid] for s, k in zip(kind.shapes, scales, strict=True)]
-        return torch.tensor(list(product(*values)), dtype=torch.float64)
-
-    def scale(self, shape: Shape, joint: int) -> float:
-        """What a shape's bounds and grid are relative to, on this joint."""
-        if shape.scale == "one":
-            return 1.0
-        if shape.scale == "travel":
-            return max(1e-9, self._travel(joint))
-        torques = [m.require("torque", "a grid") for m in self.motions]
-        x = [m.dq for m in self.motions] if shape.scale == "speed" else torques
-        size = torch.cat([s[:, joint] for s in x]).abs()
-        return max(1e-9, float(torch.quantile(size[:: max(1, len(size) // 100_000)], 0.99)))
-
-    def _travel(self, joint: int) -> float:
-        q = torch.cat([m.q[:, joint] for m in self.motions])
-        return float(q.max() - q.min())
-
-    def _wave_numbers(self, joint: int) -> Float[Tensor, " S"]:
-        """Wave numbers that the log resolves: half a period apart over the joint's travel, from one
-        and a half periods up to where the ripple leaves the band at half the usual speed."""
-        travel = self._travel(joint)
-        if travel < 1e-3:
-            return torch.empty(0, dtype=torch.float64)
-        step = math.pi / travel
-        speed = torch.cat([m.dq[:, joint] for m in self.motions]).abs().median()
-        highest = 2 * math.pi * self.rows.cutoff / max(1e-6, 0.5 * float(speed))
-        count = min(MOST_RIPPLES, int(highest / step) - 2)
-        return step * (3 + torch.arange(max(0, count), dtype=torch.float64))
-
 
 ANY = (Coefficient("", "", False, "a base parameter"),)
 
@@ -370,35 +303,8 @@ RIPPLE_LOOKS = 60.0
 WINDOW_LOOKS = 300.0
 """Tests that a search over wave numbers, or over windows, counts for: neighbours are related."""
 
-DIFFERENTIATING = ("phase", "hysteresis")
-"""Families of model effects whose columns differentiate the model's torque."""
-
-SMOOTHED = ("q", "dq", "ddq", "torque")
-
 SHARED = ("time_delay", "torque_gain")
 """Effects of one joint that may be common to all: one cause explains them better than many."""
-
-
-def smoothed(motion: Motion, rows: Rows) -> Motion:
-    """A motion low-passed like the rows."""
-    return motion._replace(**{k: rows.low_passed(getattr(motion, k)) for k in SMOOTHED})
-
-
-def predicted_torque(
-    robot: Robot, effects: Sequence[Valued], passage: Passage, rows: Rows
-) -> Float[Tensor, "T n"]:
-    """Torque of a model along a passage. Effects that differentiate the model's torque see the
-    motion low-passed like the rows, as their columns do: twice differentiated, the encoder's noise
-    would be all that is left of them."""
-    rough = [p for p in effects if p[0].family in DIFFERENTIATING and "t" in p[0].needs]
-    others = [p for p in effects if not any(p is r for r in rough)]
-    tau = model_torque(robot, others, passage.motion)
-    if rough:
-        first, _ = in_rounds(effects)
-        load = model_torque(robot, first, passage.motion)
-        smooth = smoothed(passage.motion._replace(torque=load), rows)
-        tau = tau + sum(effect.all_torques(smooth, values, robot) for effect, values in rough)
-    return tau
 
 
 def _only(motion: Motion, own: slice) -> Motion:
@@ -420,28 +326,6 @@ def _place(effect: Effect, signals: Sequence[Tensor]) -> Place:
     filled = torch.stack([x.abs().amax((0, 2)) for x in signals]).amax(0) > 0
     hit = filled.nonzero().flatten().tolist()
     return hit[0] if len(hit) == 1 else None
-
-
-def rescaled(bank: Bank, factor: Float[Tensor, " n"]) -> Bank:
-    """The bank in rows of which each joint's are that many times larger."""
-    if bank.place is not None:
-        return replace(bank, columns=bank.columns * factor[bank.place])
-    shape = bank.columns.shape
-    scaled = bank.columns.reshape(*shape[:2], len(factor), -1) * factor.unsqueeze(-1)
-    return replace(bank, columns=scaled.reshape(shape))
-
-
-def composite(name: str, banks: Sequence[Bank]) -> Bank:
-    """Banks of one member each, at one place, as one that enters together."""
-    return Bank(
-        name,
-        banks[0].place,
-        (tuple(e for bank in banks for e in bank.members[0]),),
-        torch.cat([bank.columns for bank in banks], 1),
-        tuple(c for bank in banks for c in bank.coefficients),
-        1.0,
-        known=tuple(v for bank in banks for v in bank.known),
-    )
 
 
 def all_banks(

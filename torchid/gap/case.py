@@ -7,7 +7,8 @@ import torch
 
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
-from torchid.gap.candidates import Bank, Evaluator, rescaled
+from torchid.gap.bank import Bank, rescaled
+from torchid.gap.candidates import Evaluator
 from torchid.gap.folds import Model
 from torchid.gap.noise import Noise, dry_friction, noise_of
 from torchid.gap.passages import Rows, reach

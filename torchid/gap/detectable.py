@@ -65,8 +65,7 @@ def not_testable(
 
 
 def _entry(effect: Effect, smallest: float | None, unit: str, reason: str) -> NotTestable:
-    joints = effect.joints
-    return NotTestable(effect.name, joints[0] if joints else None, smallest, unit, reason)
+    return NotTestable(effect.name, effect.joints, smallest, unit, reason)
 
 
 def _unit(effect: Effect, robot: Robot) -> str:

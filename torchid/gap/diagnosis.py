@@ -194,7 +194,7 @@ class NotTestable:
 
     Attributes:
         effect: name.
-        joint: from 0; None for a global effect.
+        joints: from 0; none for a global effect.
         smallest_detectable: coefficient that would have been detected, in `unit`; None where no
             size would: its columns vanish or are exactly those of base parameters.
         unit: of the first coefficient.
@@ -202,7 +202,7 @@ class NotTestable:
     """
 
     effect: str
-    joint: int | None
+    joints: tuple[int, ...]
     smallest_detectable: float | None
     unit: str
     reason: str

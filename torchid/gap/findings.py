@@ -7,6 +7,7 @@ from typing import Any
 from torchid.effects.base import Effect
 from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
 from torchid.gap.diagnosis import Finding, Parametric
+from torchid.gap.evidence import p_value
 from torchid.gap.experiments import experiment
 from torchid.gap.passages import Rows
 from torchid.gap.problem import BASE, LINK, Term
@@ -78,8 +79,9 @@ def _entry(
     last = search.model().loss
     closable = max(start - problem.noise, start - last, 1e-12)
     names = tuple(dict.fromkeys([*(a.name for a in others), *aliases(term, n)]))
-    gain = search.model(without=[term]).loss - last
-    p = search.p_value(term, gain)
+    without = search.model(without=[term])
+    gain = without.loss - last
+    p = p_value(problem, term, gain, without)
     if term.is_inertial:
         links = term.effects[0].joints if term.name == LINK else ()
         return Parametric(links, gain / closable, p, names)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.effects.registry import Valued
-from torchid.gap.candidates import predicted_torque
 from torchid.gap.diagnosis import Trace
 from torchid.gap.passages import Rows, moving_instants
+from torchid.gap.prediction import predicted_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Int, Tensor

@@ -7,8 +7,8 @@ from functools import cached_property
 from scipy.stats import chi2
 
 from torchid.effects.base import Coefficient, Effect
+from torchid.gap.bank import Bank, Place
 from torchid.gap.blocks import block_numbers
-from torchid.gap.candidates import Bank, Place
 from torchid.gap.projection import NOISE
 from torchid.typing import Bool, Float, Int, Tensor
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.gap.candidates import Bank
+from torchid.gap.bank import Bank
 from torchid.typing import Bool, Float, Int, Tensor
 
 VISIBLE = 0.01

@@ -184,7 +184,8 @@ def _how_far(diagnosis: Diagnosis) -> dict[str, Any]:
 def _not_testable(x: NotTestable) -> dict[str, Any]:
     return {
         "effect": x.effect,
-        "joint": None if x.joint is None else x.joint + 1,
+        "joint": x.joints[0] + 1 if x.joints else None,
+        "joints": [j + 1 for j in x.joints],
         "smallest_detectable": x.smallest_detectable,
         "unit": x.unit,
         "reason": x.reason,

@@ -14,8 +14,10 @@ import torch
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import Valued
 from torchid.effects.transient import Contact
-from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.bank import Bank
+from torchid.gap.candidates import Evaluator
 from torchid.gap.fit import Fit, fitted, huber_weights
+from torchid.gap.grids import scale_of
 from torchid.gap.problem import BASE, FRICTION, LINK, Problem, Term, term_of
 from torchid.gap.projection import in_all_rows
 from torchid.gap.select import Search
@@ -310,7 +312,7 @@ def _refiner(evaluator: Evaluator) -> Callable[[Effect, int], Bank | None]:
         offsets = torch.linspace(-1, 1, 7, dtype=torch.float64)
         axes = []
         for shape, value in zip(kind.shapes, effect.shape_values, strict=True):
-            scale = evaluator.scale(shape, effect.joint)
+            scale = scale_of(evaluator.motions, shape, effect.joint)
             if kind.name == "cogging":
                 grid = evaluator.grid(kind, effect.joint).flatten()
                 step = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0

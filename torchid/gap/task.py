@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
-from torchid.gap.candidates import Bank, Evaluator, all_banks, composite
+from torchid.gap.bank import Bank, composite
+from torchid.gap.candidates import Evaluator, all_banks
 from torchid.gap.problem import BASE, FRICTION, LINK, Term, term_of
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order

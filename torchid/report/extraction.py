@@ -244,8 +244,8 @@ def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
     stages = range(1, search.settings.stages + 1)
     best = search.best
     for axes, history, label in (
-        (styled(upper), search.history_phi, "loss $\\varphi$ of the best so far"),
-        (styled(lower), search.history_gamma, "penalty $\\gamma$"),
+        (styled(upper), search.history_phi, "loss phi of the best so far"),
+        (styled(lower), search.history_gamma, "penalty gamma"),
     ):
         shown = history.clamp(min=1e-34).numpy()
         axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
@@ -260,9 +260,7 @@ def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
             end, search.phi.clamp(min=1e-34).numpy(), s=10, color=BLUE, label="after the polish"
         )
     if proof is not None and proof.feasible and proof.phi_min > 0:
-        upper.axhline(
-            proof.phi_min, color=RED, linewidth=1.0, label="least possible, $\\varphi_{min}$"
-        )
+        upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
     upper.legend(fontsize=8, frameon=False, loc="best")
     lower.set_xlabel("stage of Algorithm 1", fontsize=8, color=INK)
     figure.suptitle(

@@ -9,6 +9,7 @@ import numpy as np
 from torchid.files import atomic_write
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Prediction
+from torchid.report.text import printable
 from torchid.typing import Tensor
 
 if TYPE_CHECKING:
@@ -44,8 +45,20 @@ def styled(axes: Any) -> Any:
     return axes
 
 
+def literal(figure: "Figure") -> None:
+    """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
+    axes are."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        words = text.get_text()
+        if words and r"\mathdefault" not in words:
+            text.set(text=printable(words), parse_math=False)
+
+
 def save(figure: "Figure", path: Path) -> Path:
     """Write a PNG atomically."""
+    literal(figure)
     with atomic_write(path, "wb") as stream:
         figure.savefig(stream, format="png", dpi=130)
     return path

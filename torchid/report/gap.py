@@ -213,7 +213,7 @@ def _smallest(members: list[NotTestable]) -> str:
 
 
 def _place(x: NotTestable) -> str:
-    return "the arm" if x.joint is None else str(x.joint + 1)
+    return " and ".join(str(j + 1) for j in x.joints) or "the arm"
 
 
 def experiment_table(experiment: dict[str, Any]) -> Table:

@@ -189,7 +189,7 @@ def _unseen(d: Diagnosis) -> str:
     count = len(d.not_testable)
     if not count:
         return ""
-    joints = sorted({x.joint for x in d.not_testable if x.joint is not None})
+    joints = sorted({joint for x in d.not_testable for joint in x.joints})
     place = f", on {joints_words(joints)}" if joints else ""
     return (
         f" {count} effect{'s' if count > 1 else ''} could not have been seen in these data{place}."

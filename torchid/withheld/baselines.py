@@ -18,7 +18,8 @@ from typing import Any
 import torch
 
 from torchid.effects.registry import KINDS, nominal_effects
-from torchid.gap.candidates import Bank, Evaluator
+from torchid.gap.bank import Bank
+from torchid.gap.candidates import Evaluator
 from torchid.gap.folds import Folds, make_folds
 from torchid.gap.noise import Noise, noise_of
 from torchid.gap.passages import Rows

@@ -1,6 +1,5 @@
 """What a page consists of: the verdict, pictures, tables, and how all of it was obtained."""
 
-import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -74,12 +73,3 @@ class Page:
 def unit_words(unit: str) -> str:
     """`kg m^2` as `kg m²`."""
     return unit.replace("^2", "²").replace("^3", "³")
-
-
-def printable(text: str) -> str:
-    """A text without what XML and UTF-8 cannot hold: control characters, and bytes of a file's
-    name that are no text."""
-    return "".join(
-        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cs", "Cn") else "\ufffd"
-        for c in text
-    )

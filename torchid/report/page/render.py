@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 from torchid.errors import MissingExtraError
 from torchid.files import atomic_write
-from torchid.report.page.document import Page, Picture, printable
+from torchid.report.page.document import Page, Picture
 from torchid.report.page.svg import inline_svg
+from torchid.report.text import printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment

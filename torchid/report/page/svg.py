@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from lxml import etree
 
-from torchid.report.figures import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
+from torchid.report.figures import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED, literal
 from torchid.report.gap_joint_figures import AFTER, BEFORE
-from torchid.report.page.document import Picture, printable
+from torchid.report.page.document import Picture
+from torchid.report.text import printable
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 THEME = {
     INK: "ink", "#000000": "ink", GREY: "grey", GRID: "grid", "#ffffff": "paper", BLUE: "blue",
@@ -53,7 +54,7 @@ def inline_svg(picture: Picture) -> str:
     }
     with matplotlib.rc_context(settings):
         figure = picture.draw()
-        _literal(figure)
+        literal(figure)
         stream = io.BytesIO()
         figure.savefig(stream, format="svg", transparent=True, dpi=_DPI, metadata={"Date": None})
     width = 96 * figure.get_figwidth()
@@ -68,17 +69,6 @@ def inline_svg(picture: Picture) -> str:
     etree.cleanup_namespaces(root)
     text: str = etree.tostring(root, encoding="unicode")
     return text
-
-
-def _literal(figure: "Figure") -> None:
-    """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
-    axes are."""
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
-        words = text.get_text()
-        if words and r"\mathdefault" not in words:
-            text.set(text=printable(words), parse_math=False)
 
 
 def _strip(root: Any) -> None:
