@@ -208,4 +208,4 @@ def test_effects_in_the_sensors_are_undone_or_named() -> None:
     late = with_effects(true, "time_delay", {2: {"delay": 5e-3}})
     result = rollouts(true, late, [passage(late, 6.0)], (0.1,), max_starts=8)
     assert result["ignored_effects"] == ["time_delay"]
-    assert any("without time_delay" in sentence for sentence in result["sentences"])
+    assert any("without time delay" in sentence for sentence in result["sentences"])

@@ -18,6 +18,7 @@ from torchid.effects.registry import model_torque, nominal_effects
 from torchid.gap.passages import Passage
 from torchid.gap.resampling import bootstrap
 from torchid.gap.shooting import Windows, edge_of, starts_of, windows_of
+from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
 from torchid.typing import Float, Int, Tensor
@@ -173,7 +174,7 @@ def _ratio(
     ratios[same] = 1.0
     out: list[tuple[float | None, list[float] | None]] = []
     for column in ratios.T:
-        value = _finite(float(column[0]))
+        value = plain(column[0])
         known = blocks >= _FEWEST_BLOCKS and bool(column.isfinite().all())
         ends = column[1:].quantile(column.new_tensor([0.025, 0.975])).tolist() if known else None
         out.append((value, ends))
@@ -193,13 +194,7 @@ def _torque_gap(before: Robot, after: Robot, passages: Sequence[Passage]) -> dic
         rms.append((squares / max(1, count)).sqrt())
     total = [float(x.norm()) for x in rms]
     ratio = total[1] / total[0] if total[0] else 1.0 if not total[1] else math.inf
-    each = [[_finite(v) for v in x.tolist()] for x in rms]
-    return {"rms_before": each[0], "rms_after": each[1], "ratio": _finite(ratio)}
-
-
-def _finite(value: float) -> float | None:
-    """For JSON, which knows no infinity."""
-    return value if math.isfinite(value) else None
+    return plain({"rms_before": rms[0], "rms_after": rms[1], "ratio": ratio})
 
 
 def _sentences(
@@ -225,9 +220,8 @@ def _sentences(
                 "the corrected model: replay of torque in open loop says little at that horizon."
             )
     if ignored:
-        out.append(
-            f"Rollouts are without {', '.join(ignored)}: a replay of torque cannot have them."
-        )
+        names = ", ".join(name.replace("_", " ") for name in ignored)
+        out.append(f"Rollouts are without {names}: a replay of torque cannot have them.")
     return out
 
 
