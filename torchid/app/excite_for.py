@@ -108,9 +108,10 @@ def _for_gap(
     settings: dict[str, Any],
     output: Output,
 ) -> tuple["FourierTrajectory", dict[str, Any]]:
-    from torchid.excitation.ambiguity import read_open, rivals
+    from torchid.excitation.ambiguity import read_open
     from torchid.excitation.design import optimise_trajectory
-    from torchid.excitation.separation import design_separation
+    from torchid.excitation.rivals import rivals
+    from torchid.excitation.separating_motion import design_separation
     from torchid.report.next_motion import (
         separation_record,
         separation_table,
