@@ -86,10 +86,19 @@ def separation_verdict(s: Separation, kind: str) -> str:
             f"plain exciting motion of the same length {plain}. The hardest is "
             f"{_hardest(s)}."
         )
-    if s.hopeless:
-        lost = ", ".join(dict.fromkeys(r.named for r in s.hopeless))
-        advice = beyond(r.truth.effect.name for r in s.hopeless)
-        out += f" No motion tried settles {lost}. What would: {advice}."
+    both = {(r.name, r.truth.effect.name) for r in s.rivals}
+    nested = [r for r in s.hopeless if (r.truth.effect.name, r.name) in both]
+    for one, other in dict.fromkeys((r.truth.effect.name, r.name) for r in nested):
+        out += (
+            f" {one} is a special case of {other}: the simpler one stands where nothing of the "
+            "rest is seen."
+        )
+    lost = [r for r in s.hopeless if r not in nested]
+    if lost:
+        out += (
+            f" No motion tried settles {', '.join(dict.fromkeys(r.named for r in lost))}. "
+            f"What would: {beyond(r.truth.effect.name for r in lost)}."
+        )
     return out
 
 
