@@ -1,6 +1,6 @@
 """Whether the motion of `torchid excite --for gap.json` settles what a diagnosis left open.
 
-    python benchmarks/next_experiment.py [--scenes 3r-offset,...] [--seeds 1] [--json FILE]
+    python benchmarks/next_experiment.py [--scenes 3r-offset,...] [--seeds 1] [--usage 0.5] [--json FILE]
 
 A scene is an arm with one planted effect on a log too poor to name it: `torchid gap` leaves a set
 of alternatives. Each member in turn is then the truth, with the size that its own fit to that log
@@ -56,19 +56,17 @@ EVALUATIONS, RESTARTS = 600, 8
 
 @dataclass(frozen=True)
 class Scene:
-    """What is planted, how poor the log is, and what the next motion may use.
+    """What is planted, and how poor the log is.
 
     Attributes:
         robot: name.
         effect: as in a robot's yaml.
         poor: share of the limits that the log used, with one harmonic.
-        usage: share of the limits for the next motion.
     """
 
     robot: str
     effect: dict[str, Any]
     poor: float = 0.15
-    usage: float = 0.5
 
 
 SCENES = {
@@ -121,14 +119,11 @@ def diagnosed(robot: Robot, log: Log, only: tuple[tuple[str, int | None], ...] |
     return diagnose(robot, log, settings=GapSettings(rollout=False, only=only))
 
 
-def members(robot: Robot, log: Log, found: Diagnosis) -> dict[str, Arm]:
-    """The set of the first ambiguity, each member with the size that it would have had."""
-    finding = next(f for f in found.findings if f.ambiguous_with)
-    joints = finding.effect.joints
+def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) -> dict[str, Arm]:
+    """Members of the set, each with the size that it would have had; those that a fit accepts."""
+    joints = next(f for f in found.findings if f.ambiguous_with).effect.joints
     out: dict[str, Arm] = {}
-    for name in (finding.effect.name, *finding.ambiguous_with):
-        if name in EVENTS:
-            continue
+    for name in names:
         fit = diagnosed(robot, log, only=((name, None),))
         here = [f for f in fit.findings if not joints or set(joints) & set(f.joints)]
         if name == LINK and fit.parametric:
@@ -165,7 +160,7 @@ def verdict(found: Diagnosis, truth: str, group: set[str]) -> str:
     return "right" if named == {truth} else "unresolved"
 
 
-def play(name: str, seed: int) -> dict[str, Any]:
+def play(name: str, seed: int, usage: float) -> dict[str, Any]:
     """One scene: the set, the design, and every member as truth on both motions."""
     scene, start = SCENES[name], time.time()
     robot = load_robot(scene.robot)
@@ -179,34 +174,37 @@ def play(name: str, seed: int) -> dict[str, Any]:
     if not any(f.ambiguous_with for f in found.findings):
         print(f"{name}: nothing ambiguous, {[f.effect.name for f in found.findings]}", flush=True)
         return {"scene": name, "seed": seed, "set": [], "verdicts": []}
-    arms = members(robot, log, found)
-    made = next_motion(robot, found, scene.usage, seed)
+    first = next(f for f in found.findings if f.ambiguous_with)
+    names = tuple(n for n in (first.effect.name, *first.ambiguous_with) if n not in EVENTS)
+    arms = members(robot, log, found, names)
+    made = next_motion(robot, found, usage, seed)
     verdicts = []
     for truth, arm in arms.items():
         for kind, motion in (("plain", made.plain), ("designed", made.trajectory)):
             again = diagnosed(robot, driven_twice(arm, motion, std, seed + 100))
-            said = verdict(again, truth, set(arms))
-            first = [(f.effect.name, list(f.joints), list(f.ambiguous_with))
+            said = verdict(again, truth, set(names))
+            top = [(f.effect.name, list(f.joints), list(f.ambiguous_with))
                      for f in again.findings[:2]]  # fmt: skip
-            verdicts.append({"truth": truth, "motion": kind, "verdict": said, "first": first})
-            print(f"  {name} {seed}: {truth:20} {kind:9} {said:11} {first}", flush=True)
+            verdicts.append({"truth": truth, "motion": kind, "verdict": said, "first": top})
+            print(f"  {name} {seed}: {truth:20} {kind:9} {said:11} {top}", flush=True)
     sure = {k: [t.reached for t in x] for k, x in
             (("plain", made.with_plain), ("designed", made.after))}  # fmt: skip
     print(f"{name} {seed}: {time.time() - start:.0f} s, expected {sure}", flush=True)
-    return {"scene": name, "seed": seed, "set": list(arms), "verdicts": verdicts, "expected": sure}
+    return {"scene": name, "seed": seed, "set": names, "verdicts": verdicts, "expected": sure}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--usage", type=float, default=0.5, help="share of the limits")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    played = [play(n, s) for n in asked.scenes.split(",") for s in range(asked.seeds)]
-    print(f"{'scene':14}{'members':9}{'motion':10}right  unresolved  nothing  wrong")
+    played = [play(n, s, asked.usage) for n in asked.scenes.split(",") for s in range(asked.seeds)]
+    print(f"{'scene':14}{'truths':9}{'motion':10}right  unresolved  nothing  wrong")
     for name in [*asked.scenes.split(","), "all"]:
         own = [p for p in played if name in (p["scene"], "all")]
-        size = sum(len(p["set"]) for p in own)
+        size = sum(len(p["verdicts"]) // 2 for p in own)
         for kind in ("plain", "designed"):
             c = Counter(v["verdict"] for p in own for v in p["verdicts"] if v["motion"] == kind)
             row = [c[k] for k in ("right", "unresolved", "nothing", "wrong")]

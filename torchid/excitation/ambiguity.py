@@ -80,6 +80,8 @@ def read_open(path: Path, data: Mapping[str, Any], robot: Robot | None) -> Open:
         if not asked:
             kind, asked = "not_testable", _untestable(data, model)
         setting = _setting(data, model)
+        # What is fitted anyway (a background) is known, not hidden.
+        asked = [q for q in asked if q.other or q.truth.effects not in setting.fitted]
         found = [f"{e['effect']} of joint {e['joints']}" for e in data["which"]]
         status = str(data["status"])
     except (KeyError, TypeError, ValueError, IndexError) as error:

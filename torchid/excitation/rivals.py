@@ -36,7 +36,8 @@ def _seen(question: Question, rows: Rows) -> list[Rival]:
     or its largest plausible size."""
     effects = question.truth.effects
     columns = rows.columns(effects)
-    best = int(rows.beside(columns).square().sum(0).argmax())
+    used = list(effects[0].essential or range(columns.shape[1]))
+    best = used[int(rows.beside(columns[:, used]).square().sum(0).argmax())]
     own = columns[:, best].reshape(rows.torque.shape).norm(dim=-1)
     acts = own > 1e-6 * own.max()
     size = effects[0].coefficients[best].largest

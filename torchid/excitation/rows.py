@@ -128,6 +128,11 @@ class Rows:
             self._fitted[key] = directions(without(joined, self._base) if key[0] else joined)
         return without(x, self._fitted[key])
 
+    @property
+    def base_columns(self) -> int:
+        """Number of base parameters that fit noise where they are fitted for one explanation."""
+        return 0 if self._setting.free else self._setting.base.n_rigid
+
     @cached_property
     def _base(self) -> Tensor:
         base = self._setting.base

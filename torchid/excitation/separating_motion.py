@@ -20,7 +20,7 @@ from torchid.excitation.beyond import beyond
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
 from torchid.excitation.rows import Rows, Setting
-from torchid.excitation.separation import HOPELESS, Rival, Told, left_by_forms, separations
+from torchid.excitation.separation import HOPELESS, Rival, Told, left_by_forms, named, separations
 from torchid.excitation.trajectories import random_trajectory
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -101,7 +101,7 @@ def design_separation(
     if not kept:
         raise TorchidError(
             "no motion settles what this diagnosis leaves open.",
-            got="; ".join(dict.fromkeys(r.named for r in rivals)),
+            got=named(rivals),
             hint=beyond(r.truth.effect.name for r in rivals),
         )
     asked = [_pruned(setting, rivals[k], tried[:FIRST]) for k in _promising(kept, seen)]
@@ -115,14 +115,17 @@ def design_separation(
         if progress is not None:
             progress(len(scores), evaluations)
     start = tried[int(np.argmax(scores))]
-    best = _search(start, limits, score, seed, evaluations, progress)
+    found = _search(start, limits, score, seed, evaluations, progress)
     wanted = [rivals[k] for k in kept]
+    # The search looks at some pairs and forms; what counts is all of them.
+    told = {x: separations(setting, wanted, x) for x in (found, start, plain)}
+    best = max(told, key=lambda x: _score(told[x]))
     return Separation(
         best,
         plain,
         tuple(wanted),
-        tuple(seen[k][0] for k in kept),
-        tuple(separations(setting, wanted, best)),
+        tuple(told[plain]),
+        tuple(told[best]),
         tuple(r for k, r in enumerate(rivals) if k not in kept),
         limits.warnings,
     )
@@ -130,10 +133,11 @@ def design_separation(
 
 def _promising(kept: Sequence[int], seen: Sequence[Sequence[Told]]) -> list[int]:
     """Pairs that the search looks at: those that the plain motion leaves in doubt, the easiest
-    first, before those that it does not."""
+    first, then those that it does not, the hardest first."""
 
     def order(k: int) -> tuple[bool, float]:
-        return seen[k][0].reached >= SURE, -max(t.reached for t in seen[k])
+        sure = seen[k][0].reached >= SURE
+        return sure, seen[k][0].reached if sure else -max(t.reached for t in seen[k])
 
     return sorted(kept, key=order)[:MOST]
 

@@ -7,10 +7,11 @@ c_a, b can imitate all of X_a c_a but
     D_ab = ||(I - P_[Z X_b]) X_a c_a||^2 / sigma^2,
 
 twice the logarithm of the likelihood ratio that the motion is expected to give. A diagnosis also
-asks that it be more than a small share of ||(I - P_Z) X_a c_a||^2: no law fits an arm better.
+asks that it stand out from its spread between blocks of the log, and that it be more than a small
+share of ||(I - P_Z) X_a c_a||^2: no law fits an arm better.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,14 +19,18 @@ import torch
 
 from torchid.effects.base import Effect
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rows import Group, Rows, Setting
+from torchid.excitation.rows import Group, Rows, Setting, directions, without
 from torchid.typing import Float, Tensor
 
 DECISIVE = 9.0
-"""Expected difference of the squared residuals, in noise units, from which a motion decides, """
+"""Expected difference of the squared residuals, in noise units, from which a motion decides if it
+tells as much all the time, """
 SAME = 4e-3
 """if it is also more than this share of what the true explanation explains: twice what a diagnosis
 neglects."""
+
+BLOCKS = 20
+"""Into which a diagnosis divides a log of less than 40 s."""
 
 DETECTABLE = 42.0
 """D at the smallest detectable size that a diagnosis reports: twice 1.3 times chi^2's quantile for
@@ -70,13 +75,20 @@ class Rival:
     name: str
     leaving: Group = ()
 
-    @property
-    def named(self) -> str:
-        """Both, for a sentence."""
-        own = self.truth.effect
-        joints = " and ".join(str(j + 1) for j in own.joints if len(self.truth.effects) == 1)
-        place = f"{own.name} of joint {joints}" if joints else own.name
-        return f"{place} and {self.name}" if self.name else place
+
+def named(rivals: Iterable[Rival]) -> str:
+    """Pairs for a sentence, the joints of each gathered."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for r in rivals:
+        joints = r.truth.effect.joints[:1] if len(r.truth.effects) == 1 else ()
+        own = places.setdefault((r.truth.effect.name, r.name), [])
+        own += [str(j + 1) for j in joints if str(j + 1) not in own]
+    return ", ".join(
+        name
+        + (f" of joint {', '.join(own)}" if own else "")
+        + (f" against {other}" if other else "")
+        for (name, other), own in places.items()
+    )
 
 
 class Told(NamedTuple):
@@ -99,11 +111,33 @@ def _told(rows: Rows, rival: Rival) -> Told:
     whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(rival.truth.values).double()
     own = rows.beside(whole, gone)
     if not rival.name:
-        return _reached(own.square().sum(), whole, DETECTABLE, VISIBLE)
-    if not rival.others:
-        left = rows.beside(whole, gone, base=True).square().sum()
-        return _reached(left, own, DECISIVE, SAME)
-    return _reached(left_by_forms(rows, rival, own).min(), own, DECISIVE, SAME)
+        difference = float(own.square().sum())
+        return Told(difference, min(difference / DETECTABLE, _share(own, whole) / VISIBLE))
+    if rival.others:
+        nearest = rival.others[int(left_by_forms(rows, rival, own).argmin())]
+        other = rows.beside(rows.columns(nearest, gone), gone)
+        left, columns = without(own, directions(other)), 0
+    else:
+        left, columns = rows.beside(whole, gone, base=True), rows.base_columns
+    told = _in_blocks(left.reshape(rows.torque.shape).square().sum(0), columns)
+    return Told(float(left.square().sum()), min(told, _share(left, own) / SAME))
+
+
+def _in_blocks(square: Float[Tensor, " R"], columns: int) -> float:
+    """How much of what decides a difference of squared residuals is, by its spread between blocks.
+
+    A diagnosis asks that the lower confidence bound of the blocks' mean m be positive. Noise makes
+    their variance 4 m, the motion more where it tells much in few of them; spread evenly, this is
+    D / 9. The other has `columns` more that fit noise.
+    """
+    d = torch.stack([part.sum() for part in square.tensor_split(BLOCKS)])
+    mean = max(0.0, float(d.mean()) - columns / BLOCKS)
+    spread = float(d.var()) + 4 * float(d.mean())
+    return 4 * BLOCKS * mean**2 / (DECISIVE * max(spread, 1e-300))
+
+
+def _share(part: Tensor, of: Tensor) -> float:
+    return float(part.square().sum() / of.square().sum().clamp(min=1e-300))
 
 
 def left_by_forms(rows: Rows, rival: Rival, own: Tensor) -> Float[Tensor, " F"]:
@@ -117,12 +151,6 @@ def left_by_forms(rows: Rows, rival: Rival, own: Tensor) -> Float[Tensor, " F"]:
     along = ((x @ own).unsqueeze(-2) @ vectors).squeeze(-2)
     held = torch.where(values > TINY, along.square() / values.clamp(min=TINY), 0.0).sum(-1)
     return (own.square().sum() - held).clamp(min=0)
-
-
-def _reached(left: Tensor, of: Tensor, enough: float, share: float) -> Told:
-    difference = float(left)
-    known = difference / max(float(of.square().sum()), 1e-300)
-    return Told(difference, min(difference / enough, known / share))
 
 
 def imitation(

@@ -9,7 +9,7 @@ from rich.table import Table
 from torchid.excitation.beyond import beyond
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.separating_motion import Separation
-from torchid.excitation.separation import DECISIVE, Rival, Told
+from torchid.excitation.separation import DECISIVE, Rival, Told, named
 from torchid.report.compare import short
 from torchid.report.identification import compact
 
@@ -96,8 +96,8 @@ def separation_verdict(s: Separation, kind: str) -> str:
     lost = [r for r in s.hopeless if r not in nested]
     if lost:
         out += (
-            f" No motion tried settles {', '.join(dict.fromkeys(r.named for r in lost))}. "
-            f"What would: {beyond(r.truth.effect.name for r in lost)}."
+            f" No motion tried settles {named(lost)}. What would: "
+            f"{beyond(r.truth.effect.name for r in lost)}."
         )
     return out
 
