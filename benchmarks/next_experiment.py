@@ -73,6 +73,7 @@ SCENES = {
     "3r-offset": Scene("3r", {"effect": "torque_offset", "joint": 2, "F0": 0.2}),
     "3r-viscous": Scene("3r", {"effect": "viscous_friction", "joint": 2, "Fv": 0.4}),
     "3r-coulomb": Scene("3r", {"effect": "coulomb_friction", "joint": 2, "Fc": 0.2}),
+    "3r-spring": Scene("3r", {"effect": "joint_spring", "joint": 2, "k": 0.6, "c0": 0.0}),
     "3r-encoder": Scene("3r", {"effect": "encoder_offset", "joint": 2, "offset": 0.03}),
     "lwr-offset": Scene("kuka_lwr4", {"effect": "torque_offset", "joint": 2, "F0": 2.0}),
     "lwr-spring": Scene("kuka_lwr4", {"effect": "joint_spring", "joint": 4, "k": 3.0, "c0": 0.0}),

@@ -83,12 +83,11 @@ def named(rivals: Iterable[Rival]) -> str:
         joints = r.truth.effect.joints[:1] if len(r.truth.effects) == 1 else ()
         own = places.setdefault((r.truth.effect.name, r.name), [])
         own += [str(j + 1) for j in joints if str(j + 1) not in own]
-    return ", ".join(
-        name
-        + (f" of joint {', '.join(own)}" if own else "")
-        + (f" against {other}" if other else "")
-        for (name, other), own in places.items()
-    )
+    said = []
+    for (name, other), own in places.items():
+        place = f" of joint {', '.join(own)}" if own else ""
+        said.append(name + place + (f" against {other}" if other else ""))
+    return "; ".join(said)
 
 
 class Told(NamedTuple):
