@@ -146,19 +146,19 @@ def next_motion(robot: Robot, found: Diagnosis, usage: float, seed: int) -> Sepa
     )
 
 
-def verdict(found: Diagnosis, truth: str, group: set[str]) -> str:
-    """What stands first, against the truth."""
+def verdict(found: Diagnosis, truth: str, group: set[str]) -> tuple[str, int]:
+    """What stands first, against the truth; and how many members of the set are left."""
     entries: list[tuple[float, str, tuple[str, ...]]] = [
         (f.share, f.effect.name, f.ambiguous_with) for f in found.findings
     ]
     entries += [(p.share, LINK, p.ambiguous_with) for p in found.parametric]
     if not entries:
-        return "nothing"
+        return "nothing", len(group)
     _, first, others = max(entries)
     named = {first, *others} & (group | {first})
     if truth not in named:
-        return "wrong"
-    return "right" if named == {truth} else "unresolved"
+        return "wrong", len(named)
+    return "right" if named == {truth} else "unresolved", len(named)
 
 
 def play(name: str, seed: int, usage: float) -> dict[str, Any]:
@@ -183,10 +183,12 @@ def play(name: str, seed: int, usage: float) -> dict[str, Any]:
     for truth, arm in arms.items():
         for kind, motion in (("plain", made.plain), ("designed", made.trajectory)):
             again = diagnosed(robot, driven_twice(arm, motion, std, seed + 100))
-            said = verdict(again, truth, set(names))
+            said, left = verdict(again, truth, set(names))
             top = [(f.effect.name, list(f.joints), list(f.ambiguous_with))
                      for f in again.findings[:2]]  # fmt: skip
-            verdicts.append({"truth": truth, "motion": kind, "verdict": said, "first": top})
+            verdicts.append(
+                {"truth": truth, "motion": kind, "verdict": said, "left": left, "first": top}
+            )
             print(f"  {name} {seed}: {truth:20} {kind:9} {said:11} {top}", flush=True)
     sure = {k: [t.reached for t in x] for k, x in
             (("plain", made.with_plain), ("designed", made.after))}  # fmt: skip
@@ -202,14 +204,18 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     played = [play(n, s, asked.usage) for n in asked.scenes.split(",") for s in range(asked.seeds)]
-    print(f"{'scene':14}{'truths':9}{'motion':10}right  unresolved  nothing  wrong")
+    print(f"{'scene':14}{'truths':9}{'motion':10}right  unresolved  nothing  wrong  names left")
     for name in [*asked.scenes.split(","), "all"]:
         own = [p for p in played if name in (p["scene"], "all")]
         size = sum(len(p["verdicts"]) // 2 for p in own)
         for kind in ("plain", "designed"):
             c = Counter(v["verdict"] for p in own for v in p["verdicts"] if v["motion"] == kind)
             row = [c[k] for k in ("right", "unresolved", "nothing", "wrong")]
-            print(f"{name:14}{size:<9}{kind:10}{row[0]:5}{row[1]:12}{row[2]:9}{row[3]:7}")
+            every = [v["left"] for p in own for v in p["verdicts"] if v["motion"] == kind]
+            mean = sum(every) / max(1, len(every))
+            print(
+                f"{name:14}{size:<9}{kind:10}{row[0]:5}{row[1]:12}{row[2]:9}{row[3]:7}{mean:12.1f}"
+            )
     if asked.json is not None:
         asked.json.write_text(json.dumps(played, indent=1))
 

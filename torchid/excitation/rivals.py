@@ -1,7 +1,7 @@
 """The pairs that a motion must separate: each open explanation against every form of the other."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import torch
@@ -10,7 +10,7 @@ from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
 from torchid.effects.registry import KINDS
 from torchid.excitation.ambiguity import INERTIAL, LINK, Open, Question
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rows import Group, Rows, Setting
+from torchid.excitation.rows import Group, Rows
 from torchid.excitation.separation import Explanation, Rival, imitation
 from torchid.robot.model import Robot
 
@@ -23,15 +23,22 @@ SHARED = ("time_delay", "torque_gain")
 
 
 def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
-    """Pairs both ways; the rival's own size is that with which it imitates the truth on `plain`."""
+    """Every member of every ambiguity as truth, against every other one; an alternative has the
+    size with which it imitates the accepted effect on `plain`."""
     rows = Rows(found.setting, plain)
     out: list[Rival] = []
+    sets: dict[Explanation, list[str]] = {}
     for question in found.questions:
-        out += _both(question, found.setting, rows) if question.other else _seen(question, rows)
+        if question.other:
+            sets.setdefault(question.truth, []).append(question.other)
+        else:
+            out.append(_seen(question, rows))
+    for truth, names in sets.items():
+        out += _among(truth, names, found.setting.robot, rows)
     return tuple(out)
 
 
-def _seen(question: Question, rows: Rows) -> list[Rival]:
+def _seen(question: Question, rows: Rows) -> Rival:
     """The effect in its most visible coefficient, at a tenth of the torque of the joints it acts on
     or its largest plausible size."""
     effects = question.truth.effects
@@ -45,21 +52,26 @@ def _seen(question: Question, rows: Rows) -> list[Rival]:
         size = min(size, PLAUSIBLE * float(rows.torque[acts].norm() / own[acts].norm()))
     values = [0.0] * columns.shape[1]
     values[best] = size if math.isfinite(size) else 1.0
-    return [Rival(Explanation(effects, tuple(values)), (), "")]
+    return Rival(Explanation(effects, tuple(values)), (), "")
 
 
-def _both(question: Question, setting: Setting, rows: Rows) -> list[Rival]:
-    truth, name, robot = question.truth, question.other, setting.robot
-    leaving = truth.effects
-    forms = instances(LINK if name in INERTIAL else name, truth.effects, robot, rows)
-    # A link is blamed for what base parameters could do.
-    others = () if name in INERTIAL else forms
-    out = [Rival(truth, others, name, leaving)] if forms else []
-    back = imitation(rows, truth, forms, leaving)
-    if back is None or truth.effect.name in INERTIAL:
-        return out
-    own = instances(truth.effect.name, back.effects, robot, rows)
-    return [*out, Rival(back, own, truth.effect.name, leaving)] if own else out
+def _among(
+    accepted: Explanation, names: Sequence[str], robot: Robot, rows: Rows
+) -> Iterator[Rival]:
+    leaving = accepted.effects
+    members = {accepted.effect.name: accepted}
+    for name in names:
+        forms = instances(LINK if name in INERTIAL else name, leaving, robot, rows)
+        like = imitation(rows, accepted, forms, leaving)
+        if like is not None:
+            members[name] = like
+    for (one, truth), other in product(members.items(), members):
+        if one == other or (one in INERTIAL and other in INERTIAL):
+            continue
+        # A link is blamed for what base parameters could do.
+        forms = () if other in INERTIAL else instances(other, truth.effects, robot, rows)
+        if forms or other in INERTIAL:
+            yield Rival(truth, forms, other, leaving)
 
 
 def instances(name: str, like: Group, robot: Robot, rows: Rows) -> tuple[Group, ...]:

@@ -101,7 +101,7 @@ def design_separation(
     if not kept:
         raise TorchidError(
             "no motion settles what this diagnosis leaves open.",
-            got=named(rivals),
+            got=named(rivals) or "no rival acts on this arm",
             hint=beyond(r.truth.effect.name for r in rivals),
         )
     asked = [_pruned(setting, rivals[k], tried[:FIRST]) for k in _promising(kept, seen)]
