@@ -84,10 +84,12 @@ def test_excite_for_a_diagnosis(command, tmp_path):
         "excite", "3r", "--for", path, "--duration", 6, "--restarts", 1, "--out", tmp_path / "next"
     )
     assert done.code == 0, done.err
-    assert "separates stribeck_friction and coulomb_friction" in done.out
+    assert "For stribeck_friction and coulomb_friction" in done.out
+    assert "contact: repeat the motion away from obstacles" in " ".join(done.out.split())
     data = json.loads((tmp_path / "next" / "excitation.json").read_text())
-    after = [p["separation"]["designed"] for p in data["pairs"]]
-    assert min(after) >= min(p["separation"]["plain"] for p in data["pairs"])
+    decided = [[p["decides"][kind] for p in data["pairs"]] for kind in ("plain", "designed")]
+    assert sum(decided[1]) >= sum(decided[0])
+    assert (tmp_path / "next" / "trajectory.csv").exists()
 
 
 @pytest.mark.parametrize(
@@ -97,13 +99,32 @@ def test_excite_for_a_diagnosis(command, tmp_path):
         (["--for", "A", "--kind", "random"], "one optimised trajectory"),
         (["--for", "A", "--criterion", "condition"], "other criteria"),
         (["--for", "B"], "not a result that a motion can be designed for"),
+        (["--for", "C"], "it is of another version: torchid gap"),
+        (["--for", "D"], "is not JSON"),
+        (["--for", "missing.json"], "cannot be read"),
+        (["--for", "E"], "is of another robot"),
+        (["--for", "F"], "leaves nothing open"),
+        (["--for", "G"], "no motion settles"),
     ],
 )
 def test_excite_refuses(command, results, tmp_path, arguments, message):
-    other = tmp_path / "other.json"
-    other.write_text(json.dumps({"schema": "torchid.study/1"}))
-    names = {"A": results[0], "B": other}
-    robot = ["3r_friction"] if "B" in arguments else []
-    done = command("excite", *robot, *(names.get(a, a) for a in arguments), "--out", tmp_path / "n")
+    robot, three = load_robot("kuka_lwr4"), load_robot("3r_friction")
+    vertical = [{"effect": "encoder_offset", "joint": 1, "smallest_detectable": None}]
+    contents = {
+        "B": {"schema": "torchid.study/1"},
+        "C": {"schema": "torchid.gap/0"},
+        "E": diagnosis(robot),
+        "F": diagnosis(three, which=[]),
+        "G": diagnosis(three, which=[], not_testable=vertical),
+    }
+    for name, data in contents.items():
+        (tmp_path / name).write_text(json.dumps(data))
+    (tmp_path / "D").write_text("no json")
+    given = {name: tmp_path / name for name in (*contents, "D")} | {"A": results[0]}
+    robot_argument = ["3r_friction"] if set(arguments) & set("EFG") else []
+    done = command(
+        "excite", *robot_argument, *(given.get(a, a) for a in arguments), "--out", tmp_path / "n"
+    )
     assert done.code == 1
-    assert message in done.err
+    assert message in " ".join(done.err.split())
+    assert not (tmp_path / "n" / "trajectory.csv").exists()

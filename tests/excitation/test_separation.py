@@ -1,6 +1,7 @@
 """Separation of two explanations, against an ordinary least-squares fit of each."""
 
-import math
+from dataclasses import replace
+from itertools import permutations
 
 import pytest
 import torch
@@ -9,21 +10,28 @@ from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import AsymmetricFriction, StribeckFriction
+from torchid.effects.gravity import EncoderOffset
 from torchid.effects.inertia import Payload
 from torchid.errors import TorchidError
-from torchid.excitation.ambiguity import read_open, rivals
+from torchid.excitation.ambiguity import read_open
 from torchid.excitation.limits import limit_usage, motion_limits
+from torchid.excitation.rivals import rivals
+from torchid.excitation.rows import RATE, Rows, Setting
+from torchid.excitation.separating_motion import design_separation
 from torchid.excitation.separation import (
-    RATE,
+    DECISIVE,
+    SAME,
+    Explanation,
     Rival,
-    Setting,
-    design_separation,
+    _in_blocks,
     imitation,
     separations,
 )
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
+from torchid.report.next_motion import separation_verdict
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.record import robot_record
 
@@ -40,9 +48,9 @@ def setting(robot):
     return Setting(robot, (), base_parameters(robot), NOISE, 20.0, 8.0)
 
 
-def fitted_difference(setting, truth, other, trajectory):
+def fitted_difference(setting, truth, others, trajectory, *, base=True):
     """|| residual ||^2 / sigma^2 of a noiseless torque of `truth` fitted with base parameters and
-    `other`, by lstsq on filtered rows; every sample at RATE / 2 worth 2 x 20 Hz of noise."""
+    `others`, by lstsq on filtered rows; every sample at RATE / 2 worth 2 x 20 Hz of noise."""
     s = trajectory.sample(RATE)
     motion = Motion(s.q, s.dq, s.ddq, t=s.t)
     low = ZeroPhaseFilter(RATE, 8.0)
@@ -52,66 +60,137 @@ def fitted_difference(setting, truth, other, trajectory):
         return (x / NOISE.unsqueeze(-1)).flatten(1).T
 
     z = rows(regressor(setting.robot, *motion.state))
-    a = torch.cat([z[:, z.norm(dim=0) > 1e-9], rows(other.torque_columns(motion))], 1)
+    parts = [z[:, z.norm(dim=0) > 1e-9]] if base else []
+    a = torch.cat([*parts, *(rows(o.torque_columns(motion)) for o in others)], 1)
     a = a / a.norm(dim=0)
     y = rows(truth[0].torque_columns(motion)) @ torch.tensor(truth[1])
     x = torch.linalg.lstsq(a, y.unsqueeze(-1), driver="gelsd").solution
     return float((y - (a @ x).flatten()).square().sum()) * 2 * 20.0 / (RATE / 2)
 
 
-@pytest.mark.parametrize(
-    ("truth", "other"),
-    [
-        ((CoulombFriction(1), [0.5]), ViscousFriction(1)),
-        ((ViscousFriction(0), [0.7]), CoulombFriction(0)),
-        ((StribeckFriction(2, vs=0.1), [0.4]), CoulombFriction(2)),
-        ((TorqueOffset(1), [1.0]), AsymmetricFriction(1)),
-    ],
-)
+def pair(effect, values, *others, **leaving):
+    truth = Explanation((effect,), tuple(values))
+    return Rival(truth, tuple((o,) for o in others), others[0].name if others else "", **leaving)
+
+
+PAIRS = [
+    ((CoulombFriction(1), [0.5]), ViscousFriction(1)),
+    ((ViscousFriction(0), [0.7]), CoulombFriction(0)),
+    ((StribeckFriction(2, vs=0.1), [0.4]), CoulombFriction(2)),
+    ((TorqueOffset(1), [1.0]), AsymmetricFriction(1)),
+]
+
+
+@pytest.mark.parametrize(("truth", "other"), PAIRS)
 def test_separation_is_what_a_fit_of_the_wrong_one_leaves(robot, setting, truth, other):
     trajectory = random_trajectory(robot, 3, fill=True)
-    found = separations(setting, [Rival(truth, (other,), other.name)], trajectory)[0]
-    expected = fitted_difference(setting, truth, other, trajectory)
-    assert found == pytest.approx(expected, rel=1e-3)
+    found = separations(setting, [pair(*truth, other)], trajectory)[0].difference
+    assert found == pytest.approx(fitted_difference(setting, truth, [other], trajectory), rel=1e-3)
     assert found > 0
+
+
+@pytest.mark.parametrize(("truth", "other"), PAIRS)
+def test_what_else_was_accepted_is_fitted_too_and_trusted_parameters_are_not(robot, truth, other):
+    """Beside another accepted effect, and never beside the one in whose place both are."""
+    more = (StribeckFriction(truth[0].joint, vs=0.4),)
+    setting = Setting(
+        robot, (), base_parameters(robot), NOISE, 20.0, 8.0, False, (more, (truth[0],))
+    )
+    trajectory = random_trajectory(robot, 3, fill=True)
+    rival = pair(*truth, other, leaving=(truth[0],))
+    found = separations(setting, [rival], trajectory)[0].difference
+    expected = fitted_difference(setting, truth, [other, *more], trajectory, base=False)
+    assert found == pytest.approx(expected, rel=1e-3)
+    against_links = Rival(rival.truth, (), "link_inertia", rival.leaving)
+    found = separations(setting, [against_links], trajectory)[0].difference
+    expected = fitted_difference(setting, truth, more, trajectory)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 def test_an_effect_is_not_separated_from_itself(robot, setting):
     trajectory = random_trajectory(robot, 3, fill=True)
     own = CoulombFriction(1)
-    assert separations(setting, [Rival((own, [2.0]), (own,), "itself")], trajectory)[0] < 1e-9
+    assert separations(setting, [pair(own, [2.0], own)], trajectory)[0].difference < 1e-9
+
+
+def test_a_decision_needs_more_than_noise_and_more_than_a_share(robot, setting):
+    """A large effect is told from another by residuals that a small one does not have, but by no
+    larger share of what it explains."""
+    trajectory = random_trajectory(robot, 3, fill=True)
+    small, large = (
+        separations(setting, [pair(CoulombFriction(1), [v], ViscousFriction(1))], trajectory)[0]
+        for v in (0.1, 1e4)
+    )
+    assert large.difference == pytest.approx(1e10 * small.difference)
+    own = separations(setting, [pair(CoulombFriction(1), [1e4])], trajectory)[0].difference
+    assert large.reached <= large.difference / own / SAME < 1e-4 * large.difference / DECISIVE
+    assert 0 < small.reached < small.difference / DECISIVE
+
+
+def test_what_is_told_all_the_time_decides_more_than_what_is_told_once():
+    even, once = torch.full((400,), 0.1), torch.zeros(400)
+    once[40:60] = 2.0
+    assert _in_blocks(even, 0) == pytest.approx(40 / DECISIVE)
+    assert _in_blocks(once, 0) < 0.25 * _in_blocks(even, 0)
+    assert _in_blocks(even, 20) == pytest.approx(10 / DECISIVE)
+    assert _in_blocks(even, 60) == 0
 
 
 def test_the_least_favourable_shape_counts(robot, setting):
     trajectory = random_trajectory(robot, 3, fill=True)
-    truth = (StribeckFriction(1, vs=0.1), [0.5])
+    truth = StribeckFriction(1, vs=0.1), [0.5]
     shapes = [StribeckFriction(1, vs=v) for v in (0.05, 0.1, 0.3)]
-    alone = [separations(setting, [Rival(truth, (s,), "")], trajectory)[0] for s in shapes]
-    together = separations(setting, [Rival(truth, tuple(shapes), "")], trajectory)[0]
+    alone = [separations(setting, [pair(*truth, s)], trajectory)[0].difference for s in shapes]
+    together = separations(setting, [pair(*truth, *shapes)], trajectory)[0].difference
     assert together == pytest.approx(min(alone), abs=1e-9)
-    found = imitation(setting, truth, shapes, trajectory)
-    assert found[0].vs == 0.1
-    assert found[1] == pytest.approx([0.5], rel=1e-6)
+    rows = Rows(setting, trajectory)
+    found = imitation(rows, Explanation((truth[0],), (0.5,)), [(s,) for s in shapes])
+    assert found.effect.vs == 0.1
+    assert found.values == pytest.approx([0.5], rel=1e-6)
+
+
+def test_the_rival_is_as_large_as_the_truth(robot, setting):
+    rows = Rows(setting, random_trajectory(robot, 3, fill=True))
+    truth = Explanation((CoulombFriction(1),), (0.5,))
+    found = imitation(rows, truth, [(ViscousFriction(1),)])
+    sizes = [
+        rows.beside(rows.columns(e.effects) @ torch.tensor(e.values).double()).norm()
+        for e in (truth, found)
+    ]
+    assert float(sizes[0]) == pytest.approx(float(sizes[1]))
+    assert found.values[0] > 0
 
 
 def test_the_design_separates_more_within_the_limits(robot, setting):
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
-    pair = Rival((StribeckFriction(1, vs=0.1), [0.5]), (CoulombFriction(1),), "coulomb_friction")
-    back = Rival((CoulombFriction(1), [0.5]), (StribeckFriction(1, vs=0.1),), "stribeck_friction")
-    found = design_separation(setting, [pair, back], plain, seed=0, evaluations=80)
-    assert min(found.after) >= min(found.with_plain)
-    assert min(found.after) > 1.3 * min(found.with_plain)
+    pairs = [
+        pair(StribeckFriction(1, vs=0.1), [0.5], CoulombFriction(1)),
+        pair(CoulombFriction(1), [0.5], StribeckFriction(1, vs=0.1)),
+    ]
+    found = design_separation(setting, pairs, plain, seed=0, evaluations=80)
+    before, after = (min(t.reached for t in x) for x in (found.with_plain, found.after))
+    assert after > 1.3 * before
     assert float(limit_usage(found.trajectory.extremes(), motion_limits(robot)).max()) <= 1.0
-    again = design_separation(setting, [pair, back], plain, seed=0, evaluations=80)
+    again = design_separation(setting, pairs, plain, seed=0, evaluations=80)
     assert torch.equal(again.trajectory.a, found.trajectory.a)
 
 
-def test_what_no_motion_separates_is_refused(robot, setting):
-    """A payload is part of the base parameters."""
-    pair = Rival((Payload(), [1.0] + [0.0] * 9), (), "all_base")
+def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):
+    """A payload is part of the base parameters; the zero of a vertical first joint changes no
+    torque at all."""
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
-    with pytest.raises(TorchidError, match="no motion tried separates"):
-        design_separation(setting, [pair], plain, seed=0, evaluations=20)
+    lost = [pair(Payload(), [1.0] + [0.0] * 9), pair(EncoderOffset(0), [0.1])]
+    with pytest.raises(TorchidError, match="no motion settles") as caught:
+        design_separation(setting, lost, plain, seed=0, evaluations=20)
+    assert caught.value.got == "payload; encoder_offset of joint 1"
+    assert "weigh the load" in caught.value.hint
+    assert "encoder_offset: measure the pose" in caught.value.hint
+    seen = pair(ViscousFriction(1), [1.0])
+    found = design_separation(setting, [*lost, seen], plain, seed=0, evaluations=20)
+    assert found.rivals == (seen,)
+    assert found.hopeless == tuple(lost)
+    said = separation_verdict(found, "not_testable")
+    assert "No motion tried settles payload; encoder_offset of joint 1" in said
 
 
 def diagnosis(robot, **changes):
@@ -119,7 +198,7 @@ def diagnosis(robot, **changes):
     entry = {
         "effect": "stribeck_friction",
         "joints": [2],
-        "ambiguous_with": ["coulomb_friction", "link_inertia"],
+        "ambiguous_with": ["coulomb_friction", "link_inertia", "contact"],
         "parameters": {"Fs": 0.5, "vs": 0.1, "d": 2.0},
     }
     return {
@@ -127,9 +206,11 @@ def diagnosis(robot, **changes):
         "status": "explained",
         "which": [entry],
         "not_testable": [],
-        "noise_floor": {"low": [0.1] * 3, "high": [0.4] * 3},
+        "noise_floor": {"low": [0.1] * 3, "high": [0.4] * 3, "source": "repeats"},
         "band_hz": 20.0,
         "cutoff_hz": 8.0,
+        "settings": {"background": [], "parameters": "auto", "refitted": False},
+        "model": robot_record(robot),
         "corrected": robot_record(robot),
         **changes,
     }
@@ -139,18 +220,59 @@ def test_pairs_of_a_diagnosis(robot, tmp_path):
     found = read_open(tmp_path, diagnosis(robot), None)
     assert found.kind == "ambiguity"
     torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.2))
+    assert not found.setting.free
+    assert found.setting.fitted == ((StribeckFriction(1, vs=0.1),),)
+    assert found.notes == (
+        "contact or stribeck_friction is no matter of motion; contact: repeat the motion away "
+        "from obstacles",
+    )
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
     pairs = rivals(found, plain)
-    assert [(r.truth[0].name, r.name) for r in pairs] == [
-        ("stribeck_friction", "coulomb_friction"),
-        ("coulomb_friction", "stribeck_friction"),
-        ("stribeck_friction", "link_inertia"),
-    ]
-    assert pairs[0].truth[0] == StribeckFriction(1, vs=0.1)
-    assert pairs[2].others == ()
+    members = ("stribeck_friction", "coulomb_friction", "link_inertia")
+    assert [(r.truth.effect.name, r.name) for r in pairs] == list(permutations(members, 2))
+    assert pairs[0].truth.effect == StribeckFriction(1, vs=0.1)
+    assert all((r.others == ()) == (r.name == "link_inertia") for r in pairs)
+    assert all(r.leaving == (StribeckFriction(1, vs=0.1),) for r in pairs)
 
 
-def test_untestable_effects_of_a_diagnosis(robot, tmp_path):
+def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted(robot, tmp_path):
+    floor = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
+    settings = {"background": ["viscous_friction"], "parameters": "free"}
+    found = read_open(tmp_path, diagnosis(robot, noise_floor=floor, settings=settings), None)
+    torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4))
+    assert found.setting.free
+    assert (ViscousFriction(2),) in found.setting.fitted
+    hidden = [{"effect": "viscous_friction", "joint": 3, "smallest_detectable": None}]
+    data = diagnosis(robot, which=[], settings=settings, not_testable=hidden)
+    with pytest.raises(TorchidError, match="leaves nothing open"):
+        read_open(tmp_path, data, None)
+
+
+def test_an_effect_common_to_all_joints_and_a_link(robot, tmp_path):
+    heavier = robot.with_parameters(
+        InertialParameters(robot.parameters.pi + 0.1 * torch.eye(3, 10).double())
+    )
+    which = [
+        {"effect": "time_delay", "joints": [1, 3], "common": True, "parameters": {"delay": 0.01},
+         "ambiguous_with": ["filter_lag", "torque_gain"]},
+        {"effect": "link_inertia", "joints": [2], "ambiguous_with": ["joint_spring", "payload"],
+         "parameters": {"links": [2]}},
+    ]  # fmt: skip
+    data = diagnosis(robot, which=which, corrected=robot_record(heavier))
+    found = read_open(tmp_path, data, None)
+    delay, _, link = (q.truth for q in found.questions)
+    assert [e.joints for e in delay.effects] == [(0,), (1,), (2,)]
+    assert link.effect.joints == (1,)
+    assert link.values == pytest.approx([0, 0.1] + [0] * 8)
+    assert found.notes == (
+        "link_inertia or payload is no matter of motion; link_inertia: weigh the load, or compare "
+        "the link's parameters with CAD",
+    )
+    pairs = rivals(found, random_trajectory(robot, 1, fill=True, duration=8.0))
+    assert any(len(g) == 3 for r in pairs if r.name == "torque_gain" for g in r.others)
+
+
+def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot, tmp_path):
     data = diagnosis(
         robot,
         which=[],
@@ -158,27 +280,43 @@ def test_untestable_effects_of_a_diagnosis(robot, tmp_path):
         not_testable=[
             {"effect": "viscous_friction", "joint": 3, "smallest_detectable": 0.4},
             {"effect": "joint_spring", "joint": 1, "smallest_detectable": None},
+            {"effect": "encoder_offset", "joint": 1, "smallest_detectable": None},
             {"effect": "contact", "joint": None, "smallest_detectable": 1.0},
         ],
     )
     found = read_open(tmp_path, data, None)
     assert found.kind == "not_testable"
-    assert [(p[0][0].name, p[0][0].joints) for p in found.pairs] == [
+    plain = random_trajectory(robot, 1, fill=True, duration=8.0)
+    pairs = rivals(found, plain)
+    assert [(r.truth.effect.name, r.truth.effect.joints) for r in pairs] == [
         ("viscous_friction", (2,)),
         ("joint_spring", (0,)),
+        ("encoder_offset", (0,)),
     ]
-    assert found.pairs[0][0][1] == [0.4]
-    assert all(math.isfinite(v) for (_, values), _ in found.pairs for v in values)
+    rows = Rows(found.setting, plain)
+    own = rows.columns(pairs[0].truth.effects)[:, 0] * pairs[0].truth.values[0]
+    assert float(own.norm()) == pytest.approx(0.1 * float(rows.torque[2].norm()))
+    assert pairs[2].truth.values == (0.35,)  # its largest plausible size
 
 
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"which": []}, "leaves nothing open"),
-        ({"corrected": None}, "corrected model"),
-        ({"noise_floor": {}}, "not a complete diagnosis"),
+        ({"which": []}, "(?s)leaves nothing open.*has one name.*no effect found"),
+        ({"corrected": None}, "(?s)corrected model.*write it again"),
+        ({"noise_floor": {}}, "(?s)not a complete diagnosis.*write it again"),
+        ({"which": [{"effect": "contact", "joints": [1], "ambiguous_with": ["saturation"]}]},
+         "(?s)no matter of motion.*contact of joint"),
+        ({"which": [], "status": "detected_unexplained"}, "(?s)drive one trajectory twice"),
     ],
-)
+)  # fmt: skip
 def test_diagnoses_that_ask_for_no_motion(robot, tmp_path, changes, match):
     with pytest.raises(TorchidError, match=match):
         read_open(tmp_path, diagnosis(robot, **changes), None)
+
+
+def test_a_diagnosis_of_another_robot_is_refused(robot, tmp_path):
+    other = replace(robot, before=robot.before + 0.1 * torch.eye(4).double(), name="other")
+    for wrong in (load_robot("kuka_lwr4"), other):
+        with pytest.raises(TorchidError, match="is of another robot"):
+            read_open(tmp_path, diagnosis(robot), wrong)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from torchid.app.options import limited
 from torchid.app.output import Output, progress_bar
 from torchid.errors import TorchidError
+from torchid.json_data import read_json
 
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
@@ -24,13 +25,36 @@ def robot_of_result(
     Raises:
         TorchidError: neither; or no result.
     """
-    from torchid.json_data import read_json
     from torchid.robot.record import recorded_robot
 
-    found = robot or recorded_robot(read_json(path, "a result"), str(path))
+    found = robot or recorded_robot(_result(path), str(path))
     if found is None:
         raise TorchidError(f"'{path}' does not record its robot.", expected="torchid excite ROBOT")
     return limited(found, velocity, acceleration)
+
+
+def _result(path: Path) -> Mapping[str, Any]:
+    """What a motion can be designed for.
+
+    Raises:
+        TorchidError: another kind of file, or of another version.
+    """
+    from torchid.excitation.ambiguity import SCHEMA as GAP
+    from torchid.identification.record import SCHEMA as IDENTIFICATION
+
+    data = read_json(path, "a result")
+    schema = data.get("schema")
+    if schema in (IDENTIFICATION, GAP):
+        return data
+    kind = str(schema).partition("/")[0]
+    commands = {GAP.partition("/")[0]: "gap", IDENTIFICATION.partition("/")[0]: "identify"}
+    again = f"it is of another version: torchid {commands.get(kind)} ROBOT LOG... --json FILE"
+    raise TorchidError(
+        f"'{path}' is not a result that a motion can be designed for.",
+        got=f"schema {schema}",
+        available=[IDENTIFICATION, GAP],
+        hint=again if kind in commands else None,
+    )
 
 
 def designed_for(
@@ -48,23 +72,13 @@ def designed_for(
         TorchidError: a result that asks for no motion.
     """
     from torchid.excitation.ambiguity import SCHEMA as GAP
-    from torchid.identification.record import SCHEMA as IDENTIFICATION
-    from torchid.json_data import read_json
 
-    data = read_json(path, "a result")
-    if data.get("schema") == IDENTIFICATION:
+    data = _result(path)
+    if data["schema"] != GAP:
         return _for_identification(path, robot, seed, criterion, restarts, settings, output)
-    if data.get("schema") == GAP:
-        if criterion not in (None, "separation"):
-            raise TorchidError(
-                "for a gap diagnosis motions are designed to separate.", got=criterion
-            )
-        return _for_gap(path, data, robot, seed, restarts, settings, output)
-    raise TorchidError(
-        f"'{path}' is not a result that a motion can be designed for.",
-        got=f"schema {data.get('schema')}",
-        available=[IDENTIFICATION, GAP],
-    )
+    if criterion not in (None, "separation"):
+        raise TorchidError("for a gap diagnosis motions are designed to separate.", got=criterion)
+    return _for_gap(path, data, robot, seed, restarts, settings, output)
 
 
 def _for_identification(
@@ -109,9 +123,10 @@ def _for_gap(
     settings: dict[str, Any],
     output: Output,
 ) -> tuple["FourierTrajectory", dict[str, Any]]:
-    from torchid.excitation.ambiguity import read_open, rivals
+    from torchid.excitation.ambiguity import read_open
     from torchid.excitation.design import optimise_trajectory
-    from torchid.excitation.separation import design_separation
+    from torchid.excitation.rivals import rivals
+    from torchid.excitation.separating_motion import design_separation
     from torchid.report.next_motion import (
         separation_record,
         separation_table,

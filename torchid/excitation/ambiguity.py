@@ -1,47 +1,42 @@
-"""What a gap diagnosis leaves open (schema torchid.gap/1), as pairs to be separated by a motion."""
+"""What a gap diagnosis leaves open (schema torchid.gap/1), as questions to a motion."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
-from torchid.effects.registry import (
-    KINDS,
-    Valued,
-    effect_from_record,
-    model_torque,
-    nominal_effects,
-)
+from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect
+from torchid.effects.registry import COLUMN_KINDS, KINDS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
-from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.separation import RATE, Rival, Setting, imitation
+from torchid.excitation.beyond import beyond
+from torchid.excitation.rows import Group, Setting
+from torchid.excitation.separation import Explanation
 from torchid.identification.base_parameters import base_parameters
 from torchid.robot.model import Robot
 from torchid.robot.record import recorded_robot
 
 SCHEMA = "torchid.gap/1"
 
-INERTIAL = ("link_inertia", "payload", "all_base")
+LINK = "link_inertia"
+INERTIAL = (LINK, "payload", "all_base")
 """Names that refitted base parameters contain."""
 
 EVENTS = ("contact", "dropped_samples", "saturation", "thermal_friction_drift")
 """Effects that a motion of some seconds does not bring about."""
 
-DETECTABLE = 42.0
-"""D at the smallest detectable size that a diagnosis reports: twice 1.3 times chi^2's quantile for
-400 tests at 1 %."""
+SAME_FRAMES = 1e-3
+"""Difference of joint frames [m; 1] that is rounding in a file."""
 
-MOST = 16
-"""Untestable effects that one motion is designed for."""
 
-PLAUSIBLE = 0.02
-"""Share of the largest plausible coefficient that stands for an effect that the log did not excite
-at all."""
+@dataclass(frozen=True)
+class Question:
+    """An explanation, and the effect it must not be taken for; an empty name: whether it is seen at
+    all, values then being of no account."""
+
+    truth: Explanation
+    other: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +46,13 @@ class Open:
     Attributes:
         kind: `ambiguity`, or `not_testable`: effects that the log could not have shown.
         setting: model and noise.
-        pairs: named, whose rivals `rivals` makes.
+        questions: what a motion may settle.
         notes: sentences for the user.
     """
 
     kind: str
     setting: Setting
-    pairs: tuple[tuple[Valued, str], ...]
+    questions: tuple[Question, ...]
     notes: tuple[str, ...]
 
 
@@ -69,153 +64,153 @@ def read_open(path: Path, data: Mapping[str, Any], robot: Robot | None) -> Open:
         robot: with the limits to keep; its own record if None.
 
     Raises:
-        TorchidError: an incomplete file, or nothing left open.
+        TorchidError: an incomplete file, another robot's, or nothing left open.
     """
+    again = "write it again: torchid gap ROBOT LOG... --json FILE"
     model = recorded_robot(data, str(path), "corrected")
     if model is None:
-        raise TorchidError(
-            f"'{path}' does not hold the corrected model.",
-            hint="write it again: torchid gap ROBOT LOG... --json FILE",
-        )
+        raise TorchidError(f"'{path}' does not hold the corrected model.", hint=again)
     if robot is not None:
-        if robot.n != model.n:
-            raise TorchidError(
-                f"'{path}' is of another robot.", got=f"{model.n} joints", expected=robot.n
-            )
+        _refuse_another(path, model, robot)
         model = replace(model, limits=robot.limits)
     try:
-        pairs, notes = _ambiguities(data, model)
+        asked, notes = _ambiguities(data, model)
         kind = "ambiguity"
-        if not pairs:
-            kind, pairs = "not_testable", _untestable(data, model)
+        if not asked:
+            kind, asked = "not_testable", _untestable(data, model)
         setting = _setting(data, model)
+        # What is fitted anyway (a background) is known, not hidden.
+        asked = [q for q in asked if q.other or q.truth.effects not in setting.fitted]
+        found = [f"{e['effect']} of joint {e['joints']}" for e in data["which"]]
+        status = str(data["status"])
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise TorchidError(
-            f"'{path}' is not a complete diagnosis.", got=f"{type(error).__name__}: {error}"
+            f"'{path}' is not a complete diagnosis.",
+            got=f"{type(error).__name__}: {error}",
+            hint=again,
         ) from error
-    if not pairs:
+    if not asked:
         raise TorchidError(
-            f"'{path}' leaves nothing open that a motion could settle: every effect has one name, "
-            "and every effect that a motion can bring about was testable.",
-            got=f"status {data['status']}" + "".join(f"; {note}" for note in notes),
-        )
-    return Open(kind, setting, tuple(pairs), tuple(notes))
+            f"'{path}' leaves nothing open that a motion could settle: "
+            + ("every effect that a motion can bring about was testable, and every one found has "
+               "one name." if not notes else "what is left is no matter of motion."),
+            got="; ".join([f"status {status}", *(found or ["no effect found"]), *notes]),
+            hint=_unexplained(status),
+        )  # fmt: skip
+    return Open(kind, setting, tuple(asked), tuple(notes))
 
 
-def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
-    """Pairs both ways; the rival's own size is that with which it imitates the truth on `plain`."""
-    out = []
-    for truth, name in found.pairs:
-        if not name or name in INERTIAL:
-            out.append(Rival(truth, (), name))
-            continue
-        others = instances(name, truth[0].joints, found.setting, plain)
-        if not others:
-            continue
-        out.append(Rival(truth, others, name))
-        back = imitation(found.setting, truth, others, plain)
-        if back is not None:
-            own = instances(truth[0].name, truth[0].joints, found.setting, plain)
-            out.append(Rival(back, (truth[0], *own), truth[0].name))
-    return tuple(out)
+def _unexplained(status: str) -> str | None:
+    if status != "detected_unexplained":
+        return None
+    return "the gap is unexplained: drive one trajectory twice, so that its noise is known"
 
 
-def instances(
-    name: str, joints: Sequence[int], setting: Setting, plain: FourierTrajectory
-) -> tuple[Effect, ...]:
-    """Shapes of an effect on the first of the joints, or its places on the arm."""
-    kind = KINDS[name]
-    if issubclass(kind, ModelEffect):
-        every = kind.candidates(setting.robot)
-        return tuple(e for e in every if not joints or not e.joints or e.joints[0] == joints[0])
-    if not issubclass(kind, JointEffect) or not joints:
-        return ()
-    sampled = plain.sample(RATE)
-    motion = Motion(*sampled.motion.state, t=sampled.t)
-    torque = model_torque(setting.robot, setting.given, motion)
-    grids = [_grid(s, motion, torque[:, joints[0]].abs(), joints[0]) for s in kind.shapes]
-    names = [s.name for s in kind.shapes]
-    return tuple(kind(joints[0], **dict(zip(names, v, strict=True))) for v in product(*grids))
+def _refuse_another(path: Path, model: Robot, robot: Robot) -> None:
+    if robot.joint_types == model.joint_types:
+        frames = ((robot.before, model.before), (robot.after, model.after))
+        if all(float((one - two).abs().max()) < SAME_FRAMES for one, two in frames):
+            return
+    raise TorchidError(
+        f"'{path}' is of another robot.",
+        got=f"'{model.name}', {model.n} joints",
+        expected=f"the kinematics of '{robot.name}', {robot.n} joints",
+    )
 
 
-def _grid(shape: Shape, motion: Motion, torque: torch.Tensor, joint: int) -> list[float]:
-    q, dq = motion.q[:, joint], motion.dq[:, joint].abs()
-    travel = max(1e-9, float(q.max() - q.min()))
-    if not shape.grid:  # wave numbers, half a period apart over the travel
-        return [math.pi / travel * k for k in range(3, 40)]
-    size = {
-        "one": 1.0,
-        "travel": travel,
-        "speed": float(torch.quantile(dq, 0.99)),
-        "torque": float(torch.quantile(torque, 0.99)),
-    }[shape.scale]
-    return [v * max(1e-9, size) for v in shape.grid]
-
-
-def _ambiguities(
-    data: Mapping[str, Any], robot: Robot
-) -> tuple[list[tuple[Valued, str]], list[str]]:
-    pairs: list[tuple[Valued, str]] = []
-    notes = []
+def _ambiguities(data: Mapping[str, Any], robot: Robot) -> tuple[list[Question], list[str]]:
+    asked: list[Question] = []
+    events: dict[str, list[str]] = {}
     for entry in data["which"]:
         effect = str(entry["effect"])
-        for other in entry["ambiguous_with"]:
-            if effect in INERTIAL:
-                notes.append(f"{effect} and {other}: no motion weighs a link; compare with CAD")
-            elif effect in EVENTS or other in EVENTS or other not in (*KINDS, *INERTIAL):
-                notes.append(f"{effect} and {other}: not a matter of motion")
+        for other in map(str, entry["ambiguous_with"]):
+            event = next((n for n in (effect, other) if n in EVENTS or n not in KINDS), None)
+            if event is None and effect in INERTIAL and other in INERTIAL:
+                event = effect
+            if event is None:
+                asked.append(Question(_truth(entry, data, robot), other))
             else:
-                pairs.append((_truth(entry, robot), str(other)))
-    return pairs, notes
+                events.setdefault(event, []).append(other if event == effect else effect)
+    return asked, [
+        f"{event} or {', '.join(dict.fromkeys(others))} is no matter of motion; {beyond([event])}"
+        for event, others in events.items()
+    ]
 
 
-def _truth(entry: Mapping[str, Any], robot: Robot) -> Valued:
+def _truth(entry: Mapping[str, Any], data: Mapping[str, Any], robot: Robot) -> Explanation:
+    """An accepted effect with its coefficients; of a link, the change of its parameters."""
     kind = KINDS[str(entry["effect"])]
+    joint = int(entry["joints"][0])
+    if kind.name == LINK:
+        before = recorded_robot(data, "model")
+        if before is None or before.parameters is None or robot.parameters is None:
+            raise ValueError("no inertial parameters of the model")
+        change = robot.parameters.pi[joint - 1] - before.parameters.pi[joint - 1]
+        return Explanation((kind(joint - 1),), tuple(change.tolist()))  # type: ignore[call-arg]
     own = {f.name for f in fields(kind)} | {c.name for c in kind.coefficients}
-    place = {"joint": int(entry["joints"][0])} if "joint" in own else {}
+    place = {"joint": joint} if "joint" in own else {}
     values = {k: v for k, v in entry["parameters"].items() if k in own}
-    return effect_from_record({"effect": kind.name, **place, **values}, robot)
+    effect, coefficients = effect_from_record({"effect": kind.name, **place, **values}, robot)
+    return Explanation(_group(entry, effect, robot), tuple(coefficients))
 
 
-def _untestable(data: Mapping[str, Any], robot: Robot) -> list[tuple[Valued, str]]:
-    """Effects of the smallest size that the log would have shown, or, of those that it did not
-    excite, of a plausible one."""
-    out: list[tuple[Valued, str]] = []
+def _group(entry: Mapping[str, Any], effect: Effect, robot: Robot) -> Group:
+    """The effect, or the same one on every joint where it is common to all."""
+    if entry.get("common") and isinstance(effect, ModelEffect):
+        return tuple(replace(e, **_shapes(effect)) for e in type(effect).candidates(robot))
+    return (effect,)
+
+
+def _shapes(effect: Effect) -> dict[str, Any]:
+    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name not in PLACES}
+
+
+def _untestable(data: Mapping[str, Any], robot: Robot) -> list[Question]:
+    """Effects that the log could not have shown, shapes in the middle of their grids."""
+    out: list[Question] = []
     for entry in data["not_testable"]:
         kind, joint = KINDS[str(entry["effect"])], entry["joint"]
         if kind.name in (*EVENTS, *INERTIAL) or kind.needs & {"age", "velocity"}:
             continue
-        effect = _some(kind, None if joint is None else int(joint) - 1, robot)
-        if effect is None:
-            continue
-        size = entry["smallest_detectable"]
-        if size is None:
-            largest = kind.coefficients[0].largest
-            size = PLAUSIBLE * largest if math.isfinite(largest) else 1.0
-        out.append(((effect, [float(size)] + [0.0] * (len(kind.coefficients) - 1)), ""))
-    return out[:MOST]
+        for effect in _places(kind, None if joint is None else int(joint) - 1, robot):
+            question = Question(Explanation((effect,), (1.0,) * len(effect.coefficients)), "")
+            if question not in out:
+                out.append(question)
+    return out
 
 
-def _some(kind: type[Effect], joint: int | None, robot: Robot) -> Effect | None:
-    """An effect of a kind at a place, shapes in the middle of their grids."""
+def _places(kind: type[Effect], joint: int | None, robot: Robot) -> Sequence[Effect]:
+    """Effects of a kind at a joint, or where it belongs to the whole arm."""
     if issubclass(kind, ModelEffect):
         every = kind.candidates(robot)
-        return next((e for e in every if joint is None or e.joints[:1] == (joint,)), None)
+        return [e for e in every if joint is None or e.joints[:1] == (joint,)]
     if joint is None or not issubclass(kind, JointEffect):
-        return None
-    shapes = {s.name: s.grid[len(s.grid) // 2] if s.grid else 10.0 for s in kind.shapes}
-    return kind(joint, **shapes)
+        return []
+    return [
+        kind(joint, **{s.name: s.grid[len(s.grid) // 2] if s.grid else 10.0 for s in kind.shapes})
+    ]
 
 
 def _setting(data: Mapping[str, Any], robot: Robot) -> Setting:
-    floor = data["noise_floor"]
+    floor, settings = data["noise_floor"], data["settings"]
     low, high = (torch.tensor(floor[key], dtype=torch.float64) for key in ("low", "high"))
-    given = tuple(p for p in nominal_effects(robot) if not p[0].needs & {"age", "velocity"})
+    # Without repeats the lower bound is whatever a predictor can foretell of the torque.
+    noise = (low * high).sqrt() if floor.get("source") == "repeats" else high
+    background = tuple(settings.get("background") or ())
+    free = bool(settings.get("refitted", settings.get("parameters") == "free" or background))
+    fitted: list[Group] = [
+        (COLUMN_KINDS[name](j),) for name in background for j in range(robot.n) if free
+    ]
+    for entry in data["which"]:
+        if entry["effect"] not in (LINK, *EVENTS) and entry["effect"] in KINDS:
+            fitted.append(_truth(entry, data, robot).effects)
     return Setting(
         robot,
-        given,
+        tuple(p for p in nominal_effects(robot) if not p[0].needs & {"age", "velocity"}),
         base_parameters(robot),
-        (low * high).sqrt().clamp(min=1e-6 * float(high.max())),
+        noise.clamp(min=1e-6 * float(high.max())),
         float(data["band_hz"]),
         float(data["cutoff_hz"]),
+        free,
+        tuple(dict.fromkeys(fitted)),
     )

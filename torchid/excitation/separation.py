@@ -1,69 +1,61 @@
-"""The motion that best tells explanations of a gap apart.
+"""What a motion tells of explanations of a gap.
 
 Two explanations a, b have columns X_a, X_b along a motion; what else the model fits has columns Z
-(base parameters, refitted). If a is true with coefficients c_a, b can imitate all of X_a c_a but
+(other accepted effects, and base parameters where they are free). If a is true with coefficients
+c_a, b can imitate all of X_a c_a but
 
     D_ab = ||(I - P_[Z X_b]) X_a c_a||^2 / sigma^2,
 
-twice the logarithm of the likelihood ratio that the motion is expected to give. The design
-maximises the smallest D over all pairs, both ways. Directions of friction and the like jump, so
-there is no gradient to follow: CMA-ES (Hansen 2016) moves the trajectory's coefficients, its
-centre, and how much of the limits each joint uses, for slow motion tells as much as fast.
+twice the logarithm of the likelihood ratio that the motion is expected to give. A diagnosis also
+asks that it stand out from its spread between blocks of the log, and that it be more than a small
+share of ||(I - P_Z) X_a c_a||^2: no law fits an arm better.
 """
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
-import cma
-import numpy as np
 import torch
 
-from torchid.dynamics.regressor import regressor
-from torchid.effects.base import Effect, Motion
-from torchid.effects.registry import Valued, model_torque
-from torchid.errors import TorchidError
+from torchid.effects.base import Effect
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
-from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.base_parameters import BaseParameters
-from torchid.log.filtering import ZeroPhaseFilter
-from torchid.robot.model import Robot
+from torchid.excitation.rows import Group, Rows, Setting, directions, without
 from torchid.typing import Float, Tensor
 
-RATE = 40.0
-"""[Hz] at which columns are evaluated before the filter: they jump."""
+DECISIVE = 9.0
+"""Expected difference of the squared residuals, in noise units, from which a motion decides if it
+tells as much all the time, """
+SAME = 4e-3
+"""if it is also more than this share of what the true explanation explains: twice what a diagnosis
+neglects."""
 
-SLOWEST = 0.03
-"""Share of the limits that a joint uses at least."""
+BLOCKS = 20
+"""Into which a diagnosis divides a log of less than 40 s."""
 
-POPULATION = 16
-_SPREAD = 0.3
-_FULL = -4.0  # where the search of the joints' shares starts: nearly the whole of the limits
-_RANDOM_SHARE = 0.2  # of the evaluations, before the search
+DETECTABLE = 42.0
+"""D at the smallest detectable size that a diagnosis reports: twice 1.3 times chi^2's quantile for
+400 tests at 1 %, """
+VISIBLE = 0.02
+"""if more than this share of its column is no combination of what is fitted."""
 
-Progress = Callable[[int, int], None]
+HOPELESS = 1e-3
+"""D below which two explanations are the same."""
+
+TINY = 1e-11
+"""Eigenvalue of a form's columns below which a direction is rounding."""
 
 
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What explanations are told apart on.
+@dataclass(frozen=True)
+class Explanation:
+    """Effects that share their coefficients, and these."""
 
-    Attributes:
-        robot: the model, with parameters.
-        given: effects that are in the model.
-        base: base parameters that are refitted, or None where they are trusted.
-        noise: (n,) standard deviation of the torque in `band` [N m; N].
-        band: of the noise [Hz]: a second holds 2 band independent values.
-        cutoff: of the fit's filter [Hz].
-    """
+    effects: Group
+    values: tuple[float, ...]
 
-    robot: Robot
-    given: tuple[Valued, ...]
-    base: BaseParameters | None
-    noise: Float[Tensor, " n"]
-    band: float
-    cutoff: float
+    @property
+    def effect(self) -> Effect:
+        """The first."""
+        return self.effects[0]
 
 
 @dataclass(frozen=True)
@@ -72,244 +64,119 @@ class Rival:
 
     Attributes:
         truth: effect and coefficients.
-        others: shapes of the other effect, any of which may be fitted; or its several instances.
-            Empty: the model alone (is the effect seen at all?).
-        name: of the other.
+        others: shapes of the other effect, any of which may be fitted; or its several places.
+            Empty: base parameters, or nothing at all (is the effect seen?).
+        name: of the other; empty for nothing at all.
+        leaving: the accepted effect in whose place either of them is.
     """
 
-    truth: Valued
-    others: tuple[Effect, ...]
+    truth: Explanation
+    others: tuple[Group, ...]
     name: str
+    leaving: Group = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Separation:
-    """A motion and what it separates.
-
-    Attributes:
-        trajectory: the best found.
-        plain: what it is compared with, of the same length.
-        rivals: the pairs, in order.
-        with_plain, after: (R,) D of each pair for the two motions.
-        hopeless: rivals that no motion tried separates, not part of the design.
-        warnings: sentences for the user.
-    """
-
-    trajectory: FourierTrajectory
-    plain: FourierTrajectory
-    rivals: tuple[Rival, ...]
-    with_plain: tuple[float, ...]
-    after: tuple[float, ...]
-    hopeless: tuple[Rival, ...]
-    warnings: tuple[str, ...]
+def named(rivals: Iterable[Rival]) -> str:
+    """Pairs for a sentence, the joints of each gathered."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for r in rivals:
+        joints = r.truth.effect.joints[:1] if len(r.truth.effects) == 1 else ()
+        own = places.setdefault((r.truth.effect.name, r.name), [])
+        own += [str(j + 1) for j in joints if str(j + 1) not in own]
+    said = []
+    for (name, other), own in places.items():
+        place = f" of joint {', '.join(own)}" if own else ""
+        said.append(name + place + (f" against {other}" if other else ""))
+    return "; ".join(said)
 
 
-HOPELESS = 1e-3
-"""D below which two explanations are the same."""
+class Told(NamedTuple):
+    """What a motion tells of a pair: D, and how much of what decides that is, in D and in share."""
 
-
-def design_separation(
-    setting: Setting,
-    rivals: Sequence[Rival],
-    plain: FourierTrajectory,
-    *,
-    seed: int,
-    evaluations: int = 600,
-    usage: float = 1.0,
-    progress: Progress | None = None,
-) -> Separation:
-    """The motion, of the length and harmonics of `plain`, whose smallest D is largest.
-
-    Args:
-        setting: model and noise.
-        rivals: pairs to separate.
-        plain: where the search starts, and what the result is compared with.
-        seed: of the search.
-        evaluations: trajectories tried.
-        usage: share of the limits that may be used.
-        progress: called with (evaluations done, all).
-
-    Raises:
-        RobotError: the limits are incomplete, or the robot has no parameters.
-        TorchidError: no motion tried separates any pair.
-    """
-    limits = motion_limits(setting.robot, usage=usage)
-    tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
-    tries = [separations(setting, rivals, x) for x in tried]
-    seen = list(zip(*tries, strict=True))
-    kept = [k for k, own in enumerate(seen) if max(own) > HOPELESS]
-    hopeless = tuple(r for k, r in enumerate(rivals) if k not in kept)
-    if not kept:
-        raise TorchidError(
-            "no motion tried separates these explanations: they are the same by physics, or "
-            "beyond the robot's limits.",
-            got="; ".join(f"{r.truth[0].name} and {r.name}" for r in rivals),
-        )
-    wanted = [rivals[k] for k in kept]
-
-    def score(x: FourierTrajectory) -> float:
-        return min(separations(setting, wanted, x))
-
-    start = tried[int(np.argmax([min(seen[k][i] for k in kept) for i in range(len(tried))]))]
-    best = _search(start, limits, score, seed, evaluations, progress)
-    return Separation(
-        best,
-        plain,
-        tuple(wanted),
-        tuple(seen[k][0] for k in kept),
-        tuple(separations(setting, wanted, best)),
-        hopeless,
-        limits.warnings,
-    )
-
-
-def _random(
-    robot: Robot, plain: FourierTrajectory, seed: int, usage: float, evaluations: int
-) -> list[FourierTrajectory]:
-    """Random trajectories, every joint of each with its own share of the limits."""
-    count = max(4, round(_RANDOM_SHARE * evaluations))
-    drawn = random_trajectory(
-        robot, seed, count=count, fill=True, usage=usage, harmonics=plain.harmonics,
-        duration=plain.duration, ramp=plain.ramp,
-    )  # fmt: skip
-    generator = torch.Generator().manual_seed(seed)
-    share = SLOWEST ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
-    mixed = drawn.scaled(share)
-    return [drawn.select(k) if k % 2 else mixed.select(k) for k in range(count)]
+    difference: float
+    reached: float
 
 
 def separations(
     setting: Setting, rivals: Sequence[Rival], trajectory: FourierTrajectory
-) -> list[float]:
-    """D of every pair along a trajectory: the smallest over the other's shapes."""
+) -> list[Told]:
+    """What a trajectory tells of every pair; the other's least favourable shape counts."""
     rows = Rows(setting, trajectory)
-    return [_separation(rows, rival) for rival in rivals]
+    return [_told(rows, rival) for rival in rivals]
 
 
-def _separation(rows: "Rows", rival: Rival) -> float:
-    effect, values = rival.truth
-    left = rows.beside_base(rows.columns(effect) @ torch.tensor(values, dtype=torch.float64))
-    if not rival.others:
-        return float(left.square().sum())
-    return min(
-        float(_left(left, rows.beside_base(rows.columns(other))).square().sum())
-        for other in rival.others
-    )
+def _told(rows: Rows, rival: Rival) -> Told:
+    gone = rival.leaving
+    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(rival.truth.values).double()
+    own = rows.beside(whole, gone)
+    if not rival.name:
+        difference = float(own.square().sum())
+        return Told(difference, min(difference / DETECTABLE, _share(own, whole) / VISIBLE))
+    if rival.others:
+        nearest = rival.others[int(left_by_forms(rows, rival, own).argmin())]
+        other = rows.beside(rows.columns(nearest, gone), gone)
+        left, columns = without(own, directions(other)), 0
+    else:
+        left, columns = rows.beside(whole, gone, base=True), rows.base_columns
+    told = _in_blocks(left.reshape(rows.torque.shape).square().sum(0), columns)
+    return Told(float(left.square().sum()), min(told, _share(left, own) / SAME))
+
+
+def _in_blocks(square: Float[Tensor, " R"], columns: int) -> float:
+    """How much of what decides a difference of squared residuals is, by its spread between blocks.
+
+    A diagnosis asks that the lower confidence bound of the blocks' mean m be positive. Noise makes
+    their variance 4 m, the motion more where it tells much in few of them; spread evenly, this is
+    D / 9. The other has `columns` more that fit noise.
+    """
+    d = torch.stack([part.sum() for part in square.tensor_split(BLOCKS)])
+    mean = max(0.0, float(d.mean()) - columns / BLOCKS)
+    spread = float(d.var()) + 4 * float(d.mean())
+    return 4 * BLOCKS * mean**2 / (DECISIVE * max(spread, 1e-300))
+
+
+def _share(part: Tensor, of: Tensor) -> float:
+    return float(part.square().sum() / of.square().sum().clamp(min=1e-300))
+
+
+def left_by_forms(rows: Rows, rival: Rival, own: Tensor) -> Float[Tensor, " F"]:
+    """What each form of the other cannot explain of `own`, squared, by normal equations: every form
+    has a few columns, of length one."""
+    forms = [rows.columns(x, rival.leaving) for x in rival.others]
+    x = rows.beside(torch.cat(forms, 1), rival.leaving)
+    x = x / torch.linalg.vector_norm(x, dim=0).clamp(min=1e-9)
+    x = x.T.reshape(len(forms), -1, len(own))
+    values, vectors = torch.linalg.eigh(x @ x.mT)
+    along = ((x @ own).unsqueeze(-2) @ vectors).squeeze(-2)
+    held = torch.where(values > TINY, along.square() / values.clamp(min=TINY), 0.0).sum(-1)
+    return (own.square().sum() - held).clamp(min=0)
 
 
 def imitation(
-    setting: Setting, truth: Valued, others: Sequence[Effect], trajectory: FourierTrajectory
-) -> Valued | None:
-    """The shape and coefficients with which another effect is most like a true one along a
-    motion; None where none of its columns says anything beside the base parameters."""
-    rows = Rows(setting, trajectory)
-    own = rows.columns(truth[0]) @ torch.tensor(truth[1], dtype=torch.float64)
-    left = rows.beside_base(own)
-    found: tuple[float, Valued] | None = None
+    rows: Rows, truth: Explanation, others: Sequence[Group], leaving: Group = ()
+) -> Explanation | None:
+    """The shape with which another effect is most like a true one along a motion, its coefficients
+    such that it explains as much; None where its columns say nothing beside what is fitted.
+
+    Of an effect that without some coefficients would be a simpler one, only these are used: else a
+    joint's spring would imitate a torque offset by having no stiffness.
+    """
+    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values).double()
+    left = rows.beside(own, leaving)
+    found: tuple[float, Explanation] | None = None
     for other in others:
-        columns = rows.beside_base(rows.columns(other))
-        size = torch.linalg.vector_norm(columns, dim=0)
+        columns = rows.beside(rows.columns(other, leaving), leaving)
+        used = list(other[0].essential or range(columns.shape[1]))
+        size = torch.linalg.vector_norm(columns[:, used], dim=0)
         if float(size.max()) < HOPELESS:
             continue
         safe = size.clamp(min=1e-12)
-        x = torch.linalg.lstsq(columns / safe, left.unsqueeze(-1), driver="gelsd").solution
-        x = x.flatten() / safe
-        rest = float((left - columns @ x).square().sum())
+        part = columns[:, used] / safe
+        x = torch.linalg.lstsq(part, left.unsqueeze(-1), driver="gelsd").solution.flatten()
+        like = part @ x
+        rest = float((left - like).square().sum())
         if found is None or rest < found[0]:
-            found = rest, (other, x.tolist())
+            values = columns.new_zeros(columns.shape[1])
+            values[used] = x / safe * (left.norm() / like.norm().clamp(min=1e-12))
+            found = rest, Explanation(tuple(other), tuple(values.tolist()))
     return None if found is None else found[1]
-
-
-class Rows:
-    """Whitened rows along a trajectory: of base parameters and of effects.
-
-    Columns are evaluated at 40 Hz, filtered as the fit does, and decimated by two.
-    """
-
-    def __init__(self, setting: Setting, trajectory: FourierTrajectory):
-        self._setting = setting
-        sampled = trajectory.sample(RATE)
-        motion = Motion(*sampled.motion.state, t=sampled.t)
-        torque = model_torque(setting.robot, setting.given, motion)
-        self.motion = motion._replace(torque=torque)
-        # What 2 band independent values a second of this noise are worth, at RATE / 2 rows.
-        per_row = 2 * setting.band / (RATE / 2)
-        self._weight = per_row**0.5 / setting.noise.clamp(min=1e-12)
-        self._filter = ZeroPhaseFilter(RATE, min(setting.cutoff, 0.22 * RATE))
-        self._basis = self._base_basis()
-
-    def columns(self, effect: Effect) -> Float[Tensor, "R C"]:
-        """Of one effect (rows, C), joints and instants stacked."""
-        return self._whitened(effect.torque_columns(self.motion, self._setting.robot))
-
-    def _whitened(self, x: Float[Tensor, "T n C"]) -> Float[Tensor, "R C"]:
-        low = self._filter.apply(x.permute(2, 1, 0).contiguous())[..., ::2]
-        return (low * self._weight.unsqueeze(-1)).flatten(1).T
-
-    def beside_base(self, columns: Tensor) -> Tensor:
-        """What base parameters cannot explain of a column (R,), or of several (R, C)."""
-        if self._basis is None:
-            return columns
-        return columns - self._basis @ (self._basis.T @ columns)
-
-    def _base_basis(self) -> Tensor | None:
-        base, robot = self._setting.base, self._setting.robot
-        if base is None:
-            return None
-        y = regressor(robot, *self.motion.state)[..., list(base.independent[: base.n_rigid])]
-        y = self._whitened(y)
-        size = torch.linalg.vector_norm(y, dim=0)
-        q, r = torch.linalg.qr(y[:, size > 0] / size[size > 0])
-        return q[:, r.diagonal().abs() > 1e-9]
-
-
-def _left(own: Float[Tensor, " R"], columns: Float[Tensor, "R C"]) -> Float[Tensor, " R"]:
-    """What columns cannot explain of `own`."""
-    size = torch.linalg.vector_norm(columns, dim=0)
-    if float(size.max()) < 1e-9:
-        return own
-    q, s, _ = torch.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    q = q[:, s > 1e-6]
-    return own - q @ (q.T @ own)
-
-
-def _search(
-    start: FourierTrajectory,
-    limits: MotionLimits,
-    score: Callable[[FourierTrajectory], float],
-    seed: int,
-    evaluations: int,
-    progress: Progress | None,
-) -> FourierTrajectory:
-    """CMA-ES on the logarithm of the score; the start competes too."""
-    n = start.n
-    reach = 0.9 * limits.half_range
-    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
-    shape = (start.coefficients / size * start.harmonics**0.5).flatten()
-    place = torch.atanh(((start.q0 - limits.middle) / reach).clamp(-0.95, 0.95))
-    first = torch.cat([shape, place, torch.full((n,), _FULL, dtype=torch.float64)])
-
-    def trajectory(x: Tensor) -> FourierTrajectory:
-        a, b = x[: -2 * n].reshape(n, -1).chunk(2, -1)
-        q0 = limits.middle + reach * torch.tanh(x[-2 * n : -n])
-        raw = replace(start, a=a, b=b, q0=q0)
-        share = torch.exp(math.log(SLOWEST) * torch.sigmoid(x[-n:]))
-        return raw.scaled(largest_scale(raw, limits) * share)
-
-    best, highest, done = start, score(start), round(_RANDOM_SHARE * evaluations)
-    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": True}
-    search = cma.CMAEvolutionStrategy(first.numpy(), _SPREAD, options)
-    while done < evaluations and not search.stop():
-        asked = search.ask()
-        costs = []
-        for x in asked:
-            candidate = trajectory(torch.from_numpy(np.asarray(x)))
-            value = score(candidate)
-            costs.append(-math.log(max(value, 1e-300)))
-            if value > highest:
-                best, highest = candidate, value
-        search.tell(asked, costs)
-        done += len(asked)
-        if progress is not None:
-            progress(min(done, evaluations), evaluations)
-    return best

@@ -205,7 +205,7 @@ def _answer(
         traces=tuple(shown),
         band=band,
         cutoff=rows.cutoff,
-        settings=asdict(settings),
+        settings={**asdict(settings), "refitted": case.task.free},
         warnings=tuple(dict.fromkeys([*remarks(case, folds, found, whole, settings), *doubts])),
     )
 

@@ -6,16 +6,14 @@ from typing import Any
 
 from rich.table import Table
 
-from torchid.excitation.ambiguity import DETECTABLE
+from torchid.excitation.beyond import beyond
 from torchid.excitation.informed import InformedDesign
-from torchid.excitation.separation import Rival, Separation
+from torchid.excitation.separating_motion import Separation
+from torchid.excitation.separation import DECISIVE, Rival, Told, named
 from torchid.report.compare import short
 from torchid.report.identification import compact
 
 MOST_ROWS = 20
-
-DECISIVE = 9.0
-"""Expected difference of the squared residuals, in noise units, from which a motion decides."""
 
 
 def informed_verdict(d: InformedDesign) -> str:
@@ -73,39 +71,63 @@ def informed_record(d: InformedDesign) -> dict[str, Any]:
 
 def separation_verdict(s: Separation, kind: str) -> str:
     """What the motion separates, or shows."""
-    worst, plain = min(s.after), min(s.with_plain)
+    of_all = len(s.rivals)
+    after, plain = (sum(t.reached >= 1 for t in x) for x in (s.after, s.with_plain))
     if kind == "not_testable":
-        seen = sum(v >= DETECTABLE for v in s.after)
-        before = sum(v >= DETECTABLE for v in s.with_plain)
         out = (
-            f"Of {len(s.rivals)} effects that the log could not have shown, this motion shows "
-            f"{seen} at the size that the log would have needed, a plain exciting motion of the "
-            f"same length {before}."
+            f"Of {of_all} effects and places that the log could not have shown and a motion can, "
+            f"this motion shows {after} where they are a tenth of the joint's torque, a plain "
+            f"exciting motion of the same length {plain}."
         )
     else:
-        names = " and ".join(dict.fromkeys(n for r in s.rivals for n in _pair(r)))
+        names = " and ".join(dict.fromkeys(r.truth.effect.name for r in s.rivals))
         out = (
-            f"This motion separates {names} by {worst:.3g} in squared residuals over noise, a "
-            f"plain exciting motion of the same length by {plain:.3g}"
-            + ("." if worst >= DECISIVE else "; neither is likely to decide it once."
-               if plain < DECISIVE else ".")
-        )  # fmt: skip
-    if s.hopeless:
-        lost = ", ".join(dict.fromkeys(" and ".join(_pair(r)) for r in s.hopeless))
-        out += f" No motion tried shows a difference for {lost}."
+            f"For {names}, this motion is expected to decide {after} of {of_all} questions, a "
+            f"plain exciting motion of the same length {plain}. The hardest is "
+            f"{_hardest(s)}."
+        )
+    both = {(r.name, r.truth.effect.name) for r in s.rivals}
+    nested = [r for r in s.hopeless if (r.truth.effect.name, r.name) in both]
+    for one, other in dict.fromkeys((r.truth.effect.name, r.name) for r in nested):
+        out += (
+            f" {one} is a special case of {other}: the simpler one stands where nothing of the "
+            "rest is seen."
+        )
+    lost = [r for r in s.hopeless if r not in nested]
+    if lost:
+        out += (
+            f" No motion tried settles {named(lost)}. What would: "
+            f"{beyond(r.truth.effect.name for r in lost)}."
+        )
     return out
 
 
+def _hardest(s: Separation) -> str:
+    k = min(range(len(s.after)), key=lambda k: s.after[k].reached)
+    rival, told = s.rivals[k], s.after[k]
+    other = f" against {rival.name}" if rival.name else ""
+    said = f"{_place(rival)}{other}: {told.difference:.3g} in squared residuals over noise"
+    if told.reached >= 1:
+        return said
+    if told.difference >= DECISIVE:
+        return f"{said}, but only a small share of what the effect explains"
+    times = math.ceil(DECISIVE / max(told.difference, 1e-9))
+    return f"{said}, {DECISIVE:g} decide" + (f": drive it {times} times" if times < 20 else "")
+
+
 def separation_table(s: Separation, kind: str) -> Table:
-    """Every pair, both ways."""
-    table = compact("expected difference of the squared residuals, in noise units")
+    """Every pair, both ways, the hardest first; * where it decides."""
+    table = compact("expected difference of the squared residuals, in noise units; * decides")
     testing = kind == "not_testable"
     headings = ("effect", "size") if testing else ("if it is", "and not")
     for heading in (*headings, "plain motion", "this motion"):
         table.add_column(heading, justify="right" if "motion" in heading else "left")
-    for r, plain, after in zip(s.rivals, s.with_plain, s.after, strict=True):
-        second = f"{r.truth[1][0]:.3g}" if testing else r.name
-        table.add_row(_place(r), second, f"{plain:.3g}", f"{after:.3g}")
+    rows = sorted(zip(s.rivals, s.with_plain, s.after, strict=True), key=lambda r: r[2].reached)
+    for r, plain, after in rows[:MOST_ROWS]:
+        second = f"{max(r.truth.values, key=abs):.3g}" if testing else r.name
+        table.add_row(_place(r), second, _shown(plain), _shown(after))
+    if len(rows) > MOST_ROWS:
+        table.caption = f"and {len(rows) - MOST_ROWS} more, in the JSON"
     return table
 
 
@@ -116,22 +138,30 @@ def separation_record(s: Separation, kind: str) -> dict[str, Any]:
         "for": kind,
         "pairs": [
             {
-                "if": r.truth[0].record(r.truth[1]),
+                "if": r.truth.effect.record(r.truth.values),
+                "common": len(r.truth.effects) > 1,
                 "not": r.name or None,
-                "separation": {"plain": plain, "designed": after},
+                "separation": {"plain": plain.difference, "designed": after.difference},
+                "decides": {"plain": plain.reached >= 1, "designed": after.reached >= 1},
             }
             for r, plain, after in zip(s.rivals, s.with_plain, s.after, strict=True)
         ],
-        "hopeless": [list(_pair(r)) for r in s.hopeless],
-    }
+        "hopeless": [
+            {"effect": r.truth.effect.name, "joints": [j + 1 for j in r.truth.effect.joints],
+             "not": r.name or None, "instead": beyond([r.truth.effect.name])}
+            for r in s.hopeless
+        ],
+    }  # fmt: skip
 
 
-def _pair(r: Rival) -> tuple[str, ...]:
-    return (r.truth[0].name, r.name) if r.name else (_place(r),)
+def _shown(told: Told) -> str:
+    return f"{told.difference:.3g} " + ("*" if told.reached >= 1 else " ")
 
 
 def _place(r: Rival) -> str:
-    effect = r.truth[0]
+    effect = r.truth.effect
+    if len(r.truth.effects) > 1:
+        return f"{effect.name}, every joint"
     joints = ", ".join(str(j + 1) for j in effect.joints)
     return f"{effect.name}, joint {joints}" if joints else effect.name
 

@@ -1,0 +1,116 @@
+"""The pairs that a motion must separate: each open explanation against every form of the other."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import torch
+
+from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.registry import KINDS
+from torchid.excitation.ambiguity import INERTIAL, LINK, Open, Question
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.rows import Group, Rows
+from torchid.excitation.separation import Explanation, Rival, imitation
+from torchid.robot.model import Robot
+
+PLAUSIBLE = 0.1
+"""Torque of an effect that a log could not show, as a share of its joints' own: what is asked to be
+seen."""
+
+SHARED = ("time_delay", "torque_gain")
+"""Effects of one joint that may be common to all."""
+
+
+def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
+    """Every member of every ambiguity as truth, against every other one; an alternative has the
+    size with which it imitates the accepted effect on `plain`."""
+    rows = Rows(found.setting, plain)
+    out: list[Rival] = []
+    sets: dict[Explanation, list[str]] = {}
+    for question in found.questions:
+        if question.other:
+            sets.setdefault(question.truth, []).append(question.other)
+        else:
+            out.append(_seen(question, rows))
+    for truth, names in sets.items():
+        out += _among(truth, names, found.setting.robot, rows)
+    return tuple(out)
+
+
+def _seen(question: Question, rows: Rows) -> Rival:
+    """The effect in its most visible coefficient, at a tenth of the torque of the joints it acts on
+    or its largest plausible size."""
+    effects = question.truth.effects
+    columns = rows.columns(effects)
+    used = list(effects[0].essential or range(columns.shape[1]))
+    best = used[int(rows.beside(columns[:, used]).square().sum(0).argmax())]
+    own = columns[:, best].reshape(rows.torque.shape).norm(dim=-1)
+    acts = own > 1e-6 * own.max()
+    size = effects[0].coefficients[best].largest
+    if bool(acts.any()):
+        size = min(size, PLAUSIBLE * float(rows.torque[acts].norm() / own[acts].norm()))
+    values = [0.0] * columns.shape[1]
+    values[best] = size if math.isfinite(size) else 1.0
+    return Rival(Explanation(effects, tuple(values)), (), "")
+
+
+def _among(
+    accepted: Explanation, names: Sequence[str], robot: Robot, rows: Rows
+) -> Iterator[Rival]:
+    leaving = accepted.effects
+    members = {accepted.effect.name: accepted}
+    for name in names:
+        forms = instances(LINK if name in INERTIAL else name, leaving, robot, rows)
+        like = imitation(rows, accepted, forms, leaving)
+        if like is not None:
+            members[name] = like
+    for (one, truth), other in product(members.items(), members):
+        if one == other or (one in INERTIAL and other in INERTIAL):
+            continue
+        # A link is blamed for what base parameters could do.
+        forms = () if other in INERTIAL else instances(other, truth.effects, robot, rows)
+        if forms or other in INERTIAL:
+            yield Rival(truth, forms, other, leaving)
+
+
+def instances(name: str, like: Group, robot: Robot, rows: Rows) -> tuple[Group, ...]:
+    """Places and shapes of an effect that act where another does; all of them where that acts on
+    several joints."""
+    kind, place = KINDS[name], _place(rows, like)
+    if issubclass(kind, ModelEffect):
+        every = tuple(kind.candidates(robot))
+        near = [(e,) for e in every if place is None or _place(rows, (e,)) in (None, place)]
+        return (*near, every) if name in SHARED else tuple(near)
+    assert issubclass(kind, JointEffect)
+    joints = range(robot.n) if place is None else (place,)
+    return tuple((e,) for j in joints for e in _shapes(kind, j, rows))
+
+
+def _place(rows: Rows, group: Group) -> int | None:
+    """The joint whose rows alone the columns fill, if there is one."""
+    columns = rows.columns(group).T.reshape(-1, *rows.torque.shape)
+    size = columns.abs().amax((0, 2))
+    hit = (size > 1e-9 * size.max()).nonzero().flatten().tolist()
+    return hit[0] if len(hit) == 1 else None
+
+
+def _shapes(kind: type[JointEffect], joint: int, rows: Rows) -> Sequence[Effect]:
+    grids = [_grid(s, rows.motion(), joint) for s in kind.shapes]
+    names = [s.name for s in kind.shapes]
+    return [kind(joint, **dict(zip(names, v, strict=True))) for v in product(*grids)]
+
+
+def _grid(shape: Shape, motion: Motion, joint: int) -> list[float]:
+    q, dq = motion.q[:, joint], motion.dq[:, joint].abs()
+    travel = max(1e-9, float(q.max() - q.min()))
+    if not shape.grid:  # wave numbers, half a period apart over the travel
+        return [math.pi / travel * k for k in range(3, 40)]
+    torque = motion.require("torque", "a grid")[:, joint].abs()
+    size = {
+        "one": 1.0,
+        "travel": travel,
+        "speed": float(torch.quantile(dq, 0.99)),
+        "torque": float(torch.quantile(torque, 0.99)),
+    }[shape.scale]
+    return [v * max(1e-9, size) for v in shape.grid]

@@ -1,0 +1,218 @@
+"""The motion that best tells explanations of a gap apart.
+
+With r what a motion tells of a pair, relative to what decides (see `separation`), the design
+maximises the mean of 1 - exp(-r), about the share of pairs that are decided, over all pairs, both
+ways. Directions of friction and the like jump, so there is no gradient to follow: CMA-ES (Hansen
+2016) moves the trajectory's coefficients, its centre, and how much of the limits each joint uses,
+for slow motion tells as much as fast.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cma
+import numpy as np
+import torch
+
+from torchid.errors import TorchidError
+from torchid.excitation.beyond import beyond
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
+from torchid.excitation.rows import Rows, Setting
+from torchid.excitation.separation import HOPELESS, Rival, Told, left_by_forms, named, separations
+from torchid.excitation.trajectories import random_trajectory
+from torchid.robot.model import Robot
+from torchid.typing import Tensor
+
+SLOWEST = 0.03
+"""Share of the limits that a joint uses at least."""
+
+MOST = 16
+"""Pairs that the search looks at."""
+SURE = 5.0
+"""Times what decides: beyond it a pair needs no more."""
+FIRST = 6
+"""Motions tried before a pair is given up."""
+NEAREST = 2
+"""Forms of the other effect that the search looks at, of each motion tried first."""
+AND = 0.02
+"""Weight of the mean logarithm beside the share of decided pairs."""
+
+POPULATION = 16
+_SPREAD = 0.3
+_FULL = -4.0  # where the search of the joints' shares starts: nearly the whole of the limits
+_RANDOM_SHARE = 0.2  # of the evaluations, before the search
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """A motion and what it separates.
+
+    Attributes:
+        trajectory: the best found.
+        plain: what it is compared with, of the same length.
+        rivals: the pairs, in order.
+        with_plain, after: of each pair for the two motions.
+        hopeless: rivals that no motion tried separates, not part of the design.
+        warnings: sentences for the user.
+    """
+
+    trajectory: FourierTrajectory
+    plain: FourierTrajectory
+    rivals: tuple[Rival, ...]
+    with_plain: tuple[Told, ...]
+    after: tuple[Told, ...]
+    hopeless: tuple[Rival, ...]
+    warnings: tuple[str, ...]
+
+
+def design_separation(
+    setting: Setting,
+    rivals: Sequence[Rival],
+    plain: FourierTrajectory,
+    *,
+    seed: int,
+    evaluations: int = 600,
+    usage: float = 1.0,
+    progress: Progress | None = None,
+) -> Separation:
+    """The motion, of the length and harmonics of `plain`, that separates most pairs.
+
+    Args:
+        setting: model and noise.
+        rivals: pairs to separate.
+        plain: where the search starts, and what the result is compared with.
+        seed: of the search.
+        evaluations: trajectories tried.
+        usage: share of the limits that may be used.
+        progress: called with (evaluations done, all).
+
+    Raises:
+        RobotError: the limits are incomplete, or the robot has no parameters.
+        TorchidError: no motion tried separates any pair.
+    """
+    limits = motion_limits(setting.robot, usage=usage)
+    tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
+    seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST]), strict=True))
+    kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > HOPELESS]
+    if not kept:
+        raise TorchidError(
+            "no motion settles what this diagnosis leaves open.",
+            got=named(rivals) or "no rival acts on this arm",
+            hint=beyond(r.truth.effect.name for r in rivals),
+        )
+    asked = [_pruned(setting, rivals[k], tried[:FIRST]) for k in _promising(kept, seen)]
+
+    def score(x: FourierTrajectory) -> float:
+        return _score(separations(setting, asked, x))
+
+    scores = []
+    for x in tried:
+        scores.append(score(x))
+        if progress is not None:
+            progress(len(scores), evaluations)
+    start = tried[int(np.argmax(scores))]
+    found = _search(start, limits, score, seed, evaluations, progress)
+    wanted = [rivals[k] for k in kept]
+    # The search looks at some pairs and forms; what counts is all of them.
+    told = {x: separations(setting, wanted, x) for x in (found, start, plain)}
+    best = max(told, key=lambda x: _score(told[x]))
+    return Separation(
+        best,
+        plain,
+        tuple(wanted),
+        tuple(told[plain]),
+        tuple(told[best]),
+        tuple(r for k, r in enumerate(rivals) if k not in kept),
+        limits.warnings,
+    )
+
+
+def _promising(kept: Sequence[int], seen: Sequence[Sequence[Told]]) -> list[int]:
+    """Pairs that the search looks at: those that the plain motion leaves in doubt, the easiest
+    first, then those that it does not, the hardest first."""
+
+    def order(k: int) -> tuple[bool, float]:
+        sure = seen[k][0].reached >= SURE
+        return sure, seen[k][0].reached if sure else -max(t.reached for t in seen[k])
+
+    return sorted(kept, key=order)[:MOST]
+
+
+def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) -> Rival:
+    """The pair with the forms of the other that come nearest along some motions."""
+    if len(rival.others) <= NEAREST:
+        return rival
+    near: dict[int, None] = {}
+    for x in tried:
+        rows = Rows(setting, x)
+        truth = rows.columns(rival.truth.effects, rival.leaving)
+        own = rows.beside(truth @ torch.tensor(rival.truth.values).double(), rival.leaving)
+        near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST].tolist())
+    return replace(rival, others=tuple(rival.others[k] for k in near))
+
+
+def _score(told: Sequence[Told]) -> float:
+    """About how many pairs are decided; and, where all or none are, how far they are from it."""
+    reached = np.array([max(t.reached, 1e-12) for t in told])
+    return float(np.mean(1 - np.exp(-reached)) + AND * np.mean(np.log(reached)))
+
+
+def _random(
+    robot: Robot, plain: FourierTrajectory, seed: int, usage: float, evaluations: int
+) -> list[FourierTrajectory]:
+    """Random trajectories, every joint of each with its own share of the limits."""
+    count = max(4, round(_RANDOM_SHARE * evaluations))
+    drawn = random_trajectory(
+        robot, seed, count=count, fill=True, usage=usage, harmonics=plain.harmonics,
+        duration=plain.duration, ramp=plain.ramp,
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(seed)
+    share = SLOWEST ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
+    mixed = drawn.scaled(share)
+    return [drawn.select(k) if k % 2 else mixed.select(k) for k in range(count)]
+
+
+def _search(
+    start: FourierTrajectory,
+    limits: MotionLimits,
+    score: Callable[[FourierTrajectory], float],
+    seed: int,
+    evaluations: int,
+    progress: Progress | None,
+) -> FourierTrajectory:
+    """CMA-ES on the score; the start competes too."""
+    n = start.n
+    reach = 0.9 * limits.half_range
+    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
+    shape = (start.coefficients / size * start.harmonics**0.5).flatten()
+    place = torch.atanh(((start.q0 - limits.middle) / reach).clamp(-0.95, 0.95))
+    first = torch.cat([shape, place, torch.full((n,), _FULL, dtype=torch.float64)])
+
+    def trajectory(x: Tensor) -> FourierTrajectory:
+        a, b = x[: -2 * n].reshape(n, -1).chunk(2, -1)
+        q0 = limits.middle + reach * torch.tanh(x[-2 * n : -n])
+        raw = replace(start, a=a, b=b, q0=q0)
+        share = torch.exp(math.log(SLOWEST) * torch.sigmoid(x[-n:]))
+        return raw.scaled(largest_scale(raw, limits) * share)
+
+    best, highest, done = start, score(start), round(_RANDOM_SHARE * evaluations)
+    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": True}
+    search = cma.CMAEvolutionStrategy(first.numpy(), _SPREAD, options)
+    while done < evaluations and not search.stop():
+        asked = search.ask()
+        costs = []
+        for x in asked:
+            candidate = trajectory(torch.from_numpy(np.asarray(x)))
+            value = score(candidate)
+            costs.append(-value)
+            if value > highest:
+                best, highest = candidate, value
+        search.tell(asked, costs)
+        done += len(asked)
+        if progress is not None:
+            progress(min(done, evaluations), evaluations)
+    return best
