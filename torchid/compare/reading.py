@@ -191,7 +191,8 @@ def _structure(
     data: Mapping[str, Any], robot: Robot | None
 ) -> tuple[BaseParameters, tuple[JointEffect, ...]]:
     """Base parameters from the recorded grouping. Columns were taken from left to right, so the
-    first of each row is the independent one."""
+    first column of each row that is in no other row, with factor 1, is the independent one. (A
+    column further left may lean on it by some 1e-6, where a file's angles are rounded.)"""
     names = [str(name) for name in data["grouping"]["parameters"]]
     kinds = on_every_joint([str(name) for name in data["settings"]["effects"]], 1)
     n = len(names) // (PARAMETERS_PER_LINK + sum(len(e.coefficients) for e in kinds))
@@ -199,9 +200,11 @@ def _structure(
     if names != parameter_names(n) + [c for e in effects for c in e.coefficient_names()]:
         raise ValueError("the parameters' names do not fit the effects")
     grouping = _tensor(data["grouping"]["matrix"], (len(data["base_names"]), len(names)))
-    independent = [int((row != 0).nonzero()[0, 0]) for row in grouping]
-    if not torch.equal(grouping[:, independent], torch.eye(len(independent)).to(grouping)):
-        raise ValueError("the grouping is not in echelon form")
+    alone = (grouping != 0).sum(0) == 1
+    own = [(alone & (row == 1)).nonzero().flatten().tolist() for row in grouping]
+    if not all(own):
+        raise ValueError("a base parameter of the grouping has no column of its own")
+    independent = [columns[0] for columns in own]
     types = [JointType.REVOLUTE] * n if robot is None else robot.joint_types
     units = parameter_units(n) + [
         c.unit_for(types[e.joint] is JointType.PRISMATIC) for e in effects for c in e.coefficients
