@@ -14,7 +14,7 @@ from torchid.effects.registry import model_torque
 from torchid.effects.transient import Contact
 from torchid.gap.fit import Fit, fitted
 from torchid.gap.problem import BASE, Term, term_of
-from torchid.gap.solve import Solution, corrected, solve
+from torchid.gap.solve import Solution, corrected, fitted_on, solve
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -251,3 +251,17 @@ def test_a_term_that_is_not_in_these_rows_is_fitted_as_nothing():
     found = fitted(problem(y, ()), [term])
     assert found.values[0].tolist() == [0.0, 0.0]
     assert found.loss == pytest.approx(float(y.square().sum()))
+
+
+def test_a_contact_elsewhere_is_not_fitted_to_its_tails():
+    """Of rows that hold only what filters spread of a contact, the fit would be any size."""
+    both = [(CoulombFriction(0), [3.0]), (Contact(20.0, 21.0), [6.0, 0.0, 4.0])]
+    case = Case(both, ("coulomb_friction", "contact"))
+    found = solved(case)
+    columns = found.terms[1].columns.abs().amax(0).reshape(case.keep.shape)
+    for inside in (True, False):
+        tail = columns < 1e-4 * columns.max()
+        keep = case.keep & (torch.ones_like(tail) if inside else tail)
+        assert bool((columns * keep > 0).any())
+        _, effects = fitted_on(case.evaluator, found, keep, case.task)
+        assert [e.name for e, _ in effects] == ["coulomb_friction", "contact"][: 1 + inside]

@@ -136,7 +136,8 @@ def settled(plain: Evaluator, problem: Problem, terms: list[Term], task: Task) -
 def fitted_on(
     plain: Evaluator, found: Solution, keep: Bool[Tensor, "n N"], task: Task
 ) -> tuple[Robot, tuple[Valued, ...]]:
-    """The corrected model of the terms that were found, fitted on some of the rows; none leaves."""
+    """The corrected model of the terms that were found, fitted on some of the rows. A term leaves
+    only if they say nothing of it: a contact that was elsewhere, friction of a joint that rests."""
     problem = replace(
         found.problem,
         y=found.problem.y * keep,
@@ -146,7 +147,18 @@ def fitted_on(
     )
     terms = [t.scaled(keep) for t in found.terms]
     again = _settled(plain, problem, terms, fitted(problem, terms), task)
+    pairs = zip(found.terms, terms, again.terms, strict=True)
+    told = [own for whole, own, new in pairs if _told(found, whole, again, new)]
+    if len(told) < len(terms):
+        again = _settled(plain, problem, told, fitted(problem, told), task)
     return again.robot, again.effects
+
+
+def _told(found: Solution, whole: Term, again: Solution, new: Term) -> bool:
+    """Whether some coefficient is known to better than its size on all rows."""
+    if whole.is_inertial:
+        return True
+    return bool((again.values_of(new)[1] < found.values_of(whole)[0].abs()).any())
 
 
 def _significance(found: Solution, term: Term) -> float:
