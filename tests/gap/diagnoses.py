@@ -143,7 +143,9 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
     regimes = [
         RegimeGap(1, "velocity_reversal", 0.64, (0.55, 0.71), 0.002),
         RegimeGap(1, "low_speed", 0.2, (-0.01, 0.35), 0.03),
-        RegimeGap(2, "transient", 0.4, (0.0, 0.6), 0.01, ((12.25, 12.75), (31.0, 31.25))),
+        RegimeGap(
+            2, "transient", 0.4, (0.0, 0.6), 0.01, (("run1", 12.25, 12.75), ("run2", 1.0, 1.25))
+        ),
         RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.6),
     ]
     made = Diagnosis(

@@ -43,7 +43,7 @@ def test_twice_the_smallest_is_found_and_a_tenth_is_not(place):
         (),
     )
     entry = next(e for e in listed if e.effect == "viscous_friction")
-    assert entry.joint == place
+    assert entry.joints == (() if place is None else (place,))
     assert entry.unit == ViscousFriction.coefficients[0].unit
     found = {2.0: 0, 0.1: 0}
     for size in found:
@@ -130,7 +130,7 @@ def test_refitted_parameters_hide_what_trusted_ones_show():
                 model.add(term.columns, term.place)
         large = torch.full((N,), 1e6, dtype=torch.float64)
         listed = not_testable(made, model, ROBOT, large, ())
-        shown[free] = {(e.effect, e.joint): e for e in listed}
+        shown[free] = {(e.effect, *e.joints): e for e in listed}
     assert ("rotor_inertia", 0) not in shown[False]
     assert shown[True]["rotor_inertia", 0].smallest_detectable is None
     assert ("viscous_friction", 0) not in shown[True]

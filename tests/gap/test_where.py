@@ -11,6 +11,7 @@ import torch
 from tests.gap.diagnoses import NOISE, banded, coloured, floor, trace
 from torchid.gap.diagnosis import Regime
 from torchid.gap.regimes import extrapolation, reversals
+from torchid.gap.remarks import unrelated
 from torchid.gap.resampling import Draws, Look, best_of, corrected, linear, quadratic
 from torchid.gap.signatures import white_share
 from torchid.gap.where import where
@@ -104,9 +105,21 @@ def test_times_of_transients():
     )
     _, regimes = where([trace(on_joint(bumps), seed=2)], floor(), 0)
     times = of(regimes, "transient").times
-    assert all(any(a - 0.15 < c < b + 0.15 for a, b in times) for c in (12.3, 41.0))
-    assert all(min(abs(0.5 * (a + b) - c) for c in (12.3, 41.0)) < 0.4 for a, b in times)
+    assert all(any(a - 0.15 < c < b + 0.15 for _, a, b in times) for c in (12.3, 41.0))
+    assert all(min(abs(0.5 * (a + b) - c) for c in (12.3, 41.0)) < 0.4 for _, a, b in times)
     assert not of(regimes, "transient", joint=0).times
+
+
+def test_times_are_those_of_the_trajectory():
+    """Time runs on from one trajectory to the next; what is told does not."""
+    bump = in_time(lambda t: torch.exp(-(((t - 12.3) / 0.1) ** 2)))
+    first, second = trace(seed=1), trace(on_joint(bump), seed=2)
+    later = second.motion._replace(t=second.motion.t + 100.0)
+    both = [replace(first, name="one"), replace(second, name="two", motion=later)]
+    _, regimes = where(both, floor(), 0)
+    times = of(regimes, "transient").times
+    assert times
+    assert all(name == "two" and abs(0.5 * (a + b) - 12.3) < 0.4 for name, a, b in times)
 
 
 def test_all_regimes_of_all_joints_are_there():
@@ -258,3 +271,12 @@ def test_draws_are_permutations_and_signs():
     assert torch.equal(draws.order.sort(-1).values, torch.arange(12).expand(7, -1))
     assert bool((draws.signs.abs() == 1).all())
     assert NOISE > 0
+
+
+@pytest.mark.parametrize(("scale", "told"), [(1.0, False), (-1.0, True)])
+def test_a_model_of_another_arm_is_doubted(scale: float, told: bool) -> None:
+    """The model's torque turned around explains less than none of the measured one's spread."""
+    made = trace(n=2, seconds=20.0)
+    load = 5 * torch.sin(made.motion.q + torch.arange(2))
+    found = unrelated([replace(made, measured=load, before=scale * load)])
+    assert ["joints 1, 2" in sentence for sentence in found] == [True] * told

@@ -10,7 +10,8 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.diagnosis import HowFar, NotTestable, Parametric
 from torchid.report.gap import remarks, tables
-from torchid.report.gap_words import coefficients, effect_words, listed, measure, percent, verdict
+from torchid.report.gap_words import coefficients, effect_words, listed, measure, verdict
+from torchid.report.text import percent
 
 
 def text_of(d) -> str:
@@ -91,7 +92,7 @@ def test_tables_hold_the_numbers():
     )
     for part in (
         "velocity reversal 64 % [55, 71]",
-        "transient 40 % [0, 60] at 12.2, 31.0 s",
+        "transient 40 % [0, 60] at 12.2 s of run1; 1.0 s of run2",
         "Fc = 0.61 ± 0.02 N m",
         "Fv = 0.20 ± 0.10 N m s/rad",
         "power law friction",

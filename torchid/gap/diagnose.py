@@ -22,13 +22,13 @@ from torchid.gap.case import (
 )
 from torchid.gap.closing import Closing, budget, closing
 from torchid.gap.detectable import not_testable
-from torchid.gap.diagnosis import Diagnosis, HowFar, NoiseFloor, Parametric, Status
-from torchid.gap.findings import Findings, findings, next_experiment
+from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, NoiseFloor, Parametric, Status
+from torchid.gap.findings import Findings, dated, findings, next_experiment
 from torchid.gap.folds import Folds, Model, make_folds, traces, with_after
 from torchid.gap.noise import STRUCTURE, Noise, dry_friction
 from torchid.gap.passages import Rows, reach, sliding
 from torchid.gap.prepare import report_band
-from torchid.gap.remarks import remarks
+from torchid.gap.remarks import remarks, unrelated
 from torchid.gap.select import Search
 from torchid.gap.settings import GapSettings
 from torchid.gap.solve import Solution, fitted_on, settled, solve
@@ -195,10 +195,10 @@ def _answer(
         status=_status(found, far, excess, left, _poor(case, hidden)),
         joints=joints,
         regimes=regimes,
-        findings=found.effects,
+        findings=dated(found, case.given.rows.passages).effects,
         parametric=found.parametric,
         how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
-        budget=budget(refitted, shown, floor),
+        budget=Budget(0.0, 0.0, 0.0) if far.closed is None else budget(refitted, shown, floor),
         floor=floor,
         not_testable=tuple(hidden),
         next_experiment=next_experiment(whole, found, case.given.rows),
@@ -206,7 +206,11 @@ def _answer(
         band=band,
         cutoff=rows.cutoff,
         settings={**asdict(settings), "refitted": case.task.free},
-        warnings=tuple(dict.fromkeys([*remarks(case, folds, found, whole, settings), *doubts])),
+        warnings=tuple(
+            dict.fromkeys(
+                [*unrelated(shown), *remarks(case, folds, found, whole, settings), *doubts]
+            )
+        ),
     )
 
 

@@ -93,7 +93,7 @@ class RegimeGap:
             beyond what the regime's share of time would hold.
         ci95: its interval, over blocks.
         p: corrected for the maximum over all joints and regimes.
-        times: (start, end) of the windows [s], for transients.
+        times: trajectory, and start and end [s] in it, of the windows of a transient.
     """
 
     joint: int
@@ -101,7 +101,7 @@ class RegimeGap:
     excess: float
     ci95: Interval
     p: float
-    times: tuple[Interval, ...] = ()
+    times: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,16 @@
 """Accepted terms as a person and a file can use them: effects, joints, alternatives, shares."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torchid.effects.base import Effect
+from torchid.effects.transient import Contact
 from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
 from torchid.gap.diagnosis import Finding, Parametric
 from torchid.gap.evidence import p_value
 from torchid.gap.experiments import experiment
-from torchid.gap.passages import Rows
+from torchid.gap.passages import Passage, Rows, when
 from torchid.gap.problem import BASE, LINK, Term
 from torchid.gap.select import Search
 from torchid.gap.solve import Solution
@@ -127,6 +128,20 @@ def _notes(term: Term, values: Tensor, std: Tensor) -> tuple[str, ...]:
     return tuple(out)
 
 
+def dated(found: Findings, passages: Sequence[Passage]) -> Findings:
+    """Findings that say when a contact was."""
+    return replace(found, effects=tuple(_dated(f, passages) for f in found.effects))
+
+
+def _dated(finding: Finding, passages: Sequence[Passage]) -> Finding:
+    effect = finding.effect
+    if not isinstance(effect, Contact) or effect.start is None or effect.stop is None:
+        return finding
+    name, start = when(passages, effect.start)
+    note = f"from {start:.2f} to {start + effect.stop - effect.start:.2f} s of '{name}'"
+    return replace(finding, notes=(*finding.notes, note))
+
+
 def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str, Any] | None:
     """What would separate the largest ambiguity: in words, and where this log comes closest."""
     if not found.unresolved:
@@ -149,8 +164,8 @@ def next_experiment(solution: Solution, found: Findings, rows: Rows) -> dict[str
         "do": experiment(term.name, other.name),
         "most_informative": {
             "trajectory": rows.passages[where].name,
-            "from_s": float(t[instants[0]]),
-            "to_s": float(t[instants[-1]]),
+            "from_s": float(t[instants[0]]) - rows.passages[where].start,
+            "to_s": float(t[instants[-1]]) - rows.passages[where].start,
             "share": float(left[best]) / max(1e-12, total),
         },
         "seconds_of_the_same_motion": seconds if seconds < HOPELESS else None,

@@ -244,7 +244,8 @@ def _note(joint: int, excess: Float[Tensor, " K"], block: Int[Tensor, " N"], row
     for k in worst:
         inside = torch.nonzero(block == k).flatten()
         at = next(i for i, b in enumerate(rows.bounds) if b.start <= inside[0] < b.stop)
-        first, last = float(t[inside[0]]), float(t[inside[-1]])
+        begin = float(_time(rows.passages[at])[0])
+        first, last = float(t[inside[0]]) - begin, float(t[inside[-1]]) - begin
         places.append(f"{first:.1f} to {last:.1f} s ('{names[at]}')")
     when = f": worst at {', '.join(places)}" if places else ""
     return (

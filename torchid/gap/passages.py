@@ -71,6 +71,11 @@ class Passage:
         return self.tau.shape[0]
 
     @property
+    def start(self) -> float:
+        """Its first time [s]; time runs on from one passage to the next."""
+        return float(self.motion.require("t", "a passage")[0])
+
+    @property
     def n(self) -> int:
         """Number of joints."""
         return self.tau.shape[1]
@@ -169,6 +174,13 @@ def passages_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
             )
         )
     return out
+
+
+def when(passages: Sequence[Passage], t: float) -> tuple[str, float]:
+    """The trajectory at a time that runs on from one to the next, and its own time [s] there."""
+    begins = [p.start for p in passages]
+    k = max((k for k, begin in enumerate(begins) if begin <= t), default=0)
+    return passages[k].name, t - begins[k]
 
 
 def reach(rows: Rows, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -154,7 +154,7 @@ def _regime(gap: RegimeGap) -> dict[str, Any]:
         "excess": gap.excess,
         "ci95": gap.ci95,
         "p": gap.p,
-        "times": gap.times,
+        "times": [{"trajectory": n, "from_s": a, "to_s": b} for n, a, b in gap.times],
     }
 
 

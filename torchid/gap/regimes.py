@@ -100,6 +100,16 @@ def pooled(traces: Sequence[Trace], band: float) -> Pool:
     return Pool(rate=rate, correlation=correlation / length, **cut)
 
 
+def begins(traces: Sequence[Trace]) -> list[tuple[str, float]]:
+    """Name of each trajectory, and its first time [s] in the pool."""
+    out, clock = [], 0.0
+    for trace in traces:
+        t = trace.motion.t
+        out.append((trace.name, clock if t is None else float(t[0])))
+        clock += len(trace.valid) / trace.rate
+    return out
+
+
 def _without_trend(x: Float[Tensor, "N n"], t: Float[Tensor, " N"]) -> Float[Tensor, "N n"]:
     """x less a parabola in time: a slow trend is no correlation."""
     phase = (t - t.mean()) / (t - t.mean()).abs().max().clamp(min=1e-9)

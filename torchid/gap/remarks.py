@@ -1,8 +1,12 @@
 """What a user must know beside the findings."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import torch
+
 from torchid.gap.case import EVENTS, Case
+from torchid.gap.diagnosis import Trace
 from torchid.gap.findings import Findings
 from torchid.gap.folds import Folds
 from torchid.gap.settings import GapSettings
@@ -31,7 +35,7 @@ def remarks(
     if changed and bool((_margins(whole.robot) < 0).any()):
         out.append(
             "the corrected inertial parameters give the right torque but belong to no body: "
-            "`torchid extract` finds feasible ones"
+            "`torchid check corrected.yaml --nearest near.json` finds feasible ones near in torque"
         )
     if case.fitted:
         out.append(
@@ -46,6 +50,21 @@ def remarks(
     if settings.parameters == "auto" and not case.task.free:
         out += _modes(case, whole)
     return out
+
+
+def unrelated(traces: Sequence[Trace]) -> list[str]:
+    """A sentence where the model as given says nothing of most joints' torque: squares it leaves
+    are larger than those of the torque about its mean."""
+    torque = torch.cat([t.measured[t.valid] for t in traces])
+    gap = torch.cat([(t.measured - t.before)[t.valid] for t in traces])
+    useless = gap.square().mean(0) > (torque - torque.mean(0)).square().mean(0)
+    if 2 * int(useless.sum()) <= len(useless):
+        return []
+    joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
+    return [
+        f"the model explains nothing of the torque of joints {joints}: is the log of this robot, "
+        "its joints in this order, in these units? `torchid log doctor ROBOT LOG` looks"
+    ]
 
 
 def _margins(robot: Robot) -> Tensor:

@@ -5,8 +5,8 @@ from typing import get_args
 
 import torch
 
-from torchid.gap.diagnosis import JointGap, NoiseFloor, Regime, RegimeGap, Trace
-from torchid.gap.regimes import Pool, masked_look, masks, pooled, reversal_look
+from torchid.gap.diagnosis import Interval, JointGap, NoiseFloor, Regime, RegimeGap, Trace
+from torchid.gap.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
 from torchid.gap.resampling import Draws, Look, bootstrap, corrected
 from torchid.gap.signatures import (
     drift_look,
@@ -46,7 +46,7 @@ def where(
             for j in range(len(joints))
             for regime in get_args(Regime)
         )
-    return joints, regime_gaps(pool, floor, seed, band)
+    return joints, regime_gaps(pool, floor, seed, band, begins(traces))
 
 
 def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ...]:
@@ -70,8 +70,11 @@ def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ..
     )
 
 
-def regime_gaps(pool: Pool, floor: NoiseFloor, seed: int, band: float) -> tuple[RegimeGap, ...]:
-    """All regimes of all joints, p corrected for the maximum over them."""
+def regime_gaps(
+    pool: Pool, floor: NoiseFloor, seed: int, band: float, starts: Sequence[tuple[str, float]]
+) -> tuple[RegimeGap, ...]:
+    """All regimes of all joints, p corrected for the maximum over them; `starts`: name and first
+    time of each trajectory."""
     draws = Draws.of(pool.blocks, seed)
     rest = remainder(pool)
     parts = masks(pool)
@@ -96,11 +99,24 @@ def regime_gaps(pool: Pool, floor: NoiseFloor, seed: int, band: float) -> tuple[
             excess=float(shares[k][0][j]),
             ci95=(float(shares[k][1][j]), float(shares[k][2][j])),
             p=float(p[k, j]),
-            times=transients.times[j] if regime == "transient" and p[k, j] < SHOWN else (),
+            times=_own_times(transients.times[j], starts)
+            if regime == "transient" and p[k, j] < SHOWN
+            else (),
         )
         for j in range(pool.error.shape[-1])
         for k, regime in enumerate(looks)
     )
+
+
+def _own_times(
+    times: Sequence[Interval], starts: Sequence[tuple[str, float]]
+) -> tuple[tuple[str, float, float], ...]:
+    """Times that run on from one trajectory to the next as those of the trajectories."""
+    out = []
+    for start, end in times:
+        name, begin = max((b for b in starts if b[1] <= start), key=lambda b: b[1])
+        out.append((name, start - begin, end - begin))
+    return tuple(out)
 
 
 def _excess(

@@ -13,15 +13,14 @@ from torchid.report.gap_words import (
     CLEAR,
     coefficients,
     effect_words,
-    interval,
     joints_words,
     listed,
-    percent,
     regime_words,
     shapes,
     torque_unit,
 )
 from torchid.report.identification import compact
+from torchid.report.text import interval, percent
 from torchid.robot.model import JointType
 
 _MOST_REGIMES = 3
@@ -68,9 +67,12 @@ def _regimes(diagnosis: Diagnosis, gap: JointGap) -> str:
 def _regime(r: RegimeGap) -> str:
     text = escape(f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}")
     if r.times:
-        starts = [f"{start:.1f}" for start, _ in r.times[:_MOST_REGIMES]]
-        more = " ..." if len(r.times) > _MOST_REGIMES else ""
-        text += f" at {', '.join(starts)}{more} s"
+        shown = r.times[:_MOST_REGIMES]
+        starts: dict[str, list[str]] = {}
+        for name, start, _ in shown:
+            starts.setdefault(name, []).append(f"{start:.1f}")
+        places = [f"{', '.join(at)} s of {escape(name)}" for name, at in starts.items()]
+        text += f" at {'; '.join(places)}{' ...' if len(r.times) > len(shown) else ''}"
     return text
 
 
@@ -144,8 +146,9 @@ def budget_table(diagnosis: Diagnosis) -> Table:
     closed = "the gap may be noise"
     if far.closed is not None and far.closed_ci95 is not None:
         closed = escape(f"{percent(far.closed)} {interval(far.closed_ci95)}")
-    shares = (budget.parametric, budget.structural, budget.unexplained)
-    table.add_row(*(percent(x) for x in shares), closed)
+    parts = (budget.parametric, budget.structural, budget.unexplained)
+    shares = ["-"] * 3 if far.closed is None else [percent(x) for x in parts]
+    table.add_row(*shares, closed)
     return table
 
 
@@ -169,7 +172,8 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
     known = "repeats of a trajectory" if diagnosis.floor.source == "repeats" else "the residual"
     out = [
         f"How far: on data used for no choice, while each joint moves, below {diagnosis.band:g} "
-        f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}."
+        f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}.",
+        "Share: of the squared gap beyond the noise, each joint in units of its own noise.",
     ]
     return [*out, *(diagnosis.how_far.rollout or {}).get("sentences", ())]
 

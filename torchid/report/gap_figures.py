@@ -8,7 +8,8 @@ import numpy as np
 from torchid.gap.diagnosis import Diagnosis, Regime, RegimeGap, Trace
 from torchid.report.figures import BLUE, GREY, INK, new_figure, styled
 from torchid.report.gap_joint_figures import AFTER, BEFORE, joint_figure
-from torchid.report.gap_words import CLEAR, percent, regime_words, torque_unit
+from torchid.report.gap_words import CLEAR, regime_words, torque_unit
+from torchid.report.text import percent
 from torchid.robot.model import JointType
 
 if TYPE_CHECKING:

@@ -67,7 +67,9 @@ def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
         axes.set_xlabel(name, fontsize=_SMALL, color=INK)
     for axes in grid[:, 0]:
         axes.set_ylabel(f"measured - model [{unit}]", fontsize=_SMALL, color=INK)
-    _over_time(styled(grid[1, 1]), s, high, unit)
+    several = len(diagnosis.traces) > 1
+    label = "time, one trajectory after another [s]" if several else "time [s]"
+    _over_time(styled(grid[1, 1]), s, high, unit, label)
     _spectrum(styled(grid[1, 2]), diagnosis, joint, unit)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(
@@ -90,7 +92,7 @@ def samples(traces: tuple[Trace, ...], joint: int) -> Samples:
         block = (t / BLOCK).long() + blocks
         motion = trace.motion
         signals = {
-            "t": t + clock if motion.t is None else motion.t,
+            "t": t + clock,
             "q": motion.q[:, joint],
             "dq": motion.dq[:, joint],
             "ddq": motion.ddq[:, joint],
@@ -132,7 +134,7 @@ def _against(axes: Any, x: np.ndarray, s: Samples, high: float) -> None:
         )  # fmt: skip
 
 
-def _over_time(axes: Any, s: Samples, high: float, unit: str) -> None:
+def _over_time(axes: Any, s: Samples, high: float, unit: str, label: str) -> None:
     """RMS over a few seconds: a mean over time would show the motion, not the gap's size."""
     axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
     # A block that two bins share counts in both, so that no bin of a short log has too few.
@@ -147,7 +149,7 @@ def _over_time(axes: Any, s: Samples, high: float, unit: str) -> None:
             markersize=3.4, markeredgecolor="white", markeredgewidth=0.4,
         )  # fmt: skip
     axes.set_ylim(bottom=0)
-    axes.set_xlabel("time [s]", fontsize=_SMALL, color=INK)
+    axes.set_xlabel(label, fontsize=_SMALL, color=INK)
     axes.set_ylabel(f"RMS [{unit}]", fontsize=_SMALL, color=INK)
 
 

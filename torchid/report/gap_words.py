@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
 from torchid.gap.record import unit_of
+from torchid.report.text import interval, percent
 from torchid.robot.model import JointType, Robot
 
 REGIMES = {
@@ -88,20 +89,6 @@ def shapes(finding: Finding, robot: Robot) -> list[str]:
     return [f"{s.name} = {v:.4g} {_shown(s.unit, located, robot)}".rstrip() for s, v in pairs]
 
 
-def percent(value: float) -> str:
-    """A fraction in percent; with a decimal where it would be taken for none or all."""
-    if not math.isfinite(value):
-        return "-"
-    near = min(abs(value), abs(1 - value))
-    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
-
-
-def interval(ends: tuple[float, float]) -> str:
-    """Of fractions, in percent: `[90, 95]`."""
-    low, high = (percent(x).removesuffix(" %") for x in ends)
-    return f"[{low}, {high}]"
-
-
 def torque_unit(robot: Robot) -> str:
     """Of all joints together."""
     kinds = set(robot.joint_types)
@@ -110,6 +97,8 @@ def torque_unit(robot: Robot) -> str:
     return "N m" if kinds == {JointType.REVOLUTE} else "N m, N"
 
 
+NONE_LEFT = 5e-3
+"""Share of the gap that is unexplained, below which no share is told."""
 UNCHANGED = 0.99
 """Share of a gap's RMS that is left, from which the gap is as it was."""
 
@@ -208,7 +197,6 @@ def _explained(d: Diagnosis) -> str:
 
 
 def _unexplained(d: Diagnosis) -> str:
-    left = percent(d.budget.unexplained) if d.budget.unexplained >= 5e-4 else "less than 0.1 %"
     if not d.findings and not d.parametric:
         return _sentence(
             f"There is a gap ({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}) that no "
@@ -219,10 +207,21 @@ def _unexplained(d: Diagnosis) -> str:
             f"there is a gap, and the data fitted say {_causes(d)}; but on data that took no part "
             f"{_shrinks(d)}, so nothing is confirmed"
         )
+    known = f"{_causes(d)}; with {_it(d)} {_shrinks(d)}"
+    if d.budget.unexplained < NONE_LEFT:
+        return _sentence(f"{known}; {_left_over(d)}, and it is no effect of the library")
     return _sentence(
-        f"Part of the gap is unexplained ({left} of it); what is known: {_causes(d)}; with "
-        f"{_it(d)} {_shrinks(d)}; what is left is no effect of the library"
+        f"Part of the gap is unexplained ({percent(d.budget.unexplained)} of it); what is known: "
+        f"{known}; what is left is no effect of the library"
     )
+
+
+def _left_over(d: Diagnosis) -> str:
+    """What is left where the arm as a whole is within its noise."""
+    above = d.how_far.rms_after > d.floor.high
+    joints = above.nonzero().flatten().tolist()
+    place = f" on {joints_words(joints)}" if joints else ""
+    return f"what is left{place} is more than noise"
 
 
 def _unconfirmed(d: Diagnosis) -> bool:
@@ -269,6 +268,10 @@ def _shrinks(d: Diagnosis) -> str:
     far = d.how_far
     if far.closed is None or far.closed_ci95 is None:
         return f"the gap goes from {_rms(d, 'before')} to {_rms(d, 'after')} RMS"
+    if far.closed_ci95[0] <= 0:
+        return (
+            f"the gap goes from {_rms(d, 'before')} to {_rms(d, 'after')} RMS, which may be chance"
+        )
     return f"the gap shrinks by {percent(far.closed)} {interval(far.closed_ci95)}"
 
 

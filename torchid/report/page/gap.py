@@ -17,10 +17,8 @@ from torchid.report.gap_words import (
     CLEAR,
     REGIMES,
     effect_words,
-    interval,
     joints_words,
     listed,
-    percent,
     torque_unit,
     verdict,
 )
@@ -28,6 +26,7 @@ from torchid.report.page.document import Page, Picture, Section, unit_words
 from torchid.report.page.from_rich import sheet
 from torchid.report.page.origin import Origin
 from torchid.report.study.sheets import Sheet
+from torchid.report.text import interval, percent
 
 STATUS = {
     "no_gap": "no gap",
