@@ -1,8 +1,8 @@
 """How often the log doctor finds a fault that was planted in a log, and what it does to clean ones.
 
-python benchmarks/log_doctor.py FOLDER [--seeds N] [--only WORDS] (FOLDER: of real logs, one folder
+python benchmarks/log_doctor.py FOLDER [--seeds N] [--only WORD,WORD] (FOLDER: of real logs, one folder
 an arm with robot.yaml or robot.urdf and log*.parquet)
-python benchmarks/log_doctor.py --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORDS] (made
+python benchmarks/log_doctor.py --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORD,WORD] (made
 logs, N an arm with plain friction and N with that of gears; --only none: clean ones alone)
 """
 
@@ -10,6 +10,7 @@ import argparse
 import itertools
 import time
 import zlib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -70,9 +71,9 @@ def main() -> None:
     found = {k: v for k, v in every.items() if arguments.logs in k}
     torch.set_num_threads(1)
     _clean_ones(found)
-    print(f"{'fault':32s} found planted  and something else said")
+    print(f"{'fault':32s} planted found other | log mended undecided made worse")
     for fault, plant in FAULTS.items():
-        if arguments.only in fault:
+        if any(word in fault for word in arguments.only.split(",")):
             _planted_ones(fault, plant, found, 1 if arguments.arms else arguments.seeds)
 
 
@@ -90,7 +91,7 @@ def _planted_ones(
     fault: str, plant: Fault, found: dict[str, tuple[Robot, Log]], seeds: int
 ) -> None:
     """A line of the table, and below it whatever was not found or was said besides."""
-    hits, others, lines = [], [], []
+    hits, others, lines, mended = [], [], [], Counter()
     for (name, (robot, log)), seed in itertools.product(found.items(), range(seeds)):
         planted = plant(robot, log, np.random.default_rng([seed, zlib.crc32(name.encode())]))
         if planted is None:
@@ -98,14 +99,34 @@ def _planted_ones(
         result = examine(planted.robot, planted.log)
         hits.append(planted.found(result.checks))
         others.append(any(c.name not in planted.names for c in _said(result)))
-        if others[-1] or not hits[-1]:
+        outcome = _outcome(log, result)
+        mended[outcome] += 1
+        if others[-1] or not hits[-1] or outcome == "worse":
             said = [f"{c.name} {[k + 1 for k in c.joints]} {c.estimate}" for c in _said(result)]
             joints = [k + 1 for k in planted.joints or ()]
             word = "found " if hits[-1] else "MISSED"
-            lines.append(f"    {word} {name} {joints}: {'; '.join(said) or 'silent'}")
+            lines.append(f"    {word} {name} {joints}: {'; '.join(said) or 'silent'} ({outcome})")
     if hits:
-        print(f"{fault:32s} {sum(hits):5d} {len(hits):7d} {sum(others):5d}", flush=True)
+        counts = f"{len(hits):7d} {sum(hits):5d} {sum(others):5d}"
+        after = f"{mended['mended']:10d} {mended['undecided']:9d} {mended['worse']:10d}"
+        print(f"{fault:32s} {counts} | {after}", flush=True)
         print("\n".join(lines), flush=True) if lines else None
+
+
+def _outcome(clean: Log, result: Examination) -> str:
+    """What the repairs that are applied make of a log: mended where each column is within 30 % of
+    the clean one's (of its spread, at the same time), worse where they leave one that is not."""
+    if not result.repairs:
+        return "undecided" if result.undecided else "untouched"
+    made = result.mended()
+    for signal, own in made.signals.items():
+        if signal not in clean.signals:
+            continue
+        for was, now in zip(clean.signals[signal].T.numpy(), own.T.numpy(), strict=True):
+            left = now - np.interp(made.t.numpy(), clean.t.numpy(), was)
+            if np.median(np.abs(left - np.median(left))) > 0.3 * max(was.std(), 1e-6):
+                return "undecided" if result.undecided else "worse"
+    return "mended"
 
 
 def _said(result: Examination) -> list[Check]:

@@ -63,11 +63,6 @@ def test_two_faults_at_once_are_both_found_and_mended():
     assert torch.allclose(mended, log.tau)
 
 
-def test_torque_in_millinewton_metres_without_nominal_parameters():
-    _, result = check("tau in mN m", "3r", 0)
-    assert "0.001 tau" in str(result.repairs[0])
-
-
 def test_currents_are_said_to_need_gains():
     robot, log = clean("3r", 0, nominal=True)
     result = examine(robot, log.replace(tau=None, current=log.tau / 10.0))
@@ -134,6 +129,12 @@ def test_every_fault_on_a_small_arm(fault, nominal):
         check(fault, "3r", seed, nominal)
 
 
+def mended(result):
+    """The log once every choice has been made for the first that is offered."""
+    names = [c.choices[0].name for c in result.undecided]
+    return (examine(result.robot, result.log, names) if names else result).mended()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [f for f in log_faults.FAULTS if f not in NOT_MENDED])
 def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path):
@@ -143,7 +144,7 @@ def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path
         pytest.skip("not a fault that this arm can have")
     result = examine(case.robot, case.log)
     path = tmp_path / "mended.parquet"
-    write_log(result.mended(), path)
+    write_log(mended(result), path)
     robot = case.robot
     for found in (c for c in alarms(result) if c.name == "gravity"):
         gravity = yaml.safe_load(found.fix.partition(" in ")[0])["gravity"]

@@ -1,8 +1,8 @@
 """Repairs: what turns a log with a fault into one without, as data. A log is never altered."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,13 @@ def repaired(log: Log, repairs: Iterable[Repair]) -> Log:
     for repair in repairs:
         log = repair.apply(log)
     return log
+
+
+def within(repair: Repair, signals: Collection[str]) -> Repair:
+    """The repair of those signals only that a log has."""
+    if not isinstance(repair, Scale | Reorder):
+        return repair
+    return replace(repair, signals=tuple(s for s in repair.signals if s in signals))
 
 
 @dataclass(frozen=True)
