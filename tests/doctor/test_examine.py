@@ -177,3 +177,10 @@ def test_gravity_says_how_the_arm_is_mounted():
     assert found.verdict == "wrong"
     assert "floor" in found.evidence
     assert np.asarray(found.estimate) == pytest.approx([0.0, 0.0, -9.81], abs=0.5)
+
+
+def test_the_unit_is_judged_by_torque_whose_gains_are_mended():
+    robot, log = clean("3r", 1, gears=True)
+    gains = torch.tensor([1.0, 100.0, 1.0], dtype=torch.float64)
+    (found,) = alarms(examine(robot, log.replace(tau=log.tau * gains)))
+    assert (found.name, found.joints) == ("gain of a joint", (1,))

@@ -94,3 +94,13 @@ def test_two_faults_at_once():
     assert {c.name for c in checks if c.verdict == "wrong"} >= {"velocity"}
     again, _ = signal_checks(robot, mended)
     assert all(c.verdict == "fine" for c in again)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("gears", [False, True])
+def test_torque_clipped_at_slow_peaks_is_seen(seed, gears):
+    robot, log = clean("3r", seed, gears=gears)
+    for k in range(robot.n):
+        case = log_faults.FAULTS["tau clipped"](robot, log, np.random.default_rng(k))
+        checks, _ = signal_checks(case.robot, case.log)
+        assert case.found(tuple(checks)), [c for c in checks if c.name == "saturation"]

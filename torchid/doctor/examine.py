@@ -194,6 +194,8 @@ def _with_model(
     judge = Judge(robot, rows)
     found = search(judge, Hypothesis.literal(robot), fixes)
     end = found.final.hypothesis
+    if found.explained:
+        now = repaired(now, [r for f in found.found for r in f.move.repairs])
     more = [
         check_gravity(judge, found, fixes),  # first: if it leaves a choice, the others wait
         *fault_checks(judge, found, fixes),
