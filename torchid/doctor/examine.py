@@ -11,7 +11,6 @@ from torchid.doctor.clock import (
     check_clock,
     check_dropouts,
     check_held,
-    check_stamps,
     check_time_unit,
     check_values,
 )
@@ -29,6 +28,7 @@ from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
+from torchid.doctor.stamps import check_stamps
 from torchid.doctor.torque import check_resolution, check_saturation, check_torque
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError

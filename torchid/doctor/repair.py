@@ -98,62 +98,6 @@ class Bridge(Repair):
 
 
 @dataclass(frozen=True)
-class ScaleTime(Repair):
-    """Time stamps multiplied by a factor."""
-
-    factor: float
-
-    def apply(self, log: Log) -> Log:
-        """With t in other units."""
-        return log.replace(t=log.t * self.factor)
-
-    def __str__(self) -> str:
-        return f"t = {self.factor:.6g} t"
-
-
-@dataclass(frozen=True)
-class RejoinTime(Repair):
-    """Steps that go back, repeat or jump are replaced by the median step.
-
-    Attributes:
-        steps: numbers of the rows before those steps, from 0.
-    """
-
-    steps: tuple[int, ...]
-
-    def apply(self, log: Log) -> Log:
-        """With a clock that runs on."""
-        t = log.t.clone()
-        for rows in log.slices():
-            step = t[rows].diff()
-            usual = step[step > 0].median()
-            mine = [k - rows.start for k in self.steps if rows.start <= k < rows.stop - 1]
-            step[mine] = usual
-            t[rows] = torch.cat([t[rows][:1], t[rows][0] + step.cumsum(0)])
-        return log.replace(t=t)
-
-    def __str__(self) -> str:
-        return f"t: {len(self.steps)} steps of the clock replaced by the median step"
-
-
-@dataclass(frozen=True)
-class EvenTime(Repair):
-    """Every trajectory's stamps spread evenly between its first and its last."""
-
-    def apply(self, log: Log) -> Log:
-        """With a uniform clock."""
-        t = log.t.clone()
-        for rows in log.slices():
-            count = rows.stop - rows.start
-            first, last = float(log.t[rows][0]), float(log.t[rows][-1])
-            t[rows] = first + (last - first) / (count - 1) * torch.arange(count).to(t)
-        return log.replace(t=t)
-
-    def __str__(self) -> str:
-        return "t: even steps between the first and the last stamp of each trajectory"
-
-
-@dataclass(frozen=True)
 class Scale(Repair):
     """Joint columns multiplied by factors, one a joint.
 

@@ -8,7 +8,8 @@ import torch
 from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.check import Check, Choice, among, fix_text, joint_list
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale
+from torchid.doctor.retime import ScaleTime
 from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
