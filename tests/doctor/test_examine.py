@@ -129,10 +129,10 @@ def test_every_fault_on_a_small_arm(fault, nominal):
         check(fault, "3r", seed, nominal)
 
 
-def mended(result):
-    """The log once every choice has been made for the first that is offered."""
+def settled(result):
+    """The examination once every choice has been made for the first that is offered."""
     names = [c.choices[0].name for c in result.undecided]
-    return (examine(result.robot, result.log, names) if names else result).mended()
+    return examine(result.robot, result.log, names) if names else result
 
 
 @pytest.mark.slow
@@ -142,9 +142,9 @@ def test_once_mended_written_and_read_again_the_doctor_is_silent(fault, tmp_path
     case = log_faults.FAULTS[fault](robot, log, np.random.default_rng(0))
     if case is None:
         pytest.skip("not a fault that this arm can have")
-    result = examine(case.robot, case.log)
+    result = settled(examine(case.robot, case.log))
     path = tmp_path / "mended.parquet"
-    write_log(mended(result), path)
+    write_log(result.mended(), path)
     robot = case.robot
     for found in (c for c in alarms(result) if c.name == "gravity"):
         gravity = yaml.safe_load(found.fix.partition(" in ")[0])["gravity"]
