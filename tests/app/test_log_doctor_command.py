@@ -52,3 +52,21 @@ def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_
 def test_the_log_itself_is_never_written_over(bad: Path) -> None:
     with pytest.raises(TorchidError, match="write over"):
         run("log", "doctor", "3r", bad, "--apply", bad)
+
+
+def test_equally_good_fixes_are_applied_only_once_one_is_chosen(tmp_path: Path) -> None:
+    _, log = clean("3r", 0)
+    assert log.tau is not None
+    negated = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
+    path, copy = tmp_path / "run.parquet", tmp_path / "mended.parquet"
+    write_log(log.replace(tau=log.tau * negated), path)
+    text = run("log", "doctor", "3r", path, "--apply", copy)
+    assert '--fix "torque sign 1"' in text
+    assert '--fix "position sign 1"' in text
+    assert "a copy with 0 fixes" in text
+    text = run("log", "doctor", "3r", path, "--fix", "torque sign 1", "--apply", copy)
+    assert "a copy with 1 fix" in text
+    mended = read_log(copy).tau
+    assert mended is not None
+    assert torch.allclose(mended, log.tau)
+    assert '--columns "tau=tau{j} *[-1,1,1]"' in text

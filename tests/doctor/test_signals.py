@@ -7,6 +7,7 @@ import torch
 from tests.doctor.synthetic import clean, log_faults
 from torchid.doctor.examine import signal_checks
 from torchid.doctor.repair import repaired
+from torchid.log.model import Log
 
 SEEN = (
     "q in degrees", "q and dq in degrees", "q in encoder counts", "dq in deg/s", "dq in rpm",
@@ -94,3 +95,25 @@ def test_two_faults_at_once():
     assert {c.name for c in checks if c.verdict == "wrong"} >= {"velocity"}
     again, _ = signal_checks(robot, mended)
     assert all(c.verdict == "fine" for c in again)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("gears", [False, True])
+def test_torque_clipped_at_slow_peaks_is_seen(seed, gears):
+    robot, log = clean("3r", seed, gears=gears)
+    for k in range(robot.n):
+        case = log_faults.FAULTS["tau clipped"](robot, log, np.random.default_rng(k))
+        checks, _ = signal_checks(case.robot, case.log)
+        assert case.found(tuple(checks)), [c for c in checks if c.name == "saturation"]
+
+
+def test_a_clock_that_starts_again_elsewhere_is_a_new_run():
+    robot, first = clean("3r", 0)
+    second = clean("3r", 1)[1]
+    joined = Log.concatenate([first, second])
+    log = joined.replace(trajectory=torch.zeros(joined.samples, dtype=torch.long), names=())
+    checks, mended = signal_checks(robot, log)
+    assert [c.name for c in checks if c.verdict != "fine"] == ["clock"]
+    assert torch.equal(mended.t, log.t)
+    assert torch.equal(mended.trajectory.diff(), joined.trajectory.diff())
+    assert mended.dq is not None

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from torchid.app.options import (
     Columns,
@@ -38,6 +39,15 @@ def doctor_command(
             "(.parquet, .csv, .npz). The logs themselves are never changed.",
         ),
     ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fix",
+            metavar="NAME",
+            help="Of fixes that are equally good, the one to take, by the name that is said. May "
+            "be given several times; without it --apply takes none of them.",
+        ),
+    ] = None,
     columns: Columns = None,
     topic: Topic = None,
     gain: Gain = None,
@@ -64,7 +74,7 @@ def doctor_command(
     from torchid.robot.library import load_robot
 
     found = load_robot(robot, tip=tip)
-    result = examine(found, read_logs(logs, gain, found, columns, topic))
+    result = examine(found, read_logs(logs, gain, found, columns, topic), fix or ())
     if apply is not None:
         write_log(result.mended(), apply)
     flag = None if columns or topic else _flag(result, logs)
@@ -91,19 +101,22 @@ def _flag(result: "Examination", logs: list[Path]) -> str | None:
 
 
 def _show(result: "Examination", output: Output, apply: Path | None, flag: str | None) -> None:
-    from torchid.report.doctor import fine, headline, tables
+    from torchid.doctor.conclusion import conclusion
+    from torchid.report.doctor import choices, fine, tables
 
     for table in tables(result):
         output.say(table)
     output.say(fine(result))
-    output.say(f"\n{headline(result)}")
+    output.say(f"\n{escape(conclusion(result))}")
+    if result.undecided:
+        output.say(escape(choices(result)))
     if apply is not None:
         count = len(result.repairs)
         output.say(f"written to {apply}: a copy with {count} fix{'es' if count != 1 else ''}")
     elif result.repairs:
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
-        output.say(f'or read the log with --columns "{flag}"')
+        output.say(escape(f'or read the log with --columns "{flag}"'))
 
 
 def _draw(result: "Examination", output: Output) -> None:

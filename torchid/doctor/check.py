@@ -1,7 +1,7 @@
 """What the doctor says about one thing."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from torchid.doctor.repair import Repair
@@ -9,6 +9,21 @@ from torchid.doctor.repair import Repair
 Verdict = Literal["fine", "wrong", "doubtful", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = ("wrong", "doubtful", "cannot tell", "fine")
 """In the order in which they are shown."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several explanations that this log cannot tell apart.
+
+    Attributes:
+        name: by which it is chosen.
+        fix: what to do, for people.
+        repairs: the same as changes of the log; none where the robot is what must change.
+    """
+
+    name: str
+    fix: str
+    repairs: tuple[Repair, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -25,6 +40,10 @@ class Check:
         unit: of the estimate.
         fix: what to do, for people; None where nothing.
         repairs: the same as changes of the log, where the log can be mended.
+        choices: explanations that are equally good, where there are several; the checks that come
+            after go on with the first, or with the chosen one.
+        chosen: name of the one that was chosen, by somebody or because bodies explain the torque
+            clearly better with it.
     """
 
     name: str
@@ -36,6 +55,29 @@ class Check:
     unit: str = ""
     fix: str | None = None
     repairs: tuple[Repair, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    chosen: str | None = None
+
+    @property
+    def undecided(self) -> bool:
+        """Whether somebody has to choose."""
+        return bool(self.choices) and self.chosen is None
+
+
+def among(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:
+    """A check with one fix, or with several of which `fixes` may choose."""
+    if len(choices) < 2:
+        return replace(check, fix=choices[0].fix, repairs=choices[0].repairs)
+    chosen = next((c for c in choices if c.name in fixes), None)
+    taken = chosen or choices[0]
+    every = "; or ".join(f"{c.name}: {c.fix}" for c in choices)
+    return replace(
+        check,
+        fix=taken.fix if chosen else f"choose, the log cannot tell: {every}",
+        repairs=taken.repairs,
+        choices=tuple(choices),
+        chosen=chosen.name if chosen else None,
+    )
 
 
 def joint_list(joints: Sequence[int]) -> str:

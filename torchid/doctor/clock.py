@@ -4,16 +4,13 @@ import numpy as np
 import torch
 
 from torchid.doctor.check import Check, fix_text
-from torchid.doctor.repair import Bridge, DropRows, EvenTime, RejoinTime, Repair, ScaleTime
+from torchid.doctor.repair import Bridge, DropRows, Repair, repaired
+from torchid.doctor.retime import EvenTime, RejoinTime, ScaleTime, SplitRuns
 from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
 from torchid.typing import Bool, Tensor
 
-SMOOTHER = 3.0
-"""Stamps are taken for wrong when positions are this many times smoother over even ones."""
-UNEVEN = 0.1
-"""Steps that spread by less than this share of the median are even."""
 HELD = 0.1
 """Share of the moving rows that may repeat the one before; fewer are lost in any filter."""
 DROPPED = 0.01
@@ -49,7 +46,7 @@ def check_values(log: Log) -> Check:
 
 def check_clock(log: Log) -> Check:
     """Stamps that repeat, go back, or jump while the arm does not."""
-    repeated, back, jumped = [], [], []
+    repeated, back, jumped, runs = [], [], [], []
     for rows in log.slices():
         t, q = log.t[rows].numpy(), log.q[rows].numpy()
         step = np.diff(t)
@@ -57,27 +54,33 @@ def check_clock(log: Log) -> Check:
             return Check("clock", "wrong", "no time stamp is later than the one before it")
         median = np.median(step[step > 0])
         offset = rows.start
-        back += (np.flatnonzero(step < 0) + offset).tolist()
+        restarts = _new_runs(np.flatnonzero(step < 0), q)
+        runs += (restarts + offset + 1).tolist()
+        back += (np.setdiff1d(np.flatnonzero(step < 0), restarts) + offset).tolist()
         repeated += (np.flatnonzero(step == 0) + offset).tolist()
         jumped += (_clock_jumps(step, q, median) + offset).tolist()
-    if not (repeated or back or jumped):
+    if not (repeated or back or jumped or runs):
         return Check("clock", "fine", f"{log.samples} stamps increase")
     found = [
         f"{len(kind)} {what}"
         for kind, what in (
             (repeated, "repeated stamps"),
             (back, "steps back"),
+            (runs, "steps back to a new run, elsewhere"),
             (jumped, "jumps ahead while the arm does not move further than in one step"),
         )
         if kind
     ]
-    first = min(repeated + back + jumped)
-    repairs = _clock_repairs(log, repeated, back + jumped)
+    first = min(repeated + back + jumped + [k - 1 for k in runs])
+    split = (SplitRuns(tuple(runs)),) if runs else ()
+    now = repaired(log, split)
+    rest = _clock_repairs(now, repeated, back + jumped) if repeated or back or jumped else ()
+    repairs = (*split, *rest)
     return Check(
         "clock",
         "wrong",
         f"{', '.join(found)}; the first after row {first + 1}, t = {float(log.t[first]):.6g}",
-        estimate=float(len(repeated) + len(back) + len(jumped)),
+        estimate=float(len(repeated) + len(back) + len(jumped) + len(runs)),
         fix=fix_text(repairs),
         repairs=repairs,
     )
@@ -86,15 +89,25 @@ def check_clock(log: Log) -> Check:
 def _clock_jumps(step: np.ndarray, q: np.ndarray, median: float) -> np.ndarray:
     """Long steps of the clock across which the positions make a usual step only."""
     long = np.flatnonzero(step > LONG_GAP_STEPS * median)
+    moved, usual = _steps(q, long)
+    moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
+    further = (moved > USUAL_STEPS * usual) & moving
+    return long[moving.any(1) & ~further.any(1)]
+
+
+def _new_runs(back: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Steps back of the clock across which some joint goes further than in its usual steps: a new
+    run begins."""
+    moved, usual = _steps(q, back)
+    return back[(moved > USUAL_STEPS * usual + 1e-3 * np.ptp(q, 0).max()).any(1)]
+
+
+def _steps(q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Step of each joint (R, n) after these rows, and the median of the ten before and after."""
     moved = np.abs(np.diff(q, axis=0))
-    found = []
-    for k in long:
-        near_by = np.r_[max(0, k - 10) : k, k + 1 : min(len(moved), k + 11)]
-        usual = np.median(moved[near_by], 0)
-        moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
-        if moving.any() and (moved[k] <= USUAL_STEPS * usual)[moving].all():
-            found.append(k)
-    return np.array(found, dtype=int)
+    around = [np.r_[max(0, k - 10) : k, k + 1 : min(len(moved), k + 11)] for k in rows]
+    usual = [np.median(moved[near_by], 0) for near_by in around]
+    return moved[rows], np.array(usual).reshape(-1, q.shape[1])
 
 
 def _clock_repairs(log: Log, repeated: list[int], broken: list[int]) -> tuple[Repair, ...]:
@@ -138,65 +151,6 @@ def _time_in(unit: str, factor: float, why: str, step: float) -> Check:
         fix=str(repair),
         repairs=(repair,),
     )
-
-
-def check_stamps(log: Log) -> Check:
-    """Are uneven stamps real? Positions are smooth over the time at which they were taken."""
-    steps = time_steps(log)
-    text = "; ".join(dict.fromkeys(str(s) for s in steps[:3]))
-    worst, share = 0.0, 0.0
-    for part in log.trajectories():
-        t = part.t.numpy()
-        step = np.diff(t)
-        inner = step[step < SMALL_GAP * np.median(step)]
-        share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
-        worst = max(worst, _roughness_ratio(t, part.q.numpy()))
-    if share < UNEVEN or worst < SMOOTHER:
-        return Check("stamps", "fine", text, estimate=share)
-    repair = EvenTime()
-    return Check(
-        "stamps",
-        "wrong",
-        f"steps spread by {100 * share:.0f} % of the median, and positions are {worst:.3g} times "
-        f"smoother over even stamps: the stamps are rounded or were given late ({text})",
-        estimate=worst,
-        unit="ratio",
-        fix=str(repair),
-        repairs=(repair,),
-    )
-
-
-def _roughness_ratio(t: np.ndarray, q: np.ndarray) -> float:
-    """How badly a cubic through four neighbours predicts a position, over the given stamps and
-    over even ones: their ratio, the median over joints."""
-    if len(t) < 50:
-        return 1.0
-    step = np.diff(t)
-    windows = np.lib.stride_tricks.sliding_window_view(step, 4)
-    clean = (windows < SMALL_GAP * np.median(step)).all(1)
-    even = np.arange(len(t), dtype=float)
-    ends = np.ptp(q, 0)
-    moving = ends > 0.1 * ends.max()
-    if not moving.any() or clean.sum() < 20:
-        return 1.0
-    errors = [_cubic_error(x, q[:, moving])[clean] for x in (t, even)]
-    rms = [np.sqrt((e**2).mean(0)) for e in errors]
-    return float(np.median(rms[0] / np.maximum(rms[1], 1e-12)))
-
-
-def _cubic_error(t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Each position minus the cubic through its two neighbours on either side (Lagrange)."""
-    offsets = (0, 1, 3, 4)
-    middle = t[2:-2]
-    nodes = [t[k : len(t) - 4 + k] for k in offsets]
-    error = q[2:-2].copy()
-    for a, k in enumerate(offsets):
-        weight = np.ones_like(middle)
-        for b in range(4):
-            if b != a:
-                weight *= (middle - nodes[b]) / (nodes[a] - nodes[b])
-        error -= weight[:, None] * q[k : len(t) - 4 + k]
-    return error
 
 
 def check_dropouts(log: Log) -> Check:

@@ -56,7 +56,7 @@ def check_excitation(judge: Judge, hypothesis: Hypothesis, log: Log) -> Check:
         "; ".join(said),
         joints=joints,
         estimate=tuple(conditions.get(k, float("inf")) for k in joints),
-        fix="add a log that moves them more, or `torchid excite`",
+        fix="add a log that moves them more; `torchid excite` designs one",
     )
 
 

@@ -1,13 +1,16 @@
 """The whole examination: every check in turn, each on the log as the ones before have mended it."""
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from torchid.doctor.check import VERDICTS, Check
 from torchid.doctor.clock import (
     check_clock,
     check_dropouts,
     check_held,
-    check_stamps,
     check_time_unit,
     check_values,
 )
@@ -23,8 +26,9 @@ from torchid.doctor.motion import (
 )
 from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
-from torchid.doctor.search import Search, search
+from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
+from torchid.doctor.stamps import check_stamps
 from torchid.doctor.torque import check_resolution, check_saturation, check_torque
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
@@ -55,9 +59,26 @@ class Examination:
     judge: Judge | None = None
 
     @property
+    def applied(self) -> tuple[Check, ...]:
+        """Checks whose repairs are applied: those before the first that leaves a choice, since
+        what comes after rests on it."""
+        return tuple(c for c in itertools.takewhile(lambda c: not c.undecided, self.checks))
+
+    @property
     def repairs(self) -> tuple[Repair, ...]:
-        """Everything that would mend the log, in order."""
-        return tuple(r for c in self.checks for r in c.repairs)
+        """Everything that would mend the log and is not for somebody to choose, in order."""
+        return tuple(r for c in self.applied for r in c.repairs)
+
+    @property
+    def undecided(self) -> tuple[Check, ...]:
+        """Checks that leave a choice between explanations that are equally good."""
+        return tuple(c for c in self.checks if c.undecided)
+
+    @property
+    def waiting(self) -> int:
+        """Number of checks whose repairs wait for such a choice."""
+        later = self.checks[len(self.applied) :]
+        return sum(bool(c.repairs) and not c.undecided for c in later)
 
     @property
     def silent(self) -> bool:
@@ -65,7 +86,7 @@ class Examination:
         return all(c.verdict in ("fine", "cannot tell") for c in self.checks)
 
     def mended(self) -> Log:
-        """A copy of the log with everything applied that can be."""
+        """A copy of the log with the repairs applied."""
         return repaired(self.log, self.repairs)
 
     def by_verdict(self) -> list[Check]:
@@ -73,15 +94,17 @@ class Examination:
         return sorted(self.checks, key=lambda c: VERDICTS.index(c.verdict))
 
 
-def examine(robot: Robot, log: Log) -> Examination:
+def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
     """Examine a log before anything is fitted to it.
 
     Args:
         robot: kinematics and gravity; nominal parameters and limits help, and are not needed.
         log: as it was read; other commands may refuse it.
+        fixes: names of the choices to take where explanations are equally good.
 
     Raises:
-        LogError: another number of joints than the robot's, or no usable row.
+        LogError: another number of joints than the robot's, no usable row, or a fix that is not
+            among the choices.
     """
     if log.n != robot.n:
         raise LogError(
@@ -91,13 +114,48 @@ def examine(robot: Robot, log: Log) -> Examination:
         )
     if log.tau is None and log.current is not None and robot.drive_gain is not None:
         log = log.with_torque(robot.drive_gain)
-    checks, now = signal_checks(robot, log)
+    checks, now = signal_checks(robot, log, fixes)
+    settled = by_torque(robot, log, checks)
+    if settled is not None:
+        checks, now = signal_checks(robot, log, (*fixes, settled))
     if any(c.name == "clock" and c.verdict == "wrong" and not c.repairs for c in checks):
-        return Examination(robot, log, tuple(checks))
-    return _with_model(robot, log, now, checks)
+        result = Examination(robot, log, tuple(checks))
+    else:
+        result = _with_model(robot, log, now, checks, fixes)
+    _known(fixes, result)
+    return result
 
 
-def signal_checks(robot: Robot, log: Log) -> tuple[list[Check], Log]:
+def by_torque(robot: Robot, log: Log, checks: Sequence[Check]) -> str | None:
+    """The name of the one choice between repairs of the motion with which bodies explain the
+    torque clearly better than with any other; None where there is none, or nothing to choose."""
+    place = next((k for k, c in enumerate(checks) if c.undecided), None)
+    if place is None:
+        return None
+    before = repaired(log, [r for c in checks[:place] for r in c.repairs])
+    losses = {}
+    for choice in checks[place].choices:
+        rows = samples(repaired(before, choice.repairs))
+        if isinstance(rows, str):
+            return None
+        errors = rms(Judge(robot, rows).held_out(Hypothesis.literal(robot)))
+        losses[choice.name] = float(np.log(errors).sum())
+    best, second, *_ = sorted(losses, key=lambda name: losses[name])
+    return best if losses[second] - losses[best] > CLEAR else None
+
+
+def _known(fixes: Sequence[str], result: Examination) -> None:
+    offered = [choice.name for c in result.checks for choice in c.choices]
+    unknown = [name for name in fixes if name not in offered]
+    if unknown:
+        raise LogError(
+            f"log '{result.log.source}': there is no such fix to choose.",
+            got=", ".join(unknown),
+            available=offered,
+        )
+
+
+def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[list[Check], Log]:
     """The checks that need no dynamics, and the log as they mend it."""
     checks: list[Check] = []
     now = log
@@ -117,7 +175,7 @@ def signal_checks(robot: Robot, log: Log) -> tuple[list[Check], Log]:
     add(check_stamps(now))
     add(check_dropouts(now))
     add(check_position_unit(robot, now))
-    add(check_velocity(now))
+    add(check_velocity(now, fixes))
     add(check_standstill(now))
     add(check_torque(now))
     if now.tau is not None or now.current is not None:
@@ -126,20 +184,23 @@ def signal_checks(robot: Robot, log: Log) -> tuple[list[Check], Log]:
     return checks, now
 
 
-def _with_model(robot: Robot, log: Log, now: Log, checks: list[Check]) -> Examination:
+def _with_model(
+    robot: Robot, log: Log, now: Log, checks: list[Check], fixes: Sequence[str]
+) -> Examination:
     rows = samples(now)
-    if rows is None:
-        why = "there is no torque, or no motion long enough"
-        none = tuple(Check(name, "cannot tell", why) for name in MODEL_CHECKS)
+    if isinstance(rows, str):
+        none = tuple(Check(name, "cannot tell", rows) for name in MODEL_CHECKS)
         return Examination(robot, log, (*checks, *none))
     judge = Judge(robot, rows)
-    found = search(judge, Hypothesis.literal(robot))
+    found = search(judge, Hypothesis.literal(robot), fixes)
     end = found.final.hypothesis
+    if found.explained:
+        now = repaired(now, [r for f in found.found for r in f.move.repairs])
     more = [
-        *fault_checks(judge, found),
-        check_gravity(judge, found),
+        check_gravity(judge, found, fixes),  # first: if it leaves a choice, the others wait
+        *fault_checks(judge, found, fixes),
         check_lag(judge, found),
-        check_size(judge, robot, now, end),
+        check_size(judge, robot, now, end, fixes),
         *check_nominal(judge, robot, now, end),
         check_side(judge, found),
         check_excitation(judge, end, now),

@@ -1,16 +1,16 @@
 """What the search found, as checks: order, signs, gains, and what cannot be told."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.check import Check, Choice, among, fix_text, joint_list
 from torchid.doctor.hypothesis import Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
-from torchid.doctor.repair import TORQUE, Scale
+from torchid.doctor.repair import TORQUE, Scale, within
 from torchid.doctor.search import CLEAR, Found, Search
 
 CHECK_OF = {
@@ -29,14 +29,27 @@ _FINE = {
     "position sign": "no other direction of a joint explains the torque better",
     "gain of a joint": "the joints' torques agree with one another",
 }
+_UNSEEN = {
+    "torque sign": "negating the torque of {} would leave it about as well explained",
+    "position sign": "negating the position of {} would leave the torque about as well explained",
+    "joint sign": "which way the axis of {} points: with position and torque negated together, "
+    "mirrored bodies explain all that this log shows about as well",
+    "joint order": "numbering {} otherwise would leave the torque about as well explained",
+    "torque order": "exchanging the torques of {} would leave them about as well explained",
+    "position order": "exchanging the positions of {} would leave the torque about as well "
+    "explained",
+}
+_TOLD = 4
 
 
-def fault_checks(judge: Judge, result: Search) -> list[Check]:
+def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> list[Check]:
     """One check a fault, and one line for each kind that has none."""
     live = judge.live(result.final.hypothesis)
     checks = [_explained(result, live)]
     checks += [
-        _sure(_check(judge, result, f), result) for f in result.found if f.move.kind in CHECK_OF
+        _sure(_check(judge, result, f, fixes), result)
+        for f in result.found
+        if f.move.kind in CHECK_OF
     ]
     names = {c.name for c in checks}
     for name, text in _FINE.items():
@@ -54,27 +67,19 @@ def fault_checks(judge: Judge, result: Search) -> list[Check]:
 def unseen(judge: Judge, result: Search) -> list[Check]:
     """Faults that would not show in this log: having them costs too little."""
     out = []
-    for kind, words in (
-        ("torque sign", "the sign of the torque of"),
-        ("position sign", "the sign of the position of"),
-        ("joint sign", "the direction of (position and torque together)"),
-        ("joint order", "the numbering of"),
-        ("torque order", "the order of the torques of"),
-        ("position order", "the order of the positions of"),
-    ):
+    for kind, words in _UNSEEN.items():
         groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR]
-        joints = sorted({g[0] for g in groups if len(g) == 1})
-        pairs = [g for g in groups if len(g) > 1]
-        if not joints and not pairs:
+        told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
+        if not told:
             continue
-        told = [joint_list(joints)] if joints else []
-        told += [joint_list(g) for g in pairs[:3]]
+        if len(told) > _TOLD:
+            told[_TOLD:] = [f"{len(told) - _TOLD} more"]
         out.append(
             Check(
                 f"unseen {kind}",
                 "cannot tell",
-                f"{words} {', '.join(told)}: the other way explains the torque about as well",
-                joints=tuple(sorted({*joints, *(k for g in pairs for k in g)})),
+                words.format(" or of ".join(told)),
+                joints=tuple(sorted({k for g in groups for k in g})),
             )
         )
     return out
@@ -110,12 +115,14 @@ def _sure(check: Check, result: Search) -> Check:
         assert isinstance(low, float)
         assert isinstance(high, float)
         unsure |= low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
-    return replace(check, verdict="cannot tell", fix=None, repairs=()) if unsure else check
+    if not unsure:
+        return check
+    return replace(check, verdict="cannot tell", fix=None, repairs=(), choices=(), chosen=None)
 
 
-def _check(judge: Judge, result: Search, found: Found) -> Check:
+def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -> Check:
     move = found.move
-    repairs = move.repairs
+    first, *others = choices_of(found)
     estimate: float | tuple[float, ...] | None = None
     interval = None
     text = improvement(found)
@@ -123,16 +130,16 @@ def _check(judge: Judge, result: Search, found: Found) -> Check:
         factor, interval = _gain(judge, result, move)
         joint = move.joints[0]
         factors = tuple(1.0 / factor if k == joint else 1.0 for k in range(judge.robot.n))
-        repairs = (Scale(TORQUE, factors),)
+        scale = within(Scale(TORQUE, factors), judge.samples.signals)
+        first = replace(first, fix=str(scale), repairs=(scale,))
         estimate = factor
         text = (
             f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
             f"joints' torques predict; {text}"
         )
-    rivals = [r for r in found.rivals if (r.kind, r.joints) != (move.kind, move.joints)]
-    if rivals:
-        text += "; as good: " + ", ".join(_name(r) for r in rivals[:3])
-    return Check(
+    if found.rivals:
+        text += "; as good: " + ", ".join(_name(r) for r in found.rivals)
+    check = Check(
         CHECK_OF[move.kind],
         "wrong",
         f"{_name(move)}: {text}",
@@ -140,8 +147,28 @@ def _check(judge: Judge, result: Search, found: Found) -> Check:
         estimate=estimate,
         interval=interval,
         unit="ratio" if move.kind == "gain" else "",
-        fix=fix_text(repairs) + (" (or one of the others named)" if rivals else ""),
-        repairs=repairs,
+    )
+    return among(check, [first, *others], fixes)
+
+
+def choices_of(found: Found) -> list[Choice]:
+    """The fault that was found and those that would explain the log as well."""
+    return [
+        Choice(
+            m.name,
+            gravity_fix(m.after.gravity) if m.kind == "gravity" else fix_text(m.repairs),
+            m.repairs,
+        )
+        for m in (found.move, *found.rivals)
+    ]
+
+
+def gravity_fix(gravity: Sequence[float] | np.ndarray) -> str:
+    """Where to write down the direction of gravity (3,) [m/s^2]."""
+    vector = ", ".join(f"{x:.2f}" for x in gravity)
+    return (
+        f"gravity: [{vector}] in the robot's yaml (of arm.urdf: arm.urdf.effects.yaml beside it, "
+        "with `joints: [their names]`)"
     )
 
 

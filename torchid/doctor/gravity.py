@@ -1,12 +1,13 @@
 """Where gravity points, by the torque, against where the robot's description has it."""
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
-from torchid.doctor.check import Check
-from torchid.doctor.faults import improvement
+from torchid.doctor.check import Check, among
+from torchid.doctor.faults import choices_of, gravity_fix, improvement
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.profile import profile
 from torchid.doctor.search import CLEAR, TIE, Search
@@ -15,13 +16,9 @@ TILT = math.radians(5.0)
 """Tilts below this are within what a floor, a flange and a model of the friction make."""
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-_HINT = (
-    "gravity: [{:.2f}, {:.2f}, {:.2f}] in the robot's yaml (of arm.urdf: arm.urdf.effects.yaml "
-    "beside it, with `joints: [their names]`)"
-)
 
 
-def check_gravity(judge: Judge, result: Search) -> Check:
+def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> Check:
     """Estimated gravity with an interval of its tilt; the model's if nothing speaks against it."""
     end = result.final.hypothesis
     model = np.array(judge.robot.gravity.tolist())
@@ -29,11 +26,11 @@ def check_gravity(judge: Judge, result: Search) -> Check:
     flat = [cost for cost, m in result.costs if m.kind == "gravity"]
     if size == 0.0 or not judge.live(end):
         return Check("gravity", "cannot tell", "no gravity in the model, or nothing moves")
-    if flat and min(flat) < TIE:
+    turned = [f for f in result.found if f.move.kind == "gravity"]
+    if flat and min(flat) < TIE and not turned:
         return Check("gravity", "cannot tell", "another direction of gravity explains it as well")
     estimate, tilt, half, gain = _estimate(judge, end)
     angle = math.acos(float(np.clip(estimate @ model / size**2, -1.0, 1.0)))
-    turned = [f for f in result.found if f.move.kind == "gravity"]
     where = "({:.2f}, {:.2f}, {:.2f})".format(*estimate)
     text = (
         f"torque says {where} m/s^2, {math.degrees(angle):.1f} deg from the model's "
@@ -47,10 +44,12 @@ def check_gravity(judge: Judge, result: Search) -> Check:
         interval=(math.degrees(max(0.0, angle - half)), math.degrees(angle + half)),
         unit="m/s^2; interval: deg from the model's",
     )
-    fix = _HINT.format(*estimate)
+    fix = gravity_fix(estimate)
     if turned and result.explained:
         text = f"mounted {mounting(estimate)}: {text}; {improvement(turned[0])}"
-        return replace(base, verdict="wrong", evidence=text, fix=fix)
+        first, *others = choices_of(turned[0])
+        own = replace(first, fix=fix)
+        return among(replace(base, verdict="wrong", evidence=text), [own, *others], fixes)
     if half > _LOOSE or not result.explained:
         return replace(base, verdict="cannot tell")
     if tilt - half > TILT and gain > CLEAR:

@@ -168,6 +168,10 @@ def check_standstill(log: Log) -> Check:
         )
     if idle > IDLE:
         return Check(
-            "standstill", "doubtful", text, estimate=idle, fix="cut the pauses, or --rows moving"
+            "standstill",
+            "doubtful",
+            text,
+            estimate=idle,
+            fix="cut the pauses, or fit moving rows only (--rows moving)",
         )
     return Check("standstill", "fine", text, estimate=idle)

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.profile import minimum
-from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftTorque
+from torchid.doctor.repair import MOTION, TORQUE, Reorder, Repair, Scale, ShiftTorque, within
 from torchid.robot.model import JointType
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
@@ -39,9 +39,24 @@ class Move:
     after: Hypothesis
     repairs: tuple[Repair, ...] = ()
 
+    @property
+    def name(self) -> str:
+        """By which it can be chosen: `torque sign 2`, `joint order 2,1,3`, `gravity +z`."""
+        if self.kind == "gravity":
+            axis = int(np.argmax(np.abs(self.after.gravity)))
+            return f"gravity {'-' if self.after.gravity[axis] < 0 else '+'}{'xyz'[axis]}"
+        order = next((r.order for r in self.repairs if isinstance(r, Reorder)), self.joints)
+        return " ".join(filter(None, (self.kind, ",".join(str(k + 1) for k in order))))
+
 
 def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
-    """All moves from a hypothesis."""
+    """All moves from a hypothesis, with repairs of the signals that the log has."""
+    for move in _moves(judge, now):
+        repairs = (within(r, judge.samples.signals) for r in move.repairs)
+        yield replace(move, repairs=tuple(repairs))
+
+
+def _moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     live = judge.live(now)
     yield from _signs(now, live)
     yield from _orders(now, live)

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from torchid.doctor.check import Check
+from torchid.doctor.conclusion import conclusion, untold
 from torchid.doctor.examine import Examination
 
 SCHEMA = "torchid.doctor/1"
@@ -20,14 +21,16 @@ def record(examination: Examination, columns: str | None = None) -> dict[str, An
         "schema": SCHEMA,
         "robot": examination.robot.name,
         "log": examination.log.source,
+        "conclusion": conclusion(examination),
         "silent": examination.silent,
-        "checks": [_check(check) for check in examination.checks],
+        "untold": list(untold(examination)),
+        "checks": [_check(check, check in examination.applied) for check in examination.checks],
         "repairs": [str(repair) for repair in examination.repairs],
         "columns": columns,
     }
 
 
-def _check(check: Check) -> dict[str, Any]:
+def _check(check: Check, applied: bool) -> dict[str, Any]:
     return {
         "name": check.name,
         "verdict": check.verdict,
@@ -37,7 +40,9 @@ def _check(check: Check) -> dict[str, Any]:
         "unit": check.unit,
         "evidence": check.evidence,
         "fix": check.fix,
-        "applicable": bool(check.repairs),
+        "applicable": applied and bool(check.repairs),
+        "choices": [{"name": c.name, "fix": c.fix} for c in check.choices],
+        "chosen": check.chosen,
     }
 
 

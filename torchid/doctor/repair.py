@@ -1,8 +1,8 @@
 """Repairs: what turns a log with a fault into one without, as data. A log is never altered."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,13 @@ def repaired(log: Log, repairs: Iterable[Repair]) -> Log:
     for repair in repairs:
         log = repair.apply(log)
     return log
+
+
+def within(repair: Repair, signals: Collection[str]) -> Repair:
+    """The repair of those signals only that a log has."""
+    if not isinstance(repair, Scale | Reorder):
+        return repair
+    return replace(repair, signals=tuple(s for s in repair.signals if s in signals))
 
 
 @dataclass(frozen=True)
@@ -88,62 +95,6 @@ class Bridge(Repair):
 
     def __str__(self) -> str:
         return f"{len(self.rows)} held rows interpolated between the others"
-
-
-@dataclass(frozen=True)
-class ScaleTime(Repair):
-    """Time stamps multiplied by a factor."""
-
-    factor: float
-
-    def apply(self, log: Log) -> Log:
-        """With t in other units."""
-        return log.replace(t=log.t * self.factor)
-
-    def __str__(self) -> str:
-        return f"t = {self.factor:.6g} t"
-
-
-@dataclass(frozen=True)
-class RejoinTime(Repair):
-    """Steps that go back, repeat or jump are replaced by the median step.
-
-    Attributes:
-        steps: numbers of the rows before those steps, from 0.
-    """
-
-    steps: tuple[int, ...]
-
-    def apply(self, log: Log) -> Log:
-        """With a clock that runs on."""
-        t = log.t.clone()
-        for rows in log.slices():
-            step = t[rows].diff()
-            usual = step[step > 0].median()
-            mine = [k - rows.start for k in self.steps if rows.start <= k < rows.stop - 1]
-            step[mine] = usual
-            t[rows] = torch.cat([t[rows][:1], t[rows][0] + step.cumsum(0)])
-        return log.replace(t=t)
-
-    def __str__(self) -> str:
-        return f"t: {len(self.steps)} steps of the clock replaced by the median step"
-
-
-@dataclass(frozen=True)
-class EvenTime(Repair):
-    """Every trajectory's stamps spread evenly between its first and its last."""
-
-    def apply(self, log: Log) -> Log:
-        """With a uniform clock."""
-        t = log.t.clone()
-        for rows in log.slices():
-            count = rows.stop - rows.start
-            first, last = float(log.t[rows][0]), float(log.t[rows][-1])
-            t[rows] = first + (last - first) / (count - 1) * torch.arange(count).to(t)
-        return log.replace(t=t)
-
-    def __str__(self) -> str:
-        return "t: even steps between the first and the last stamp of each trajectory"
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ _LOOK_HZ = 15.0
 _CUTOFF_HZ = (2.0, 12.0)
 _MOTION_SHARE = 0.98
 _PER_PERIOD = 6.0
+_FEWEST = 40
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Samples:
         period: of the fastest motion kept [s].
         reach: how far torque may be shifted [s].
         step: of the log [s].
+        signals: that the log has.
     """
 
     stretches: tuple[Stretch, ...]
@@ -77,38 +79,38 @@ class Samples:
     period: float
     reach: float
     step: float
+    signals: tuple[str, ...]
 
     def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
         """Torque of the rows, read `late` seconds later than their motion."""
         return torch.cat([s.torque(late) for s in self.stretches])
 
 
-def samples(log: Log) -> Samples | None:
-    """Rows for the model checks, or None where the log is too short or has no torque.
+def samples(log: Log) -> Samples | str:
+    """Rows for the model checks, or in words why there are none: no torque, or too short a log.
 
     The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
     """
+    signals = tuple(log.signals)
     log = log if log.tau is not None else log.replace(tau=log.current)
     if log.tau is None:
-        return None
+        return "there is no torque"
     even = resample(log)
     parts = list(zip(even.trajectories(), sampling_rate(even), strict=True))
-    usable = [(p, r) for p, r in parts if p.samples > 40]
+    usable = [(p, r) for p, r in parts if p.samples > _FEWEST]
     if not usable:
-        return None
+        return f"no trajectory has more than {_FEWEST} samples"
     cutoff = max(_cutoff(p, r) for p, r in usable)
     total = sum(p.samples / r for p, r in usable)
     made = [_stretch(p, r, cutoff, MOST / total) for p, r in usable]
     kept = [s for s in made if s is not None]
-    if not kept:
-        return None
+    count = sum(len(s.t[s.inside]) for s in kept)
+    if count < 10 * BLOCKS:
+        return _too_short(total, cutoff)
     rows = {
         name: torch.cat([getattr(s, name)[s.inside] for s in kept])
         for name in ("q", "dq", "ddq", "sign", "moving")
     }
-    count = len(rows["q"])
-    if count < 10 * BLOCKS:
-        return None
     return Samples(
         tuple(kept),
         **rows,
@@ -116,6 +118,16 @@ def samples(log: Log) -> Samples | None:
         period=1.0 / cutoff,
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
+        signals=signals,
+    )
+
+
+def _too_short(total: float, cutoff: float) -> str:
+    """The length that the rows of all blocks and the ends of a trajectory need."""
+    least = 10 * BLOCKS / (_PER_PERIOD * cutoff) + 2 * max(1.0 / cutoff, 0.25)
+    return (
+        f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at least, "
+        "better 20 s, with all joints moving"
     )
 
 

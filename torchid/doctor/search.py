@@ -1,6 +1,6 @@
 """Which faults make the torque explainable: greedy, one clear win at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ class Found:
         gain: by how much the sum of log errors fell.
         blocks: blocks of time in which it fell, and of how many.
         rivals: moves that do as well.
+        decided: whether there are none, or this one was chosen.
     """
 
     move: Move
@@ -41,6 +42,7 @@ class Found:
     gain: float
     blocks: tuple[int, int]
     rivals: tuple[Move, ...]
+    decided: bool
 
 
 @dataclass(frozen=True)
@@ -72,14 +74,20 @@ class Search:
         return bool(live.any() and np.median(self.left[live]) < UNEXPLAINED)
 
 
-def search(judge: Judge, start: Hypothesis) -> Search:
-    """Mend one fault after the other as long as one wins clearly on time held out."""
+def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Search:
+    """Mend one fault after the other as long as one wins clearly on time held out.
+
+    Args:
+        judge: of the log.
+        start: the log at its word.
+        fixes: names of moves that are taken where others do as well.
+    """
     now = start
     held = judge.held_out(now)
     found: list[Found] = []
     while True:
         costs = _costs(judge, now)
-        best = _best(judge, held, costs)
+        best = _best(judge, held, costs, fixes)
         if best is None or len(found) == MOST_FAULTS:
             return Search(tuple(found), judge.score(now), held, costs)
         found.append(best[0])
@@ -98,7 +106,10 @@ def _costs(judge: Judge, now: Hypothesis) -> tuple[tuple[float, Move], ...]:
 
 
 def _best(
-    judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]]
+    judge: Judge,
+    held: np.ndarray,
+    costs: Sequence[tuple[float, Move]],
+    fixes: Collection[str],
 ) -> tuple[Found, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
     clear = [m for cost, m in costs if cost < -CLEAR]
@@ -110,17 +121,19 @@ def _best(
     if not tried:
         return None
     tried.sort(key=lambda x: x[0])
-    # Of those as good, the one that concerns fewest joints: a mirrored arm on the ceiling moves as
-    # one on the floor does, and nobody negates every joint.
+    # Of those as good, the chosen one, or one that concerns fewest joints: a mirrored arm on the
+    # ceiling moves as one on the floor does, and nobody negates every joint.
     tied = [x for x in tried if x[0] < tried[0][0] + TIE]
-    tied.sort(key=lambda x: len(x[1].joints))
+    tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints)))
     loss, move, errors, gains = tied[0]
     gain = _loss(held) - loss
     agreeing, judged = int((gains > 0).sum()), int(np.isfinite(held).any(1).sum())
     if gain < CLEAR or agreeing < AGREE * judged:
         return None
-    rivals = tuple(m for _, m, _, _ in tied[1:])
-    return Found(move, rms(held), rms(errors), gain, (agreeing, judged), rivals), errors
+    rivals = tuple({m.name: m for _, m, _, _ in tied if m.name != move.name}.values())
+    decided = not rivals or move.name in fixes
+    before, after = rms(held), rms(errors)
+    return Found(move, before, after, gain, (agreeing, judged), rivals, decided), errors
 
 
 def rms(errors: np.ndarray) -> np.ndarray:

@@ -1,16 +1,17 @@
 """Is torque in newton metres at the joint? Against nominal parameters, limits, or plain sense."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from scipy.stats import t as student
 
-from torchid.doctor.check import Check, Verdict, fix_text, joint_list
+from torchid.doctor.check import Check, Choice, Verdict, among, fix_text, joint_list
 from torchid.doctor.cone import reach_of
 from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.repair import TORQUE, Scale
+from torchid.doctor.repair import Scale
 from torchid.doctor.samples import BLOCKS
 from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -24,7 +25,11 @@ DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
 on arms from a desk to a foundry, a thousand times that in N mm."""
 _LEAST_REACH = 0.2
-_CHECK_GAINS = "--gain K1,K2,.. for currents; multiply motor torque by the gear ratio"
+MOST_OF_LIMIT = 2.0
+"""Peaks above a rated torque."""
+_GAINS = "(--gain K1,K2,.. or Log.with_torque) [N m/A]"
+_CHECK_GAINS = f"drive gains for currents {_GAINS}; multiply motor torque by the gear ratio"
+_SMALL_UNITS = {"torque unit mNm": 1e3, "torque unit Ncm": 100.0}
 _UNITS = (
     (1e3, "N mm or mN m, or mA"),
     (1e-3, "kN m"),
@@ -86,7 +91,13 @@ def _slope(
     return value, value - half, value + half
 
 
-def check_size(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> Check:
+def check_size(
+    judge: Judge,
+    robot: Robot,
+    log: Log,
+    hypothesis: Hypothesis,
+    fixes: Collection[str] = (),
+) -> Check:
     """The unit of the torque as a whole."""
     if log.tau is None:
         return _currents(judge, robot, hypothesis)
@@ -94,7 +105,7 @@ def check_size(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> 
         found = _against_nominal(judge, robot, hypothesis)
         if found is not None:
             return found
-    return _against_limits(robot, log) or _plain_sense(robot, log, judge, hypothesis)
+    return _against_limits(robot, log, fixes) or _plain_sense(robot, log, judge, hypothesis, fixes)
 
 
 def _overall(slopes: Slopes) -> float | None:
@@ -124,7 +135,7 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     verdict: Verdict = "wrong" if off > math.log(WRONG) else "doubtful"
     for factor, name in _UNITS:
         if abs(math.log(overall / factor)) < math.log(ODD):
-            repairs = (Scale(TORQUE, (1.0 / factor,) * robot.n),)
+            repairs = (Scale(("tau",), (1.0 / factor,) * robot.n),)
             fix = fix_text(repairs)
             return replace(
                 base, verdict=verdict, evidence=f"{text}: {name}", fix=fix, repairs=repairs
@@ -133,7 +144,7 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     return replace(base, verdict=verdict, evidence=text, fix=_CHECK_GAINS)
 
 
-def _against_limits(robot: Robot, log: Log) -> Check | None:
+def _against_limits(robot: Robot, log: Log, fixes: Collection[str]) -> Check | None:
     limits = robot.limits.torque
     assert log.tau is not None
     if limits is None or not bool(torch.isfinite(limits).all()) or not bool((limits != 0).any()):
@@ -141,7 +152,7 @@ def _against_limits(robot: Robot, log: Log) -> Check | None:
     share = float((log.tau.abs().amax(0) / limits.abs().amax(-1).clamp(min=1e-9)).max())
     text = f"the largest torque is {share:.3g} times its limit"
     if share > BEYOND_LIMIT:
-        return _too_large(robot, text, share)
+        return _too_large(robot, text, share, (BELOW_LIMIT, MOST_OF_LIMIT), fixes)
     if share < BELOW_LIMIT:
         return Check(
             "torque unit",
@@ -153,7 +164,9 @@ def _against_limits(robot: Robot, log: Log) -> Check | None:
     return Check("torque unit", "fine", text, estimate=share)
 
 
-def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -> Check:
+def _plain_sense(
+    robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis, fixes: Collection[str]
+) -> Check:
     """Is the mass that the largest torque would hold at arm's length one an arm can have?"""
     assert log.tau is not None
     gravity = float(robot.gravity.norm())
@@ -169,7 +182,7 @@ def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -
     density = mass / reach**3
     text = f"the largest torque holds {mass:.3g} kg at the arm's length of {reach:.2g} m"
     if density > DENSITY[1]:
-        return _too_large(robot, text, density)
+        return _too_large(robot, text, density, DENSITY, fixes)
     if density < DENSITY[0]:
         return Check(
             "torque unit",
@@ -182,22 +195,27 @@ def _plain_sense(robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis) -
     return Check("torque unit", "fine", text, estimate=density, unit="kg/m^3")
 
 
-def _too_large(robot: Robot, text: str, estimate: float) -> Check:
-    repairs = (Scale(TORQUE, (1e-3,) * robot.n),)
-    return Check(
-        "torque unit",
-        "wrong",
-        f"{text}: N mm, mN m or mA?",
-        estimate=estimate,
-        fix=fix_text(repairs),
-        repairs=repairs,
-    )
+def _too_large(
+    robot: Robot,
+    text: str,
+    estimate: float,
+    plausible: tuple[float, float],
+    fixes: Collection[str],
+) -> Check:
+    """Torque in a smaller unit: in which, if only one leaves a plausible size."""
+    check = Check("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=estimate)
+    choices = []
+    for name, factor in _SMALL_UNITS.items():
+        if plausible[0] < estimate / factor < plausible[1]:
+            repair = Scale(("tau",), (1.0 / factor,) * robot.n)
+            choices.append(Choice(name, str(repair), (repair,)))
+    return among(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
 
 
 def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
     """Currents without gains; nominal parameters suggest some."""
     text = "the log has currents [A] and no drive gains"
-    fix = "--gain {} [N m/A], or drive_gain in the robot's yaml"
+    fix = "--gain {} or Log.with_torque [N m/A], or drive_gain in the robot's yaml"
     if robot.parameters is None:
         return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
     slopes = nominal_slopes(judge, hypothesis)

@@ -9,6 +9,8 @@ PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
 RUN = 4
 """Samples in a row at the largest torque, over those at any other, that make it a level."""
+DISTINCT = 0.9
+"""Share of the values that occur once, where a signal has no steps or held values."""
 COARSE = 0.1
 """Largest step between torque values, as a share of their standard deviation."""
 
@@ -77,6 +79,9 @@ def _pile(x: np.ndarray) -> tuple[float, float]:
     at = x >= level - 1e-9 * max(abs(level), spread)
     changes = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))
     starts, ends = changes[::2], changes[1::2]
+    others = x[~at]
+    if len(starts) >= RUN and len(np.unique(others)) > DISTINCT * len(others):
+        return float(at.mean()), level  # only its largest value ever comes back
     longest = int((ends - starts).max())
     # The band just below the level, as wide as the signal's own resolution or a fiftieth of it.
     width = max(_resolution(x), 0.02 * spread)

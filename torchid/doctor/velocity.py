@@ -1,13 +1,15 @@
 """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, fix_text, joint_list
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
+from torchid.doctor.check import Check, Choice, among, fix_text, joint_list
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale
+from torchid.doctor.retime import ScaleTime
 from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
@@ -24,7 +26,7 @@ _CLOSE = 0.9
 _BAND_HZ = 10.0
 
 
-def check_velocity(log: Log) -> Check:
+def check_velocity(log: Log, fixes: Collection[str] = ()) -> Check:
     """Is dq the derivative of q: of this joint, with this sign, size and timing?"""
     if log.dq is None:
         return Check("velocity", "fine", "no dq in the log: the derivative of q is used")
@@ -34,7 +36,7 @@ def check_velocity(log: Log) -> Check:
     log = _reorder(log, repairs, said, joints)
     factors = _velocity_factors(log, said, joints)
     if isinstance(factors, float):
-        return _wrong_rate(factors)
+        return among(*_wrong_rate(factors, log.n), fixes)
     if any(f != 1.0 for f in factors):
         repairs.append(Scale(("dq",), tuple(factors)))
         log = repairs[-1].apply(log)
@@ -164,20 +166,24 @@ def _named_ratio(ratio: float) -> tuple[float, str | None]:
     return ratio, None
 
 
-def _wrong_rate(ratio: float) -> Check:
+def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
+    """The clock, or the unit of all velocities: kinematics cannot tell."""
     plain = float(f"{ratio:.2g}")
     ratio = plain if abs(ratio / plain - 1.0) < 5e-3 else ratio
-    repair = ScaleTime(1.0 / ratio)
-    return Check(
+    repairs = {
+        "time scale": ScaleTime(1.0 / ratio),
+        "velocity scale": Scale(("dq",), (1.0 / ratio,) * n),
+    }
+    check = Check(
         "velocity",
         "wrong",
         f"every dq is {ratio:.4g} times the derivative of its q, which is no unit: the time stamps "
-        "run at another rate than the samples were taken at (or dq is scaled)",
+        "run at another rate than the samples were taken at, or dq is scaled (torque tells, where "
+        "it is explained clearly better with one of them)",
         estimate=ratio,
         unit="ratio",
-        fix=f"{repair} (or scale dq by {1 / ratio:.4g}, if the stamps are right)",
-        repairs=(repair,),
     )
+    return check, [Choice(name, str(repair), (repair,)) for name, repair in repairs.items()]
 
 
 def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:

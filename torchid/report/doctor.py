@@ -1,5 +1,6 @@
 """An examination of a log as a table and a figure for people."""
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,13 +26,9 @@ def tables(examination: Examination) -> list[Table]:
     table = compact(f"log of {examination.robot.name}")
     for heading in ("verdict", "check", "evidence", "fix"):
         table.add_column(heading, no_wrap=heading in ("verdict", "check"))
-    for check in rows:
-        table.add_row(
-            Text(check.verdict, style=_STYLE[check.verdict]),
-            check.name,
-            Text(check.evidence),
-            Text(check.fix or ""),
-        )
+    for (verdict, evidence, fix), group in groupby(rows, lambda c: (c.verdict, c.evidence, c.fix)):
+        names = "\n".join(c.name for c in group)
+        table.add_row(Text(verdict, style=_STYLE[verdict]), names, Text(evidence), Text(fix or ""))
     return [table]
 
 
@@ -41,22 +38,15 @@ def fine(examination: Examination) -> str:
     return "fine: " + ", ".join(names) if names else "nothing is fine"
 
 
-def headline(examination: Examination) -> str:
-    """One sentence."""
-    wrong = _named(examination, "wrong")
-    doubtful = _named(examination, "doubtful")
-    if not wrong and not doubtful:
-        return "Nothing speaks against this log."
-    said = []
-    if wrong:
-        said.append("wrong: " + ", ".join(wrong))
-    if doubtful:
-        said.append("to look at: " + ", ".join(doubtful))
-    return f"{'; '.join(said)[0].upper()}{'; '.join(said)[1:]}."
-
-
-def _named(examination: Examination, verdict: str) -> list[str]:
-    return list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))
+def choices(examination: Examination) -> str:
+    """What somebody has to choose, with the option that does."""
+    lines = []
+    for check in examination.undecided:
+        lines.append(f"{check.name}: explanations that this log cannot tell apart, none is applied")
+        lines += [f'  --fix "{c.name}": {c.fix}' for c in check.choices]
+    if examination.waiting:
+        lines.append(f"{examination.waiting} more of the fixes wait for this choice")
+    return "\n".join(lines)
 
 
 def torque_figure(examination: Examination) -> "Figure | None":
