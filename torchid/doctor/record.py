@@ -1,11 +1,11 @@
 """An examination as plain data: the schema torchid.doctor/1. Joints are 1-based."""
 
-import math
 from typing import Any
 
 from torchid.doctor.check import Check
 from torchid.doctor.conclusion import conclusion, untold
 from torchid.doctor.examine import Examination
+from torchid.json_data import plain
 
 SCHEMA = "torchid.doctor/1"
 
@@ -35,8 +35,8 @@ def _check(check: Check, applied: bool) -> dict[str, Any]:
         "name": check.name,
         "verdict": check.verdict,
         "joints": [k + 1 for k in check.joints],
-        "estimate": _plain(check.estimate),
-        "interval": _plain(check.interval),
+        "estimate": plain(check.estimate),
+        "interval": plain(check.interval),
         "unit": check.unit,
         "evidence": check.evidence,
         "fix": check.fix,
@@ -44,10 +44,3 @@ def _check(check: Check, applied: bool) -> dict[str, Any]:
         "choices": [{"name": c.name, "fix": c.fix} for c in check.choices],
         "chosen": check.chosen,
     }
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON has, null for those it has not."""
-    if isinstance(value, tuple):
-        return [_plain(v) for v in value]
-    return None if value is None or not math.isfinite(value) else float(value)
