@@ -92,6 +92,20 @@ def test_steps_back_and_gaps_are_counted(command, folder, tmp_path):
     assert "cannot be used as it is" in result.out
 
 
+def test_rounding_of_stamps_is_no_jitter(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    for k, start in enumerate((0.0, 1.7e9)):
+        write_log(log.replace(t=log.t + start), tmp_path / f"{k}.parquet")
+        target = tmp_path / "log.json"
+        assert command("log", "show", tmp_path / f"{k}.parquet", "--json", target).code == 0
+        record = json.loads(target.read_text())
+        (timing,) = record["trajectories"]
+        assert timing["jitter"] == 0.0
+        assert timing["gaps"] == 0
+        assert timing["rate"] == pytest.approx(100.0, rel=1e-7)
+        assert record["problem"] is None
+
+
 def test_a_log_with_holes_is_shown(command, folder, tmp_path):
     columns = {
         name: column.copy() for name, column in columns_of(read_log(folder / "check.csv")).items()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.errors import LogError
@@ -15,7 +16,7 @@ from torchid.log.columns import PREFIXES
 from torchid.log.mapping import Source
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.readers import open_log
-from torchid.log.sampling import SMALL_GAP
+from torchid.log.sampling import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor
@@ -40,7 +41,7 @@ class Timing:
         start: first time stamp [s].
         duration: from first to last [s].
         rate: of the mean step other than gaps [Hz]; None where that is not positive.
-        jitter: standard deviation of the steps other than gaps [s].
+        jitter: standard deviation of the steps other than gaps [s]; 0 where it is rounding.
         gaps: number of steps longer than three median steps.
         longest: step [s].
         backwards: number of steps that are zero or negative.
@@ -221,13 +222,16 @@ def _timing(log: Log, k: int) -> Timing:
     median = float(steps.median())
     gap = steps > SMALL_GAP * median
     usual = steps[~gap]
+    jitter = float(usual.std(correction=0)) if len(usual) else 0.0
+    # Stamps far from zero are rounded.
+    rounding = max(ROUNDING * median, float(np.spacing(float(t.abs().max()))))
     return Timing(
         name=log.names[k],
         samples=len(t),
         start=float(t[0]),
         duration=float(t[-1] - t[0]),
         rate=1.0 / float(usual.mean()) if median > 0 else None,
-        jitter=float(usual.std(correction=0)) if len(usual) else 0.0,
+        jitter=0.0 if jitter < rounding else jitter,
         gaps=int(gap.sum()) if median > 0 else 0,
         longest=float(steps.max()),
         backwards=int((steps <= 0).sum()),
