@@ -1,7 +1,7 @@
 """A Log from a table: columns that have our names, and those that a mapping gives other sources."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,12 +16,15 @@ from torchid.log.table import Table, natural
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 
 
-def log_from_table(table: Table, mapping: ColumnMapping | None = None) -> Log:
+def log_from_table(
+    table: Table, mapping: ColumnMapping | None = None, joints: Sequence[str] = ()
+) -> Log:
     """The Log of a table.
 
     Args:
         table: of any format.
         mapping: for columns that do not have our names; it goes before those that do.
+        joints: names of the robot's, by which a mapping is proposed; empty where it is not known.
 
     Raises:
         LogError: a column is missing (the message proposes a mapping where it can guess one),
@@ -35,7 +38,7 @@ def log_from_table(table: Table, mapping: ColumnMapping | None = None) -> Log:
         else:
             log = Log.concatenate([_read_part(table, mapping, value) for value in values])
     except LogError as error:
-        raise _with_help(error, table) if error.available is not None else error from None
+        raise _with_help(error, table, joints) if error.available is not None else error from None
     return log.replace(
         source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *table.warnings)))
     )
@@ -165,14 +168,13 @@ def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
     return log.replace(names=tuple(names))
 
 
-def _with_help(error: LogError, table: Table) -> LogError:
+def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:
     """The same error with all columns, and a mapping that would do where one can be guessed."""
-    guessed = proposal(table)
+    guessed = proposal(table, joints)
     hints = [error.hint]
     if guessed is not None:
-        text, units = guessed
-        told = f" ({', '.join(units)}: guessed from the numbers)" if units else ""
-        hints.append(f'perhaps --columns "{text}"{told}')
+        text, remark = guessed
+        hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
     available = table.described
     more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
     return LogError(

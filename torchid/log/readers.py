@@ -91,7 +91,7 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
         table = found(path, request)
         if request.topic is not None and table.topic is None:
             raise LogError(f"'{path}' is no bag: it has no topics.", got=f"--topic {request.topic}")
-        return table, log_from_table(table, request.columns)
+        return table, log_from_table(table, request.columns, request.joints)
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
 
