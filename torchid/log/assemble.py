@@ -10,7 +10,15 @@ from torchid.log.columns import PREFIXES, is_wanted, log_from_columns
 from torchid.log.guess import proposal
 from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.model import Log
-from torchid.log.sources import Piece, labels_of, oriented, resolve, signal_of, time_of
+from torchid.log.sources import (
+    AbsentColumnError,
+    Piece,
+    labels_of,
+    oriented,
+    resolve,
+    signal_of,
+    time_of,
+)
 from torchid.log.table import Table, natural
 
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
@@ -155,7 +163,7 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
     values = set.intersection(*found)
     if not values:
         absent = next((t for t, f in zip(texts, found, strict=True) if not f), " and ".join(texts))
-        raise LogError(
+        raise AbsentColumnError(
             f"'{table.path}' has no columns {absent}, which the mapping names.",
             available=table.described,
         )
@@ -171,16 +179,34 @@ def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
 def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:
     """The same error with all columns, and a mapping that would do where one can be guessed."""
     guessed = proposal(table, joints)
-    hints = [error.hint]
+    hints = []
     if guessed is not None:
         text, remark = guessed
         hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
+    elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
+        hints.append(f"this log needs no mapping; {one_for_all('--columns')}")
     available = table.described
     more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
-    return LogError(
+    return with_hint(error, *hints, available=[*available[:60], *more])
+
+
+def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:
+    """The same error with more hints, each once, and with another list of what is available."""
+    known = error.hint or ""
+    said = [known] if known else []
+    said += [hint for hint in hints if hint not in known]
+    return type(error)(
         error.problem,
         got=error.got,
         expected=error.expected,
-        available=[*available[:60], *more],
-        hint="; ".join(h for h in hints if h) or None,
+        available=error.available if available is None else available,
+        hint="; ".join(said) or None,
+    )
+
+
+def one_for_all(option: str) -> str:
+    """The way out where an option that all logs share does not fit one of them."""
+    return (
+        f"{option} holds for every log of a command: convert those of another kind first, "
+        f"torchid log show LOG {option} .. --out run.parquet"
     )

@@ -13,9 +13,10 @@ from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
+from torchid.log.limits import beyond_limits
 from torchid.log.mapping import Source
 from torchid.log.model import JOINT_SIGNALS, Log
-from torchid.log.readers import open_log
+from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
@@ -72,7 +73,7 @@ class Overview:
         ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
         unused: columns of the first file that were not taken.
         problem: why the identification would refuse the log, or None.
-        warnings: of reading, and of `check_log`.
+        warnings: of reading, of `check_log`, and of `beyond_limits`.
     """
 
     log: Log
@@ -93,6 +94,7 @@ def look_at(
     *,
     robot_name: str | None = None,
     position_limits: Float[Tensor, "n 2"] | None = None,
+    torque_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
 ) -> Overview:
     """Read logs and say what is in them.
@@ -103,11 +105,12 @@ def look_at(
         robot_name: of the robot they are checked for; without it they are checked as far as that
             goes.
         position_limits, prismatic: as for `check_log`.
+        torque_limits: as for `beyond_limits`.
 
     Raises:
         LogError: the files cannot be read.
     """
-    opened = [open_log(path, request) for path in paths]
+    opened = open_logs(paths, request)
     log = Log.concatenate([one for _, one in opened])
     tables = tuple(table for table, _ in opened)
     n = len(request.joints) or log.n
@@ -123,6 +126,8 @@ def look_at(
         )
     except LogError as error:
         problem = str(error)
+    if log.n == n:
+        found += beyond_limits(log, position_limits=position_limits, torque_limits=torque_limits)
     joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())
     return Overview(
         log=log,

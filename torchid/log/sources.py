@@ -19,6 +19,10 @@ _EXACT = 2**53  # larger whole numbers are not all floats
 Index = slice | list[int]
 
 
+class AbsentColumnError(LogError):
+    """A mapping names what the table does not have."""
+
+
 @dataclass(frozen=True)
 class Piece:
     """A column, an array, or some columns or rows of one."""
@@ -124,14 +128,14 @@ def _absent(
     got: str | None = None,
     hint: str | None = None,
     missing: Sequence[str] = (),
-) -> LogError:
+) -> AbsentColumnError:
     plain = {re.sub(r"\d+", "", name).lower(): name for name in table.columns}
     wanted = re.sub(r"\d+", "", _NUMBERED.sub("", text)).lower()
     near = [plain[name] for name in get_close_matches(wanted, list(plain), n=3, cutoff=0.5)]
     if near and hint is None:
         hint = f"nearest: {', '.join(near)}"
     what = f"no columns {text} in order" if _NUMBERED.search(text) else f"no column '{text}'"
-    return LogError(
+    return AbsentColumnError(
         f"'{table.path}' has {what}, which the mapping of {key} names"
         + (f": {', '.join(some(missing, 5))} missing." if missing else "."),
         got=got,
