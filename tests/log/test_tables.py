@@ -347,8 +347,9 @@ def test_mapped_columns_are_checked(tmp_path: Path, columns: dict, message: str)
 
 def test_only_bags_have_topics(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"t": T, "q1": T})
-    with pytest.raises(LogError, match="has no topics"):
+    with pytest.raises(LogError, match="has no topics") as info:
         read_log(path, topic="/joint_states")
+    assert "torchid log show LOG --topic .. --out run.parquet" in str(info.value.hint)
 
 
 def test_a_mapped_column_that_is_there_twice(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """Is a log within its robot's limits? Far outside, it is of another robot, or in other units."""
 
+from collections.abc import Iterator
+
 import torch
 
+from torchid.log.columns import some
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
@@ -24,35 +27,45 @@ def beyond_limits(
         position_limits: (n, 2) lower and upper [rad or m]; not finite where unknown.
         torque_limits: (n, 2) lower and upper [N m or N]; not finite where unknown.
     """
-    found = []
+    found: list[str] = []
     if position_limits is not None:
-        low, high = position_limits.to(log.q).unbind(-1)
-        seen = torch.where(torch.isfinite(log.q), log.q, ((low + high) / 2).nan_to_num())
-        margin = FAR_POSITION * (high - low)
-        far = (seen.amin(0) < low - margin) | (seen.amax(0) > high + margin)
-        said = [
-            f"q{j + 1} {float(seen[:, j].min()):.3g} .. {float(seen[:, j].max()):.3g}, "
-            f"limits {float(low[j]):.3g} .. {float(high[j]):.3g}"
-            for j in far.nonzero().flatten().tolist()
-        ]
-        if said:
-            found.append(
-                f"positions far outside the robot's limits ({'; '.join(said)}): are order, units, "
-                "zero and direction of the joints the robot's?"
-            )
+        found += _positions(log.q, position_limits.to(log.q))
     if torque_limits is not None and log.tau is not None:
-        size = torch.where(torch.isfinite(log.tau), log.tau.abs(), 0.0)
-        # A spike is no unit.
-        most = size.kthvalue(max(1, round(0.99 * len(size))), dim=0).values
-        limit = torque_limits.to(most).abs().amax(-1)
-        far = torch.isfinite(limit) & (most > FAR_TORQUE * limit)
-        said = [
-            f"tau{j + 1} {float(most[j]):.3g}, limit {float(limit[j]):.3g}"
-            for j in far.nonzero().flatten().tolist()
-        ]
-        if said:
-            found.append(
-                f"torques more than {FAR_TORQUE:g} times the robot's limits ({'; '.join(said)}): "
-                'are they in N m? mN m are read by --columns "tau=.. mNm"'
-            )
+        found += _torques(log.tau, torque_limits.to(log.tau))
     return tuple(found)
+
+
+def _positions(q: Float[Tensor, "T n"], limits: Float[Tensor, "n 2"]) -> Iterator[str]:
+    low, high = limits.unbind(-1)
+    finite = torch.isfinite(q)
+    least, most = q.where(finite, torch.inf).amin(0), q.where(finite, -torch.inf).amax(0)
+    margin = FAR_POSITION * (high - low)
+    said = [
+        f"q{j + 1} {float(least[j]):.3g} .. {float(most[j]):.3g}, "
+        f"limits {float(low[j]):.3g} .. {float(high[j]):.3g}"
+        for j in range(q.shape[1])
+        if least[j] < low[j] - margin[j] or most[j] > high[j] + margin[j]
+    ]
+    if said:
+        yield (
+            f"positions far outside the robot's limits ({'; '.join(some(said, 3))}): "
+            "are order, units, zero and direction of the joints the robot's?"
+        )
+
+
+def _torques(tau: Float[Tensor, "T n"], limits: Float[Tensor, "n 2"]) -> Iterator[str]:
+    size = tau.abs().where(torch.isfinite(tau), 0.0)
+    # A spike is no unit.
+    most = size.kthvalue(max(1, round(0.99 * len(size))), dim=0).values
+    limit = limits.abs().amax(-1)
+    said = [
+        f"tau{j + 1} {float(most[j]):.3g}, limit {float(limit[j]):.3g}"
+        for j in range(tau.shape[1])
+        if torch.isfinite(limit[j]) and most[j] > FAR_TORQUE * limit[j]
+    ]
+    if said:
+        yield (
+            f"torques more than {FAR_TORQUE:g} times the robot's limits "
+            f"({'; '.join(some(said, 3))}): are they in N m? mN m are read by "
+            '--columns "tau=.. mNm"'
+        )

@@ -49,12 +49,13 @@ def log_tables(seen: Overview) -> list[Table]:
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
     table = compact("topics")
-    for heading in ("", "topic", "type", "messages", "joints"):
+    for heading in ("", "topic", "type", "messages", "with", "joints"):
         table.add_column(heading)
     for topic in topics:
         mark = "read" if topic.name == read else ""
         joints = ", ".join(topic.joints)
-        table.add_row(mark, escape(topic.name), topic.type, str(topic.messages), escape(joints))
+        numbers = (str(topic.messages), ", ".join(topic.signals))
+        table.add_row(mark, escape(topic.name), topic.type, *numbers, escape(joints))
     return table
 
 
