@@ -112,8 +112,8 @@ def test_the_topic_of_more_joints_is_recommended(tmp_path: Path, log: Log) -> No
     with pytest.raises(LogError, match="several topics") as info:
         read_log(path, joints=(*UR, "wrist_1_joint"))
     assert info.value.hint == "choose one: --topic /b/measured"
-    said = [str(topic).rsplit(", ", 1)[1] for topic in info.value.available or ()]
-    assert said == [f"{k} of the robot's 4 joints" for k in (0, 3, 3)]
+    said = [str(topic).rsplit("; ", 1)[1] for topic in info.value.available or ()]
+    assert said == [f"{k} of the robot's 4 joints)" for k in (0, 3, 3)]
 
 
 def test_a_gripper_in_the_same_topic(tmp_path: Path, log: Log) -> None:

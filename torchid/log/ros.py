@@ -41,10 +41,17 @@ class Topic:
     signals: tuple[str, ...] = ()
 
     def __str__(self) -> str:
+        return self.described()
+
+    def described(self, robot_joints: Sequence[str] = ()) -> str:
+        """For an error message; with a robot, how many of its joints are there."""
         text = f"{self.name} ({self.type}, {self.messages} messages"
-        if not self.joints:
-            return text + ")"
-        return f"{text} with {', '.join(self.signals) or 'names'}: {', '.join(self.joints)})"
+        if self.joints:
+            text += f" with {', '.join(self.signals) or 'names'}: {', '.join(self.joints)}"
+        if self.joints and robot_joints:
+            known = known_joints(self.joints, robot_joints)
+            text += f"; {known} of the robot's {len(robot_joints)} joints"
+        return text + ")"
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -172,15 +179,9 @@ def _several(path: Path, topics: Sequence[Topic], joints: Sequence[str]) -> LogE
 
     best = max(topics, key=merit)
     only = sum("effort" in topic.signals for topic in topics) == 1 and "effort" in best.signals
-    described = [
-        f"{topic}, {known_joints(topic.joints, joints)} of the robot's {len(joints)} joints"
-        if joints
-        else str(topic)
-        for topic in topics
-    ]
     return LogError(
         f"'{path}' has several topics of joint states.",
-        available=described,
+        available=[topic.described(joints) for topic in topics],
         hint=f"choose one: --topic {best.name}" + (", the only one with effort" if only else ""),
     )
 

@@ -54,8 +54,9 @@ def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     for topic in topics:
         mark = "read" if topic.name == read else ""
         joints = ", ".join(topic.joints)
-        numbers = (str(topic.messages), ", ".join(topic.signals))
-        table.add_row(mark, escape(topic.name), topic.type, *numbers, escape(joints))
+        kind, signals = topic.type.replace("/msg/", "/"), ", ".join(topic.signals)
+        cells = (kind, str(topic.messages), signals, escape(joints))
+        table.add_row(mark, escape(topic.name), *cells)
     return table
 
 
