@@ -60,6 +60,14 @@ def test_columns_without_numbers_say_nothing(tmp_path: Path, torque: float) -> N
     assert 'tau=eff_{j}"' in hint(tmp_path, 1.0, 1.0, 1.0, torque)
 
 
+@pytest.mark.parametrize("rows", [0, 1])
+@pytest.mark.filterwarnings("error")
+def test_no_rows_say_nothing(tmp_path: Path, rows: int) -> None:
+    (tmp_path / "log.csv").write_text(f"{HEADER}\n" + rows * "0,90,90,0,0,0,0\n")
+    with pytest.raises(LogError, match="no column t"):
+        read_log(tmp_path / "log.csv")
+
+
 def test_what_a_name_says_is_not_guessed(tmp_path: Path) -> None:
     """Angles of 1000 rad and torques of 10 000 N m, as the names have it."""
     t = np.arange(50) * 5.0

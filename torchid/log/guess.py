@@ -90,8 +90,8 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     """The group of each key, their joints in one order."""
     named = _named(names)
     whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
-    groups = [_placed(g, joints) or g for g in (*_singles(names), *_arrays(table, names))]
-    groups += [_placed(g, joints) or g for g in (*whole, *named)]
+    named = [_placed(g, joints) or g for g in named]
+    groups = [*_singles(names), *_arrays(table, names), *whole, *named]
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i"):
         fitting = [g for g in groups if g.key == key]
@@ -193,10 +193,8 @@ def _numbered(names: list[str]) -> list[_Group]:
         key = quantity_of(words)
         if key is None or key == "t":
             continue
-        pattern, columns = (
-            f"{before}{{{'j' if first else 'j0'}}}{after}",
-            frozenset(members.values()),
-        )
+        pattern = f"{before}{{{'j' if first else 'j0'}}}{after}"
+        columns = frozenset(members.values())
         found.append(_Group((pattern,), key, count, looks_measured(words), columns=columns))
     return found
 

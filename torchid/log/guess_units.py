@@ -45,7 +45,10 @@ def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dic
     found: dict[str, str] = {}
     step = 1.0
     if "t" in silent:
-        step = float(np.median(np.diff(time_of(silent["t"], pieces["t"], arrays, table))))
+        steps = np.diff(time_of(silent["t"], pieces["t"], arrays, table))
+        if not len(steps):
+            return {}
+        step = float(np.median(steps))
         found["t"] = next((unit for most, unit in _STEPS.items() if abs(step) < most), "")
         step *= {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[found["t"]]
 
@@ -69,7 +72,7 @@ def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dic
 
 def _follows(q: np.ndarray, dq: np.ndarray, step: float) -> bool:
     """Whether dq is the derivative of q in the same angles, rather than in radians."""
-    if step <= 0 or dq.shape != q.shape or not np.isfinite(step):
+    if not 0 < step < math.inf or dq.shape != q.shape or len(q) < 2:
         return False
     own = float(np.abs(np.diff(q, axis=0)).mean()) / step
     return float(np.abs(dq).mean()) > own * math.sqrt(math.pi / 180)
