@@ -13,6 +13,7 @@ from torchid.log.columns import columns_of
 from torchid.log.readers import read_log, write_log
 
 DEG = math.pi / 180
+CONFIGS = Path(__file__).parents[2] / "configs" / "robots"
 
 
 @pytest.fixture
@@ -67,11 +68,43 @@ def test_a_proposed_mapping_works(command, foreign):
     result = command("log", "show", path)
     assert result.code == 1
     proposed = result.err.split('--columns "')[1].split('"')[0]
-    assert proposed == "t=time_ms ms,q=pos_{j0},tau=eff_{j0}"
+    assert proposed == "t=time_ms ms,q=pos_{j0} deg,tau=eff_{j0}"
     result = command("log", "show", path, "--columns", proposed, "--robot", "3r_friction")
     assert result.code == 0
-    assert "cannot be used as it is" in result.out
+    assert "cannot be used as it is" not in result.out
+    result = command("log", "show", path, "--columns", "t=time_ms ms,q=pos_{j0}")
     assert "looks like degrees" in result.out
+
+
+def test_torques_far_beyond_the_robots_limits(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    write_log(log.replace(tau=1e3 * log.signals["tau"]), tmp_path / "a.parquet")
+    text = (CONFIGS / "3r_friction.yaml").read_text()
+    robot, target = tmp_path / "limited.yaml", tmp_path / "log.json"
+    robot.write_text(text.replace("limits:\n", "limits:\n  torque: [20, 20, 20]\n", 1))
+    for path, told in ((folder / "check.csv", False), (tmp_path / "a.parquet", True)):
+        result = command("log", "show", path, "--robot", robot, "--json", target)
+        assert result.code == 0
+        warnings = json.loads(target.read_text())["warnings"]
+        assert any("3 times the robot's limits" in w for w in warnings) == told
+
+
+def test_one_mapping_for_logs_of_several_kinds(command, foreign, folder):
+    path, columns = foreign
+    way_out = "torchid log show LOG --columns .. --out run.parquet"
+    for logs in ((path, folder / "check.csv"), (folder / "check.csv",)):
+        result = command("log", "show", *logs, "--columns", columns)
+        assert result.code == 1
+        assert result.err.count(way_out) == 1
+        assert "needs no mapping" in result.err
+    other = path.with_name("other.csv")
+    other.write_text(path.read_text().replace("pos_", "angle_"))
+    result = command("log", "show", path, other, "--columns", columns)
+    assert way_out in result.err
+    assert "no columns pos_{j0} in order" in result.err
+    result = command("log", "show", path, "--columns", "q=angle_{j}")
+    assert result.code == 1
+    assert way_out not in result.err
 
 
 def test_steps_back_and_gaps_are_counted(command, folder, tmp_path):
@@ -90,6 +123,20 @@ def test_steps_back_and_gaps_are_counted(command, folder, tmp_path):
     assert timing["longest"] == pytest.approx(0.51)
     assert "time does not increase" in record["problem"]
     assert "cannot be used as it is" in result.out
+
+
+def test_rounding_of_stamps_is_no_jitter(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    for k, start in enumerate((0.0, 1.7e9)):
+        write_log(log.replace(t=log.t + start), tmp_path / f"{k}.parquet")
+        target = tmp_path / "log.json"
+        assert command("log", "show", tmp_path / f"{k}.parquet", "--json", target).code == 0
+        record = json.loads(target.read_text())
+        (timing,) = record["trajectories"]
+        assert timing["jitter"] == 0.0
+        assert timing["gaps"] == 0
+        assert timing["rate"] == pytest.approx(100.0, rel=1e-7)
+        assert record["problem"] is None
 
 
 def test_a_log_with_holes_is_shown(command, folder, tmp_path):

@@ -60,6 +60,17 @@ def test_torque_that_comes_at_a_lower_rate_is_not_clipped():
     assert {c.name for c in checks if c.verdict != "fine"} <= {"held samples"}
 
 
+def test_gaps_are_counted():
+    robot, log = clean("3r", 0)
+    for count, text in ((1, "1 gap of more"), (2, "2 gaps of more")):
+        keep = torch.ones(log.samples, dtype=torch.bool)
+        for k in range(count):
+            keep[200 * (k + 1) : 200 * (k + 1) + 5] = False
+        checks, _ = signal_checks(robot, log.select(keep))
+        (found,) = [c for c in checks if c.name == "dropouts"]
+        assert found.evidence.startswith(text)
+
+
 def test_the_log_that_was_given_stays_as_it_was():
     case = planted("q in degrees", "3r", 0)
     copies = {name: signal.clone() for name, signal in case.log.signals.items()}

@@ -166,8 +166,10 @@ def test_a_joint_that_never_moves_spoils_no_agreement():
 
 
 def test_a_log_without_torque():
-    with pytest.raises(LogError, match="has no torque"):
-        measurements(LOG.replace(tau=None), CUTOFF)
+    with pytest.raises(LogError, match="has no torque") as info:
+        measurements(LOG.replace(tau=None, ddq=None), CUTOFF)
+    n = LOG.n
+    assert info.value.got == f"t, q1..q{n}, dq1..dq{n}"
     with pytest.raises(LogError, match="drive_gain"):
         measurements(LOG.replace(tau=None, current=LOG.tau), CUTOFF)
 

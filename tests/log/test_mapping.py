@@ -171,6 +171,20 @@ def test_yaml_that_is_no_mapping(tmp_path: Path, content: str, message: str) -> 
         read_mapping(tmp_path / "map.yaml")
 
 
+def test_yaml_that_is_wrong_is_told_with_the_line(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("t: stamp\nq: [a, b\ntau: c\n")
+    with pytest.raises(LogError) as info:
+        read_mapping(tmp_path / "map.yaml")
+    assert info.value.got == (
+        "line 3: expected ',' or ']', but got ':', "
+        "while parsing a flow sequence that begins in line 2"
+    )
+    (tmp_path / "map.yaml").write_text("t: stamp\nq: 'pos_{j}\n")
+    with pytest.raises(LogError) as info:
+        read_mapping(tmp_path / "map.yaml")
+    assert str(info.value.got).startswith("line 3: found unexpected end of stream")
+
+
 def test_our_names_need_no_mapping_and_give_way_to_it(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"t": T, "q1": T, "dq1": T, "tau1": T, "better": 2 * T})
     log = read_log(path, columns="tau=better,dq=none")
@@ -189,8 +203,25 @@ def test_numbering(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"no columns p\{j\} in order") as info:
         read_log(path, columns="q=p{j}")
     assert "p01, p02, p03, p10" in str(info.value)
+    assert "{1,2,3,10,11,12}" in str(info.value.hint)
     save(path, {"t": T, "p0": T, "p1": T})
     with pytest.raises(LogError, match=r"\{j0\} counts from 0: q=p\{j0\}"):
+        read_log(path, columns="q=p{j}")
+
+
+def test_numbers_in_an_order_of_their_own(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T} | {f"m{k}_angle": k * T for k in range(1, 5)})
+    log = read_log(path, columns="q=m{3,1, 2}_angle deg")
+    assert log.q[1].tolist() == pytest.approx([0.3 * DEG, 0.1 * DEG, 0.2 * DEG])
+    with pytest.raises(LogError, match="names a column twice"):
+        read_log(path, columns="q=m{3,1,3}_angle")
+    with pytest.raises(LogError, match="m5_angle, m6_angle missing"):
+        read_log(path, columns="q=m{3,5,6}_angle")
+
+
+def test_what_is_missing_in_the_middle_is_named(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"t": T} | {f"p{k}": T for k in (1, 2, 4, 5)})
+    with pytest.raises(LogError, match=r"in order, which the mapping of q names: p3 missing\."):
         read_log(path, columns="q=p{j}")
 
 

@@ -161,11 +161,15 @@ def test_suffix_in_capitals(tmp_path: Path) -> None:
 BAD = {
     "no t": ({"q1": T}, "no column t"),
     "no q": ({"t": T, "tau1": T}, "no column q1"),
-    "gap": ({"t": T, "q1": T, "q3": T}, "q columns are not numbered q1..q2"),
+    "gap": ({"t": T, "q1": T, "q3": T}, r"has no column q2\."),
+    "middle": (
+        {"t": T, "q1": T, "q2": T, "q4": T, "tau1": T, "tau2": T, "tau3": T},
+        r"has no column q3\.",
+    ),
     "from zero": ({"t": T, "q0": T, "q1": T}, "q columns are not numbered q1..q2"),
     "dq count": ({"t": T, "q1": T, "q2": T, "dq1": T}, "2 q columns and 1 dq columns"),
     "tau count": ({"t": T, "q1": T, "tau1": T, "tau2": T}, "1 q columns and 2 tau columns"),
-    "i gap": ({"t": T, "q1": T, "i2": T}, "the i columns are not numbered i1"),
+    "i gap": ({"t": T, "q1": T, "i2": T}, r"has no column i1\."),
     "text": ({"t": T, "q1": ["a", "b", "c", "d"]}, "column q1 is not numeric"),
     "text in t": ({"t": ["1", "2", "x", "4"], "q1": T}, "column t is not numeric"),
     "bool": ({"t": T, "q1": [True, False, True, False]}, "column q1 is not numeric"),

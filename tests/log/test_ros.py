@@ -18,6 +18,7 @@ from .recordings import BAGS, LATE_NS, START_NS, messages_of, write_bag
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 ALPHABETICAL = (2, 1, 0)
 TOPIC = "/joint_states"
+ALL = "position, velocity, effort"
 
 
 @pytest.fixture
@@ -64,10 +65,11 @@ def test_the_topic_is_chosen(tmp_path: Path, log: Log) -> None:
         read_log(path)
     listed = [str(topic) for topic in info.value.available or ()]
     assert listed == [
-        f"/arm/desired (sensor_msgs/msg/JointState, 60 messages: {', '.join(UR)})",
-        f"/arm/joint_states (sensor_msgs/msg/JointState, 60 messages: {', '.join(UR)})",
-        "/gripper/joint_states (sensor_msgs/msg/JointState, 30 messages: left, right)",
+        f"/arm/desired (sensor_msgs/msg/JointState, 60 messages with {ALL}: {', '.join(UR)})",
+        f"/arm/joint_states (sensor_msgs/msg/JointState, 60 messages with {ALL}: {', '.join(UR)})",
+        f"/gripper/joint_states (sensor_msgs/msg/JointState, 30 messages with {ALL}: left, right)",
     ]
+    assert info.value.hint == "choose one: --topic /arm/joint_states"
     expect(read_log(path, topic="/arm/joint_states", joints=UR), log)
     with pytest.raises(LogError, match="several topics") as info:
         read_log(path, joints=UR)
@@ -76,6 +78,42 @@ def test_the_topic_is_chosen(tmp_path: Path, log: Log) -> None:
     with pytest.raises(LogError, match="no joint states in topic /arm") as info:
         read_log(path, topic="/arm")
     assert [topic.name for topic in topics_of(path)] == sorted(topics)
+
+
+@pytest.mark.parametrize("joints", [(), UR, ("a", "b", "c")])
+def test_the_topic_with_effort_is_recommended(
+    tmp_path: Path, log: Log, joints: tuple[str, ...]
+) -> None:
+    """A command has no effort; the first measured message has none either."""
+    measured = without(messages_of(log, (*UR, "hand")[:3], (2, 0, 1)), "effort", slice(0, 1))
+    commands = without(messages_of(log, UR, (0, 1, 2)), "effort", slice(None))
+    without(commands, "velocity", slice(None), [np.nan] * 3)
+    path = write_bag(
+        tmp_path / "bag", "mcap", {"/joint_commands": commands, "/joint_states": measured}
+    )
+    with pytest.raises(LogError, match="several topics") as info:
+        read_log(path, joints=joints)
+    assert info.value.hint == "choose one: --topic /joint_states, the only one with effort"
+    first, second = (str(topic) for topic in info.value.available or ())
+    assert "messages with position: shoulder" in first
+    assert f"messages with {ALL}: elbow" in second
+    count = "3 of the robot's 3 joints" if joints == UR else "0 of the robot's 3 joints"
+    assert (count in first) == (count in second) == bool(joints)
+
+
+def test_the_topic_of_more_joints_is_recommended(tmp_path: Path, log: Log) -> None:
+    """Neither fits the robot; names tell which of two is measured."""
+    topics = {
+        "/a/gripper": messages_of(uniform(1, samples=30), ("finger",), (0,)),
+        "/a/target": messages_of(log, UR, (0, 1, 2)),
+        "/b/measured": messages_of(log, UR, (0, 1, 2)),
+    }
+    path = write_bag(tmp_path / "bag", "mcap", topics)
+    with pytest.raises(LogError, match="several topics") as info:
+        read_log(path, joints=(*UR, "wrist_1_joint"))
+    assert info.value.hint == "choose one: --topic /b/measured"
+    said = [str(topic).rsplit("; ", 1)[1] for topic in info.value.available or ()]
+    assert said == [f"{k} of the robot's 4 joints)" for k in (0, 3, 3)]
 
 
 def test_a_gripper_in_the_same_topic(tmp_path: Path, log: Log) -> None:

@@ -1,6 +1,7 @@
 """Tables of other programs: HDF5, MATLAB, text of all kinds, arrays; what is wrong with them."""
 
 import builtins
+import math
 from pathlib import Path
 
 import h5py
@@ -200,6 +201,23 @@ def test_text_without_header(tmp_path: Path) -> None:
             ["ts", "pos base [deg]", "pos arm [deg]"],
             "t=ts,q=['pos base [deg]', 'pos arm [deg]'] deg",
         ),
+        (
+            ["Time (ms)", "wrist_bend pos [deg]", "base pos [deg]", "base vel [deg/s]",
+             "wrist_bend vel [deg/s]", "base trq [mNm]", "wrist_bend trq [mNm]"],
+            "t='Time (ms)' ms,q=['wrist_bend pos [deg]', 'base pos [deg]'] deg,"
+            "dq=['wrist_bend vel [deg/s]', 'base vel [deg/s]'] deg/s,"
+            "tau=['wrist_bend trq [mNm]', 'base trq [mNm]'] mNm",
+        ),
+        (
+            ["stamp", "base cmd pos [°]", "arm cmd pos [°]", "base act pos [°]", "arm act pos [°]",
+             "temperature [°C]", "base trq [kNm]", "arm trq [kNm]"],
+            "t=stamp,q=['base act pos [°]', 'arm act pos [°]'] °,"
+            "tau=['base trq [kNm]', 'arm trq [kNm]'] kNm",
+        ),
+        (
+            ["time", "S_pos_deg", "L_pos_deg", "S_torque_nm", "L_torque_nm"],
+            "t=time,q=[S_pos_deg, L_pos_deg] deg,tau=[S_torque_nm, L_torque_nm]",
+        ),
         (["t", "q1", "q2", "effort_1", "effort_2", "x"], None),
         (["a", "b", "c"], None),
         (["time", "b1", "c1"], None),
@@ -216,10 +234,38 @@ def test_a_mapping_is_proposed(tmp_path: Path, names: list[str], mapping: str | 
     if mapping is None:
         assert info.value.hint is None
         return
-    assert info.value.hint == f'perhaps --columns "{mapping}"'
+    named = " (joints in the order of the file)" if "=[" in mapping else ""
+    assert info.value.hint == f'perhaps --columns "{mapping}"{named}'
     read = read_log(path, columns=mapping)
     assert read.n == 2
     assert torch.allclose(read.q[:, 1], read.q[:, 0] + (read.q[0, 1] - read.q[0, 0]))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4), (3, 0, 4, 2, 1)])
+def test_a_mapping_is_proposed_in_the_order_of_the_robot(
+    tmp_path: Path, order: tuple[int, ...]
+) -> None:
+    """The joints of each quantity in another order, beside a gripper's; two of them numbered."""
+    joints = ("shoulder_pan_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
+    labels = ["shoulder_pan", "elbow", "wrist_1", "wrist_2", "gripper"]
+    columns = {"Time [s]": T}
+    columns |= {f"{labels[k]} pos [deg]": 10 * k + T for k in order}
+    columns |= {f"{labels[k]} trq [mNm]": 100 * k + T for k in reversed(order)}
+    path = save(tmp_path / "a.csv", columns)
+    with pytest.raises(LogError) as info:
+        read_log(path, joints=joints)
+    mapping = str(info.value.hint).split('"')[1]
+    assert info.value.hint == f'perhaps --columns "{mapping}"'
+    read = read_log(path, columns=mapping, joints=joints)
+    assert read.q[0].tolist() == pytest.approx([math.pi / 18 * k for k in range(4)])
+    assert read.signals["tau"][0].tolist() == pytest.approx([0.1 * k for k in range(4)])
+
+
+def test_names_that_a_shell_would_change_are_not_proposed(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.csv", {"time": T, "$a pos": T, "$b pos": T})
+    with pytest.raises(LogError) as info:
+        read_log(path)
+    assert info.value.hint is None
 
 
 def without(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
@@ -301,8 +347,9 @@ def test_mapped_columns_are_checked(tmp_path: Path, columns: dict, message: str)
 
 def test_only_bags_have_topics(tmp_path: Path) -> None:
     path = save(tmp_path / "a.csv", {"t": T, "q1": T})
-    with pytest.raises(LogError, match="has no topics"):
+    with pytest.raises(LogError, match="has no topics") as info:
         read_log(path, topic="/joint_states")
+    assert "torchid log show LOG --topic .. --out run.parquet" in str(info.value.hint)
 
 
 def test_a_mapped_column_that_is_there_twice(tmp_path: Path) -> None:

@@ -80,6 +80,7 @@ def _of_robot(robot: str | None, tip: str | None) -> tuple[dict[str, Any], tuple
     return {
         "robot_name": found.name,
         "position_limits": found.limits.position,
+        "torque_limits": found.limits.torque,
         "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
     }, found.joint_names
 

@@ -165,7 +165,10 @@ def check_dropouts(log: Log) -> Check:
         gaps += len(long)
         longest = max(longest, float(step.max()))
     share = missing / total
-    text = f"{gaps} gaps of more than 3 steps, {100 * share:.2g} % of the samples missing"
+    text = (
+        f"{gaps} gap{'s' * (gaps != 1)} of more than 3 steps, "
+        f"{100 * share:.2g} % of the samples missing"
+    )
     if share < DROPPED and longest < LONG_GAP_S:
         return Check("dropouts", "fine", text if gaps else "no gaps", estimate=share)
     return Check(

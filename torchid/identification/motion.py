@@ -7,6 +7,7 @@ import torch
 from torchid.effects.base import Motion
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
+from torchid.log.columns import column_names
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
@@ -108,7 +109,7 @@ def no_torque(log: Log) -> LogError:
     gains = "give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
     return LogError(
         f"log '{log.source}' has no torque.",
-        got="positions only" if log.current is None else "currents",
+        got=", ".join(column_names(log)),
         expected="columns tau1.., or i1.. and drive gains",
         hint=None if log.current is None else gains,
     )

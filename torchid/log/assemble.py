@@ -1,7 +1,7 @@
 """A Log from a table: columns that have our names, and those that a mapping gives other sources."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,18 +10,29 @@ from torchid.log.columns import PREFIXES, is_wanted, log_from_columns
 from torchid.log.guess import proposal
 from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.model import Log
-from torchid.log.sources import Piece, labels_of, oriented, resolve, signal_of, time_of
+from torchid.log.sources import (
+    AbsentColumnError,
+    Piece,
+    labels_of,
+    oriented,
+    resolve,
+    signal_of,
+    time_of,
+)
 from torchid.log.table import Table, natural
 
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 
 
-def log_from_table(table: Table, mapping: ColumnMapping | None = None) -> Log:
+def log_from_table(
+    table: Table, mapping: ColumnMapping | None = None, joints: Sequence[str] = ()
+) -> Log:
     """The Log of a table.
 
     Args:
         table: of any format.
         mapping: for columns that do not have our names; it goes before those that do.
+        joints: names of the robot's, by which a mapping is proposed; empty where it is not known.
 
     Raises:
         LogError: a column is missing (the message proposes a mapping where it can guess one),
@@ -35,7 +46,7 @@ def log_from_table(table: Table, mapping: ColumnMapping | None = None) -> Log:
         else:
             log = Log.concatenate([_read_part(table, mapping, value) for value in values])
     except LogError as error:
-        raise _with_help(error, table) if error.available is not None else error from None
+        raise _with_help(error, table, joints) if error.available is not None else error from None
     return log.replace(
         source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *table.warnings)))
     )
@@ -152,7 +163,7 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
     values = set.intersection(*found)
     if not values:
         absent = next((t for t, f in zip(texts, found, strict=True) if not f), " and ".join(texts))
-        raise LogError(
+        raise AbsentColumnError(
             f"'{table.path}' has no columns {absent}, which the mapping names.",
             available=table.described,
         )
@@ -165,20 +176,37 @@ def _read_part(table: Table, mapping: ColumnMapping, value: str) -> Log:
     return log.replace(names=tuple(names))
 
 
-def _with_help(error: LogError, table: Table) -> LogError:
+def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:
     """The same error with all columns, and a mapping that would do where one can be guessed."""
-    guessed = proposal(table)
-    hints = [error.hint]
+    guessed = proposal(table, joints)
+    hints = []
     if guessed is not None:
-        text, units = guessed
-        told = f" ({', '.join(units)}: guessed from the numbers)" if units else ""
-        hints.append(f'perhaps --columns "{text}"{told}')
+        text, remark = guessed
+        hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
+    elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
+        hints.append(f"this log needs no mapping; {one_for_all('--columns')}")
     available = table.described
     more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
-    return LogError(
+    return with_hint(error, *hints, available=[*available[:60], *more])
+
+
+def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:
+    """The same error with more hints, each once, and with another list of what is available."""
+    known = error.hint or ""
+    said = [known] if known else []
+    said += [hint for hint in hints if hint not in known]
+    return type(error)(
         error.problem,
         got=error.got,
         expected=error.expected,
-        available=[*available[:60], *more],
-        hint="; ".join(h for h in hints if h) or None,
+        available=error.available if available is None else available,
+        hint="; ".join(said) or None,
+    )
+
+
+def one_for_all(option: str) -> str:
+    """The way out where an option that all logs share does not fit one of them."""
+    return (
+        f"{option} holds for every log of a command: convert those of another kind first, "
+        f"torchid log show LOG {option} .. --out run.parquet"
     )

@@ -65,6 +65,11 @@ def columns_of(log: Log) -> dict[str, np.ndarray]:
     return columns
 
 
+def column_names(log: Log) -> list[str]:
+    """What a log holds, for a message: t, q1..q7, tau1..tau7."""
+    return ["t", *(_range([f"{PREFIXES[s]}{k + 1}" for k in range(log.n)]) for s in log.signals)]
+
+
 def is_wanted(name: str) -> bool:
     """Whether a log has a place for a column of this name."""
     return name in ("t", "traj") or _JOINT_COLUMN.fullmatch(name) is not None
@@ -75,10 +80,10 @@ def joint_columns(names: Iterable[str], path: Path) -> dict[str, list[str]]:
     names = list(names)
     groups = {signal: _numbered(names, prefix, path) for signal, prefix in PREFIXES.items()}
     if "t" not in names:
-        raise LogError(f"'{path}' has no column t.", expected=EXPECTED, available=_some(names))
+        raise LogError(f"'{path}' has no column t.", expected=EXPECTED, available=some(names))
     count = len(groups["q"])
     if count == 0:
-        raise LogError(f"'{path}' has no column q1.", expected=EXPECTED, available=_some(names))
+        raise LogError(f"'{path}' has no column q1.", expected=EXPECTED, available=some(names))
     for signal, group in groups.items():
         if group and len(group) != count:
             raise LogError(
@@ -94,11 +99,19 @@ def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
     found = sorted((int(m[2]), m[0]) for m in matches if m is not None and m[1] == prefix)
     expected = [f"{prefix}{i + 1}" for i in range(len(found))]
     got = [name for _, name in found]
+    numbers = {number for number, _ in found}
+    missing = [name for k, name in enumerate(expected, 1) if k not in numbers]
+    if missing and 0 not in numbers and len(numbers) == len(found):
+        raise LogError(
+            f"'{path}' has no column {', '.join(some(missing, 5))}.",
+            got=", ".join(some(got)),
+            expected=f"{prefix}1..{got[-1]} without a gap",
+        )
     if got != expected:
         raise LogError(
             f"'{path}': the {prefix} columns are not numbered {_range(expected)}.",
-            got=", ".join(_some(got)),
-            expected=", ".join(_some(expected)),
+            got=", ".join(some(got)),
+            expected=", ".join(some(expected)),
         )
     return got
 
@@ -107,8 +120,10 @@ def _range(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]}..{names[-1]}"
 
 
-def _some(names: Sequence[str]) -> list[str]:
-    return [*names[:40], f"and {len(names) - 40} more"] if len(names) > 40 else list(names)
+def some(names: Sequence[str], most: int = 40) -> list[str]:
+    """The first names of a list, for an error message, and how many more there are."""
+    more = [f"and {len(names) - most} more"] if len(names) > most else []
+    return [*names[:most], *more]
 
 
 def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:

@@ -1,37 +1,25 @@
 """A mapping that may be meant, from the names of a table's columns: proposed, never applied."""
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from torchid.errors import LogError
 from torchid.log.columns import is_wanted
 from torchid.log.guess_units import guessed_units
+from torchid.log.joint_names import in_robot_order
 from torchid.log.mapping import read_mapping
 from torchid.log.table import Table
-
-# Words in the names of what is measured; the first kind that fits is taken.
-_WORDS = {
-    "t": r"t|ts|time|timestamp|stamp|times|secs?|seconds|clock|tout|elapsed|time(s|ms|us|ns|sec)",
-    "ddq": r"ddq|qdd|qddot|qacc|acc|accel|accelerations?",
-    "dq": r"dq|qd|qdot|qvel|dpos|vel|velocity|velocities|speeds?|omega",
-    "tau": r"tau|eff|efforts?|torques?|trq|tq|moments?",
-    "i": r"i|cur|currents?|amps?",
-    "q": r"q|qpos|pos|positions?|angles?|theta|jointpos|joints?|state",
-}
-_WANTED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
-_PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?")
-_UNWANTED = re.compile(
-    r"cmd|command(ed)?|des|desired|ref|reference|target|goal|set|action|tcp|tool|cart|ext|error"
+from torchid.log.words import (
+    is_ours,
+    is_unit_word,
+    looks_measured,
+    quantity_of,
+    source_words,
+    unit_in,
+    without_unit,
+    words_of,
 )
-_UNITS = {
-    "t": {"ns": "ns", "nsec": "ns", "nanoseconds": "ns", "us": "us", "usec": "us", "ms": "ms",
-          "msec": "ms", "timens": "ns", "timeus": "us", "timems": "ms"},
-    "q": {"deg": "deg", "degrees": "deg"},
-    "dq": {"deg": "deg/s", "degs": "deg/s", "degrees": "deg/s", "rpm": "rpm"},
-    "ddq": {"deg": "deg/s^2"},
-    "tau": {"mnm": "mNm", "ncm": "Ncm"},
-    "i": {"ma": "mA"},
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,46 +27,109 @@ class _Group:
     """Columns that may be one signal.
 
     Attributes:
-        source: as a mapping writes it.
+        names: as a mapping gives them; a pattern is one.
         key: what the words say it is.
         joints: number of columns; 0 where the shape is not known.
         score: how much its name looks like a measurement.
+        labels: what the names call the joints, where that is all that tells them apart.
+        columns: that it takes; empty for arrays.
     """
 
-    source: str
+    names: tuple[str, ...]
     key: str
     joints: int
     score: float
+    labels: tuple[str, ...] = ()
+    columns: frozenset[str] = frozenset()
+
+    @property
+    def unit(self) -> str | None:
+        """That the name says."""
+        return unit_in(self.names[0], self.key)
+
+    @property
+    def written_unit(self) -> str:
+        """That a mapping must say."""
+        return self.unit if self.unit and not is_ours(self.key, self.unit) else ""
+
+    def in_order(self, labels: Sequence[str]) -> "_Group":
+        """With these joints only, in this order, where all of them are there."""
+        if not self.labels or not set(labels) <= set(self.labels):
+            return self
+        names = tuple(self.names[self.labels.index(label)] for label in labels)
+        return replace(self, names=names, joints=len(names), labels=tuple(labels))
 
 
-def proposal(table: Table) -> tuple[str, tuple[str, ...]] | None:
-    """A text for --columns, and the units in it that are guessed from the numbers' ranges; None
-    where time or positions cannot be guessed.
+def proposal(table: Table, joints: Sequence[str] = ()) -> tuple[str, str] | None:
+    """A text for --columns, and what in it is guessed from more than names; None where time or
+    positions cannot be guessed.
 
     Columns that have our names need no mapping and are not in it.
+
+    Args:
+        table: that has other names.
+        joints: of the robot, in order; empty where it is not known.
     """
-    names = [name for name in table.columns if not is_wanted(name)]
-    groups = [*_singles(names), *_arrays(table, names), *_numbered(names), *_named(names)]
+    # Quotes, and what a shell takes for its own, cannot be written between quotes.
+    names = [n for n in table.columns if not is_wanted(n) and not re.search(r"[\"'`$\\!]", n)]
+    chosen = _chosen(table, names, joints)
+    if any(key not in chosen and not _own(table, key) for key in ("t", "q")) or not chosen:
+        return None
+    silent = {key for key, group in chosen.items() if group.unit is None}
+    units = guessed_units(read_mapping(_text(chosen, {})), table, silent)
+    remarks = [f"{', '.join(units.values())}: guessed from the numbers"] if units else []
+    if any(group.labels and _placed(group, joints) is None for group in chosen.values()):
+        remarks.append("joints in the order of the file")
+    text = _text(chosen, units)
+    if "t" in chosen:
+        text = _every_group(text, chosen["t"].names[0], names)
+    return text, "; ".join(remarks)
+
+
+def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, _Group]:
+    """The group of each key, their joints in one order."""
+    named = _named(names)
+    whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
+    named = [_placed(g, joints) or g for g in named]
+    groups = [*_singles(names), *_arrays(table, names), *whole, *named]
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i"):
-        joints = chosen["q"].joints if "q" in chosen else 0
-        fitting = [g for g in groups if g.key == key and (not joints or g.joints in (0, joints))]
+        fitting = [g for g in groups if g.key == key]
+        if key == "q" and joints:
+            fitting = [g for g in fitting if g.joints in (0, len(joints))] or fitting
+        elif key != "t" and "q" in chosen:
+            q = chosen["q"]
+            fitting = [g.in_order(q.labels) for g in fitting]
+            fitting = [g for g in fitting if not q.joints or g.joints in (0, q.joints)]
         if fitting and not _own(table, key):
             chosen[key] = max(fitting, key=lambda g: g.score)
-    if any(key not in chosen and not _own(table, key) for key in ("t", "q")):
-        return None
     if "tau" in chosen:
         chosen.pop("i", None)
-    text = _text(chosen, {})
-    if not text:
+    return chosen
+
+
+def _placed(group: _Group, joints: Sequence[str]) -> _Group | None:
+    """With the robot's joints in their order; None where names do not tell them."""
+    if not joints or not group.labels:
         return None
-    units = guessed_units(read_mapping(text), table)
-    time = chosen["t"].source if "t" in chosen else ""
-    return _every_group(_text(chosen, units), time, names), tuple(units.values())
+    try:
+        return group.in_order(in_robot_order(group.labels, joints, "")[0])
+    except LogError:
+        return None
 
 
 def _text(chosen: Mapping[str, _Group], units: Mapping[str, str]) -> str:
-    return ",".join(f"{k}={g.source} {units.get(k, '')}".strip() for k, g in chosen.items())
+    """As --columns takes it; units from the names, or else these."""
+    return ",".join(
+        f"{key}={_written(group.names)} {group.written_unit or units.get(key, '')}".strip()
+        for key, group in chosen.items()
+    )
+
+
+def _written(names: Sequence[str]) -> str:
+    """Columns as a mapping writes them: quoted if need be."""
+    quoted = [f"'{n}'" if re.search(r"[\s,=\[\]()*-]", n) else n for n in names]
+    return quoted[0] if len(names) == 1 else f"[{', '.join(quoted)}]"
 
 
 def _every_group(text: str, time: str, names: list[str]) -> str:
@@ -86,7 +137,7 @@ def _every_group(text: str, time: str, names: list[str]) -> str:
     group = re.match(r"(.*?)\d+([/.].*)", time)
     if group is None:
         return text
-    before, after = (re.escape(part.split(" ")[0]) for part in group.groups())
+    before, after = (re.escape(part) for part in group.groups())
     if sum(re.fullmatch(rf"{before}\d+{after}", name) is not None for name in names) < 2:
         return text
     number = time[len(group[1]) : len(time) - len(group[2])]
@@ -99,41 +150,13 @@ def _own(table: Table, key: str) -> bool:
     )
 
 
-def _words(name: str) -> list[str]:
-    apart = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"\d+", " ", name))
-    return [word.lower() for word in re.split(r"[^A-Za-z]+", apart) if word]
-
-
-def _kind(words: Iterable[str]) -> str | None:
-    words = list(words)
-    for key, pattern in _WORDS.items():
-        if any(re.fullmatch(pattern, word) for word in words):
-            return key
-    return None
-
-
-def _score(words: list[str]) -> float:
-    wanted = sum(bool(_WANTED.fullmatch(word)) for word in words)
-    wanted += any(_PLAIN.fullmatch(word) for word in words)
-    return wanted - 2 * sum(bool(_UNWANTED.fullmatch(word)) for word in words) - 0.01 * len(words)
-
-
-def _written(names: list[str], key: str) -> str:
-    """The source as a mapping writes it: quoted if need be, with the unit that the name says."""
-    quoted = [f"'{n}'" if re.search(r"[\s,\"=\[\]()*-]", n) else n for n in names]
-    said = [word.lower() for word in re.split(r"[^A-Za-z]+", names[0])]
-    unit = next((_UNITS[key][word] for word in said if word in _UNITS[key]), None)
-    source = quoted[0] if len(names) == 1 else f"[{', '.join(quoted)}]"
-    return f"{source} {unit}" if unit else source
-
-
 def _singles(names: list[str]) -> list[_Group]:
     """Columns that may be the time."""
     found = []
     for name in names:
-        words = _words(name.rsplit("/", 1)[-1])
-        if _kind(words) == "t" and not re.search(r"\d", name.rsplit("/", 1)[-1]):
-            found.append(_Group(_written([name], "t"), "t", 1, _score(_words(name))))
+        last = name.rsplit("/", 1)[-1]
+        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
+            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
     return found
 
 
@@ -146,50 +169,62 @@ def _arrays(table: Table, names: list[str]) -> list[_Group]:
             continue
         if shape and 1 in shape:
             continue
-        words = _words(name)
-        key = _kind(reversed(words)) if words else None
-        if key in (None, "t"):
+        words = words_of(name)
+        key = quantity_of(reversed(words)) if words else None
+        if key is None or key == "t":
             continue
         joints = min((k for k in shape or () if k > 0), default=0)
-        found.append(_Group(_written([name], str(key)), str(key), joints, 0.5 + _score(words)))
+        found.append(_Group((name,), key, joints, 0.5 + looks_measured(words)))
     return found
 
 
 def _numbered(names: list[str]) -> list[_Group]:
     """Columns that differ in one number, which counts from 0 or 1."""
-    families: dict[tuple[str, str], set[int]] = {}
+    families: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         for m in re.finditer(r"\d+", name):
-            families.setdefault((name[: m.start()], name[m.end() :]), set()).add(int(m[0]))
+            families.setdefault((name[: m.start()], name[m.end() :]), {})[int(m[0])] = name
     found = []
-    for (before, after), numbers in families.items():
-        first = min(numbers)
-        if first > 1 or numbers != set(range(first, first + len(numbers))) or len(numbers) < 2:
+    for (before, after), members in families.items():
+        first, count = min(members), len(members)
+        if first > 1 or max(members) != first + count - 1 or count < 2:
             continue
-        words = _words(f"{before} {after}")
-        key = _kind(words)
-        if key in (None, "t"):
+        words = words_of(f"{before} {after}")
+        key = quantity_of(words)
+        if key is None or key == "t":
             continue
-        source = _written([f"{before}{{{'j' if first else 'j0'}}}{after}"], str(key))
-        found.append(_Group(source, str(key), len(numbers), _score(words)))
+        pattern = f"{before}{{{'j' if first else 'j0'}}}{after}"
+        columns = frozenset(members.values())
+        found.append(_Group((pattern,), key, count, looks_measured(words), columns=columns))
     return found
 
 
 def _named(names: list[str]) -> list[_Group]:
-    """Columns such as shoulder.pos, elbow.pos: what they have in common says what they are."""
-    families: dict[str, list[str]] = {}
+    """Columns such as shoulder.pos, `elbow act vel [deg/s]`: one quantity, joints by name."""
+    families: dict[tuple[str, ...], dict[str, str]] = {}
     for name in names:
-        first, last = (
-            re.fullmatch(p, name) for p in (r"([^._/ ]+)[._/ ].+", r".+[._/ ]([^._/ ]+)")
-        )
-        for part in {m[1] for m in (first, last) if m is not None}:
-            if _kind([part.lower()]) not in (None, "t"):
-                families.setdefault(part, []).append(name)
+        plain, unit = without_unit(name)
+        said = source_words(plain)
+        tokens = [p for p in re.split(r"[._/ ]+", plain) if p and p.lower() not in said]
+        while len(tokens) > 2 and is_unit_word(tokens[-1]):
+            unit = f"{tokens.pop()} {unit}"
+        for k in _quantities(tokens):
+            label = "_".join(tokens[:k] + tokens[k + 1 :])
+            families.setdefault((tokens[k], unit, *said), {})[label] = name
     found = []
-    for part, members in families.items():
-        if len(members) < 2 or _numbered(members):
+    for (part, *_), members in families.items():
+        columns = list(members.values())
+        if len(columns) < 2 or any(g.joints == len(columns) for g in _numbered(columns)):
             continue
-        key = str(_kind([part.lower()]))
-        score = _score(_words(members[0])) - 0.2
-        found.append(_Group(_written(members, key), key, len(members), score))
+        key, score = str(quantity_of([part.lower()])), looks_measured(words_of(columns[0])) - 0.2
+        labels = tuple(members)
+        found.append(_Group(tuple(columns), key, len(columns), score, labels, frozenset(columns)))
     return found
+
+
+def _quantities(tokens: Sequence[str]) -> list[int]:
+    """Which of the first and the last part of a name say what it is; `joint` only if no other."""
+    ends = sorted({0, len(tokens) - 1}) if len(tokens) > 1 else []
+    found = [k for k in ends if quantity_of([tokens[k].lower()]) not in (None, "t")]
+    others = [k for k in found if not re.fullmatch(r"joints?|state", tokens[k].lower())]
+    return others or found

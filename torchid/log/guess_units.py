@@ -1,7 +1,7 @@
 """Units of a proposed mapping whose columns' names say none, from the ranges of their numbers."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -16,28 +16,39 @@ _TURNS = 4 * math.pi
 """Angles beyond two turns are more likely degrees."""
 _COUNTS = 1000.0
 """Angles beyond this are neither."""
+_MILLI = (4e3, 1e6)
+"""Torques that most joints reach in mN m and, but for the largest robots, none does in N m; parts
+in a thousand of a rated torque, as drives send them, are less."""
 
 
-def guessed_units(mapping: ColumnMapping, table: Table) -> dict[str, str]:
-    """Units of t, q and dq by key, where the numbers are unlikely to be in ours."""
+def guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
+    """Units of t, q, dq and tau by key, where the numbers are unlikely to be in ours.
+
+    Args:
+        mapping: of the table.
+        keys: whose columns' names say no unit; of no others it is guessed.
+    """
     try:
-        return _guessed(mapping, table)
+        return _guessed(mapping, table, keys)
     except LogError:  # what cannot be read has its own error when it is read in earnest
         return {}
 
 
-def _guessed(mapping: ColumnMapping, table: Table) -> dict[str, str]:
+def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
     silent = {
         key: source
         for key, source in mapping.sources.items()
-        if source is not None and not source.unit and key in ("t", "q", "dq")
+        if source is not None and key in keys and key in ("t", "q", "dq", "tau")
     }
     pieces = {key: resolve(key, source, table) for key, source in silent.items()}
     arrays = table.read([piece.name for group in pieces.values() for piece in group])
     found: dict[str, str] = {}
     step = 1.0
     if "t" in silent:
-        step = float(np.median(np.diff(time_of(silent["t"], pieces["t"], arrays, table))))
+        steps = np.diff(time_of(silent["t"], pieces["t"], arrays, table))
+        if not len(steps):
+            return {}
+        step = float(np.median(steps))
         found["t"] = next((unit for most, unit in _STEPS.items() if abs(step) < most), "")
         step *= {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[found["t"]]
 
@@ -51,12 +62,17 @@ def _guessed(mapping: ColumnMapping, table: Table) -> dict[str, str]:
             found["q"] = "deg"
             if "dq" in silent and _follows(q, values("dq", silent["dq"], pieces["dq"]), step):
                 found["dq"] = "deg/s"
+    if "tau" in silent:
+        tau = values("tau", silent["tau"], pieces["tau"])
+        size = np.where(np.isfinite(tau), np.abs(tau), 0.0)
+        if len(tau) and _MILLI[0] < np.median(np.quantile(size, 0.99, axis=0)) < _MILLI[1]:
+            found["tau"] = "mNm"
     return {key: unit for key, unit in found.items() if unit}
 
 
 def _follows(q: np.ndarray, dq: np.ndarray, step: float) -> bool:
     """Whether dq is the derivative of q in the same angles, rather than in radians."""
-    if step <= 0 or dq.shape != q.shape or not np.isfinite(step):
+    if not 0 < step < math.inf or dq.shape != q.shape or len(q) < 2:
         return False
     own = float(np.abs(np.diff(q, axis=0)).mean()) / step
     return float(np.abs(dq).mean()) > own * math.sqrt(math.pi / 180)

@@ -56,6 +56,14 @@ def in_robot_order(
     )
 
 
+def known_joints(names: Sequence[str], joints: Sequence[str]) -> int:
+    """How many of the robot's joints are among the names of a recording."""
+    try:
+        return len(in_robot_order(names, joints, "")[0])
+    except LogError:
+        return sum(_fitting(joint, names) is not None for joint in joints)
+
+
 def _cut_short(found: Sequence[str], joints: Sequence[str], names: Sequence[str]) -> bool:
     """Whether names that are not quite the robot's leave out some of their kind: another robot."""
     kinds = {re.sub(r"\d+", "#", name) for name in found if "#" in re.sub(r"\d+", "#", name)}

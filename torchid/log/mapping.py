@@ -7,7 +7,8 @@ As text, entries are separated by commas:
 An entry is KEY=SOURCE, with a minus before the source for the other sign, a unit after it, and a
 factor `*0.001` (or ` /1000`) at the end; `*[1,-1,1]` is one factor a joint. A source is
 
-    pos_{j}                one column a joint, counted from 1; {j0} from 0, {2..7} these numbers
+    pos_{j}                one column a joint, counted from 1; {j0} from 0, {2..7} these numbers,
+                           {3,1,2} these in this order
     joint_pos              an array (samples, joints), or a column
     state[:,0:7]           some columns of an array, counted from 0 as in Python
     [shoulder, elbow]      named columns, in the robot's order
@@ -111,7 +112,7 @@ def _load(path: Path) -> Mapping[str, Any]:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise LogError(
-            f"the column mapping '{path}' cannot be read.", got=str(error).splitlines()[0]
+            f"the column mapping '{path}' cannot be read.", got=_where_and_why(error)
         ) from error
     if not isinstance(content, Mapping):
         raise LogError(
@@ -120,6 +121,16 @@ def _load(path: Path) -> Mapping[str, Any]:
             expected="lines such as `q: pos_{j} deg`",
         )
     return content
+
+
+def _where_and_why(error: Exception) -> str:
+    """One line: where a yaml file is wrong, and what is wrong there."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return str(error).splitlines()[0]
+    text = f"line {error.problem_mark.line + 1}: {error.problem}"
+    if error.context is None or error.context_mark is None:
+        return text
+    return f"{text}, {error.context} that begins in line {error.context_mark.line + 1}"
 
 
 def _from_dict(content: Mapping[str, Any], name: str) -> ColumnMapping:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.errors import LogError
@@ -12,10 +13,11 @@ from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
+from torchid.log.limits import beyond_limits
 from torchid.log.mapping import Source
 from torchid.log.model import JOINT_SIGNALS, Log
-from torchid.log.readers import open_log
-from torchid.log.sampling import SMALL_GAP
+from torchid.log.readers import open_logs
+from torchid.log.sampling import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor
@@ -40,7 +42,7 @@ class Timing:
         start: first time stamp [s].
         duration: from first to last [s].
         rate: of the mean step other than gaps [Hz]; None where that is not positive.
-        jitter: standard deviation of the steps other than gaps [s].
+        jitter: standard deviation of the steps other than gaps [s]; 0 where it is rounding.
         gaps: number of steps longer than three median steps.
         longest: step [s].
         backwards: number of steps that are zero or negative.
@@ -71,7 +73,7 @@ class Overview:
         ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
         unused: columns of the first file that were not taken.
         problem: why the identification would refuse the log, or None.
-        warnings: of reading, and of `check_log`.
+        warnings: of reading, of `check_log`, and of `beyond_limits`.
     """
 
     log: Log
@@ -92,6 +94,7 @@ def look_at(
     *,
     robot_name: str | None = None,
     position_limits: Float[Tensor, "n 2"] | None = None,
+    torque_limits: Float[Tensor, "n 2"] | None = None,
     prismatic: Sequence[bool] = (),
 ) -> Overview:
     """Read logs and say what is in them.
@@ -102,11 +105,12 @@ def look_at(
         robot_name: of the robot they are checked for; without it they are checked as far as that
             goes.
         position_limits, prismatic: as for `check_log`.
+        torque_limits: as for `beyond_limits`.
 
     Raises:
         LogError: the files cannot be read.
     """
-    opened = [open_log(path, request) for path in paths]
+    opened = open_logs(paths, request)
     log = Log.concatenate([one for _, one in opened])
     tables = tuple(table for table, _ in opened)
     n = len(request.joints) or log.n
@@ -122,6 +126,8 @@ def look_at(
         )
     except LogError as error:
         problem = str(error)
+    if log.n == n:
+        found += beyond_limits(log, position_limits=position_limits, torque_limits=torque_limits)
     joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())
     return Overview(
         log=log,
@@ -221,13 +227,16 @@ def _timing(log: Log, k: int) -> Timing:
     median = float(steps.median())
     gap = steps > SMALL_GAP * median
     usual = steps[~gap]
+    jitter = float(usual.std(correction=0)) if len(usual) else 0.0
+    # Stamps far from zero are rounded.
+    rounding = max(ROUNDING * median, float(np.spacing(float(t.abs().max()))))
     return Timing(
         name=log.names[k],
         samples=len(t),
         start=float(t[0]),
         duration=float(t[-1] - t[0]),
         rate=1.0 / float(usual.mean()) if median > 0 else None,
-        jitter=float(usual.std(correction=0)) if len(usual) else 0.0,
+        jitter=0.0 if jitter < rounding else jitter,
         gaps=int(gap.sum()) if median > 0 else 0,
         longest=float(steps.max()),
         backwards=int((steps <= 0).sum()),

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from torchid.errors import LogError
 from torchid.files import atomic_write
-from torchid.log.assemble import log_from_table
+from torchid.log.assemble import log_from_table, one_for_all, with_hint
 from torchid.log.columns import Columns, columns_of, log_from_columns
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
@@ -27,6 +27,7 @@ from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
 from torchid.log.model import Log
 from torchid.log.ros import bag_table, is_bag_folder
+from torchid.log.sources import AbsentColumnError
 from torchid.log.table import Request, Table
 
 Reader = Callable[[Path], Log]
@@ -73,7 +74,22 @@ def read_log(
         raise LogError("no log is given.", expected="at least one file", available=_suffixes())
     mapping = None if columns is None else read_mapping(columns)
     request = Request(mapping, topic, tuple(joints))
-    return Log.concatenate([open_log(Path(file), request)[1] for file in files])
+    return Log.concatenate([log for _, log in open_logs([Path(f) for f in files], request)])
+
+
+def open_logs(paths: Sequence[Path], request: Request) -> list[tuple[Table | None, Log]]:
+    """Several files or folders, each as `open_log` does.
+
+    Raises:
+        As `read_log`; where one of several does not have what the others' mapping names, with
+        the way out.
+    """
+    try:
+        return [open_log(path, request) for path in paths]
+    except AbsentColumnError as error:
+        if len(paths) == 1:
+            raise
+        raise with_hint(error, one_for_all("--columns")) from None
 
 
 def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
@@ -90,8 +106,12 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
             return None, _READERS[found](path)
         table = found(path, request)
         if request.topic is not None and table.topic is None:
-            raise LogError(f"'{path}' is no bag: it has no topics.", got=f"--topic {request.topic}")
-        return table, log_from_table(table, request.columns)
+            raise LogError(
+                f"'{path}' is no bag: it has no topics.",
+                got=f"--topic {request.topic}",
+                hint=one_for_all("--topic"),
+            )
+        return table, log_from_table(table, request.columns, request.joints)
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
 

@@ -6,31 +6,52 @@ sensor_msgs/JointState is read: its header's stamp is the time, its effort the t
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from torchid.errors import LogError, MissingExtraError
-from torchid.log.joint_names import in_robot_order
+from torchid.log.joint_names import known_joints
 from torchid.log.joint_states import JointState, joint_columns_of
 from torchid.log.table import Request, Table
+from torchid.log.words import looks_measured, words_of
 
 _TYPE = "sensor_msgs/msg/JointState"
+_SIGNALS = ("position", "velocity", "effort")
+_LOOKED_AT = 10  # messages of a topic, to see what it has: the first may be incomplete
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag: name, type, number of messages, joints of its first message."""
+    """A topic of a bag.
+
+    Attributes:
+        name, type: as the bag has them.
+        messages: number of them.
+        joints: of its first message, where they are joint states.
+        signals: position, velocity, effort, as far as its first messages have them.
+    """
 
     name: str
     type: str
     messages: int
     joints: tuple[str, ...] = ()
+    signals: tuple[str, ...] = ()
 
     def __str__(self) -> str:
+        return self.described()
+
+    def described(self, robot_joints: Sequence[str] = ()) -> str:
+        """For an error message; with a robot, how many of its joints are there."""
         text = f"{self.name} ({self.type}, {self.messages} messages"
-        return text + (f": {', '.join(self.joints)})" if self.joints else ")")
+        if self.joints:
+            text += f" with {', '.join(self.signals) or 'names'}: {', '.join(self.joints)}"
+        if self.joints and robot_joints:
+            known = known_joints(self.joints, robot_joints)
+            text += f"; {known} of the robot's {len(robot_joints)} joints"
+        return text + ")"
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -107,9 +128,18 @@ def _opened(path: Path) -> Iterator[Any]:
 def _topics(bag: Any) -> tuple[Topic, ...]:
     found = []
     for name, info in bag.topics.items():
-        joints = next(_messages(bag, name)).names if _is_joint_state(info) and info.msgcount else ()
-        found.append(Topic(name, info.msgtype or "several types", info.msgcount, joints))
+        messages = _messages(bag, name) if _is_joint_state(info) else iter(())
+        first = list(islice(messages, _LOOKED_AT))
+        signals = tuple(s for s in _SIGNALS if any(_has_signal(m, s) for m in first))
+        joints = first[0].names if first else ()
+        found.append(Topic(name, info.msgtype or "several types", info.msgcount, joints, signals))
     return tuple(sorted(found, key=lambda topic: (topic.type != _TYPE, topic.name)))
+
+
+def _has_signal(message: JointState, signal: str) -> bool:
+    """Whether a message has numbers, one a joint."""
+    values = getattr(message, signal)
+    return len(values) == len(message.names) > 0 and not bool(np.isnan(values).all())
 
 
 def _is_joint_state(info: Any) -> bool:
@@ -132,22 +162,28 @@ def _chosen(bag: Any, path: Path, request: Request) -> Topic:
     if not states:
         raise LogError(f"'{path}' has no joint states.", expected=_TYPE, available=topics or None)
     if len(states) > 1 and request.joints:
-        states = [topic for topic in states if _has(topic, request.joints)] or states
+        n = len(request.joints)
+        states = [t for t in states if known_joints(t.joints, request.joints) == n] or states
     if len(states) > 1:
-        raise LogError(
-            f"'{path}' has several topics of joint states.",
-            available=states,
-            hint=f"choose one: --topic {states[0].name}",
-        )
+        raise _several(path, states, request.joints)
     return states[0]
 
 
-def _has(topic: Topic, joints: Sequence[str]) -> bool:
-    try:
-        in_robot_order(topic.joints, joints, "")
-    except LogError:
-        return False
-    return True
+def _several(path: Path, topics: Sequence[Topic], joints: Sequence[str]) -> LogError:
+    """What each topic has, and which one is probably meant."""
+
+    def merit(topic: Topic) -> tuple[float, ...]:
+        known = known_joints(topic.joints, joints) if joints else 0
+        measured = looks_measured(words_of(topic.name))
+        return known, "effort" in topic.signals, measured, len(topic.joints), topic.messages
+
+    best = max(topics, key=merit)
+    only = sum("effort" in topic.signals for topic in topics) == 1 and "effort" in best.signals
+    return LogError(
+        f"'{path}' has several topics of joint states.",
+        available=[topic.described(joints) for topic in topics],
+        hint=f"choose one: --topic {best.name}" + (", the only one with effort" if only else ""),
+    )
 
 
 def _messages(bag: Any, topic: str) -> Iterator[JointState]:

@@ -8,15 +8,19 @@ from difflib import get_close_matches
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import sample_of
+from torchid.log.columns import sample_of, some
 from torchid.log.mapping import Source
 from torchid.log.table import Table, natural
 
-_NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+)\}")
+_NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+|\d+(?:\s*,\s*\d+)+)\}")
 _INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
 _EXACT = 2**53  # larger whole numbers are not all floats
 
 Index = slice | list[int]
+
+
+class AbsentColumnError(LogError):
+    """A mapping names what the table does not have."""
 
 
 @dataclass(frozen=True)
@@ -86,40 +90,54 @@ def _index(text: str) -> Index | None:
 
 
 def _numbered(key: str, text: str, numbers: str, table: Table) -> list[str]:
-    """The columns of a pattern with {j}, {j0} or {2..7}."""
+    """The columns of a pattern with {j}, {j0}, {2..7} or {3,1,2}."""
     parts = [re.escape(part) for part in _NUMBERED.sub("\0", text).split("\0")]
     # The same number wherever it stands; leading zeros do not matter.
     pattern = re.compile(r"0*(\d+)".join(parts[:2]) + "".join(r"0*\1" + p for p in parts[2:]))
     found = {int(m[1]): name for name in table.columns if (m := pattern.fullmatch(name))}
+    counted = numbers in ("j", "j0")
     if ".." in numbers:
         first, last = (int(part) for part in numbers.split(".."))
         wanted = list(range(first, last + 1))
-    else:
+    elif counted:
         start = 1 if numbers == "j" else 0
         wanted = list(range(start, start + len(found)))
-    if not found or not wanted or not all(k in found for k in wanted):
+    else:
+        wanted = [int(part) for part in numbers.split(",")]
+        if len(set(wanted)) < len(wanted):
+            raise LogError(f"--columns: {key} names a column twice.", got=text)
+    missing = [k for k in wanted if k not in found]
+    if missing or not wanted:
         got = sorted(found.values(), key=natural)
         hint = None
         if 0 in found and numbers == "j":
             hint = f"{{j0}} counts from 0: {key}={text.replace('{j}', '{j0}')}"
-        elif found and ".." not in numbers:
+        elif found and counted:
             ks = sorted(found)
-            hint = f"a range picks some: {_NUMBERED.sub(f'{{{ks[0]}..{ks[-1]}}}', text)}"
-        raise _absent(key, text, table, got=", ".join(got[:20]) or None, hint=hint)
+            picked = ",".join(map(str, ks)) if ks[-1] - ks[0] >= len(ks) else f"{ks[0]}..{ks[-1]}"
+            hint = f"numbers in braces pick some: {_NUMBERED.sub(f'{{{picked}}}', text)}"
+        absent = [_NUMBERED.sub(str(k), text) for k in missing] if found else []
+        raise _absent(key, text, table, got=", ".join(got[:20]) or None, hint=hint, missing=absent)
     return [found[k] for k in wanted]
 
 
 def _absent(
-    key: str, text: str, table: Table, got: str | None = None, hint: str | None = None
-) -> LogError:
+    key: str,
+    text: str,
+    table: Table,
+    got: str | None = None,
+    hint: str | None = None,
+    missing: Sequence[str] = (),
+) -> AbsentColumnError:
     plain = {re.sub(r"\d+", "", name).lower(): name for name in table.columns}
     wanted = re.sub(r"\d+", "", _NUMBERED.sub("", text)).lower()
     near = [plain[name] for name in get_close_matches(wanted, list(plain), n=3, cutoff=0.5)]
     if near and hint is None:
         hint = f"nearest: {', '.join(near)}"
     what = f"no columns {text} in order" if _NUMBERED.search(text) else f"no column '{text}'"
-    return LogError(
-        f"'{table.path}' has {what}, which the mapping of {key} names.",
+    return AbsentColumnError(
+        f"'{table.path}' has {what}, which the mapping of {key} names"
+        + (f": {', '.join(some(missing, 5))} missing." if missing else "."),
         got=got,
         available=table.described,
         hint=hint,

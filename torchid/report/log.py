@@ -49,12 +49,14 @@ def log_tables(seen: Overview) -> list[Table]:
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
     table = compact("topics")
-    for heading in ("", "topic", "type", "messages", "joints"):
+    for heading in ("", "topic", "type", "messages", "with", "joints"):
         table.add_column(heading)
     for topic in topics:
         mark = "read" if topic.name == read else ""
         joints = ", ".join(topic.joints)
-        table.add_row(mark, escape(topic.name), topic.type, str(topic.messages), escape(joints))
+        kind, signals = topic.type.replace("/msg/", "/"), ", ".join(topic.signals)
+        cells = (kind, str(topic.messages), signals, escape(joints))
+        table.add_row(mark, escape(topic.name), *cells)
     return table
 
 
