@@ -29,7 +29,7 @@ def descend(
     """The best iterate of each restart under Adam, (restarts, n, L).
 
     Args:
-        start: the restarts, within the limits.
+        start: the restarts, within the limits of motion.
         limits: to which every candidate is scaled.
         cost: of trajectories at times t, (restarts,), differentiable.
         iterations: of Adam.

@@ -201,8 +201,7 @@ def optimise_trajectory(
         duration=duration,
         ramp=ramp,
     )
-    if torque is not None:
-        start = torque.within(start)
+    given = start if torque is None else torque.within(start)
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         motion = trajectory.at(t).to(device)
@@ -218,12 +217,12 @@ def optimise_trajectory(
         return condition_number(robot, base, motion, weights, effects=effects)
 
     found = descend(start, limits, cost, iterations, progress, torque)
-    before = [condition(start.select(k)) for k in range(restarts)]
+    before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
-    candidates = [x.select(k) for x in (start, found) for k in range(restarts)]
+    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     with torch.no_grad():
-        costs = torch.cat([cost(start, t), cost(found, t)])
+        costs = torch.cat([cost(given, t), cost(found, t)])
     best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
     return Excitation(
         best,

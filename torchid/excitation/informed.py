@@ -110,8 +110,7 @@ def design_for(
     # The plain design is a start too: the result is never worse than it.
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)
     start = _with_last(random, plain.trajectory)
-    if torque is not None:
-        start = torque.within(start)
+    given = start if torque is None else torque.within(start)
     targets = least_known(prior) if goal == "a_optimal" else torch.ones(len(prior.base)).bool()
 
     def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
@@ -120,8 +119,8 @@ def design_for(
     found = descend(start, limits, cost, iterations, progress, torque)
     t = _times(prior, duration)
     with torch.no_grad():
-        costs = torch.cat([cost(x, t) for x in (start, found)])
-    candidates = [x.select(k) for x in (start, found) for k in range(restarts)]
+        costs = torch.cat([cost(x, t) for x in (given, found)])
+    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
     return InformedDesign(
         best,
