@@ -33,7 +33,7 @@ MARGIN = 0.01
 
 NOMINAL = "nominal parameters"
 
-_PENALTY = 10.0  # beside the logarithm of a condition number, for torque of twice its limit
+_PENALTY = 2.0  # beside the logarithm of a condition number, for torque of twice its limit
 _SEARCH_MARGIN = 0.02  # the search's instants are further apart
 _SEARCH_SAMPLES = 150
 _RATE = 100.0  # [Hz] at least, of the instants that torque is checked at
