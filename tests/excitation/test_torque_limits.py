@@ -193,7 +193,7 @@ def test_a_separating_motion_keeps_them_by_the_corrected_model():
     given = (ViscousFriction(1), [0.5])
     noise = torch.full((3,), 0.1)
     setting = Setting(robot, (given,), base_parameters(robot), noise, 20.0, 8.0)
-    pair = Rival(Explanation((CoulombFriction(1),), (0.5,)), (((ViscousFriction(1)),),), "viscous")
+    pair = Rival(Explanation((CoulombFriction(1),), (0.5,)), ((ViscousFriction(1),),), "viscous")
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
     found = design_separation(setting, [pair], plain, seed=0, evaluations=48)
     for trajectory in (found.trajectory, found.plain):

@@ -40,6 +40,10 @@ def descend(
     Raises:
         RobotError: no motion keeps the torque limits.
     """
+    if torque is not None:
+        # One half of the searches comes from within the torque limits, the other from beyond.
+        half = torch.arange(len(start.q0)) % 2 == 1
+        start = _merge(half, torque.within(start), start)
     middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
     # Directions (a, b) have any size: the scale to the limits takes it out again.
     size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
