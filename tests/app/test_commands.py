@@ -4,9 +4,17 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
+
+from torchid.effects.base import Motion
+from torchid.excitation.synthetic import nominal_torque
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+from torchid.robot.writer import write_robot
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -173,6 +181,56 @@ def test_excite_kinds(command, tmp_path, kind):
     from torchid.log.readers import read_log
 
     assert read_log(target).trajectory_count == (3 if kind == "paper" else 2)
+
+
+@pytest.fixture
+def weak_arm(tmp_path):
+    """weak_arm(limits) -> a yaml of the 3R with torque limits."""
+
+    def made(*limits: float) -> Path:
+        robot = load_robot("3r_friction")
+        upper = torch.tensor(limits, dtype=torch.float64)
+        torque = torch.stack([-upper, upper], -1)
+        robot = replace(robot, limits=replace(robot.limits, torque=torque))
+        write_robot(robot, tmp_path / "weak.yaml")
+        return tmp_path / "weak.yaml"
+
+    return made
+
+
+@pytest.mark.parametrize("kind", ["optimised", "random", "sinusoid", "paper"])
+def test_excite_says_what_it_asks_of_the_drives(command, weak_arm, tmp_path, kind):
+    arm, target, data = weak_arm(0.6, 3, 0.8), tmp_path / "m.csv", tmp_path / "m.json"
+    done = command("excite", arm, "--kind", kind, "--restarts", 1, "--to", target, "--json", data)
+    assert done.code == 0, done.err
+    assert "largest torque, by the nominal parameters" in done.out
+    said = json.loads(data.read_text())["torque"]
+    assert (said["checked"], said["model"]) == (True, "nominal parameters")
+    shares = [joint["share"] for joint in said["joints"]]
+    log = read_log(target)
+    tau = nominal_torque(load_robot(arm), Motion(log.q, log.dq, log.ddq)).abs().amax(0)
+    limits = [joint["limit"][1] for joint in said["joints"]]
+    assert limits == [0.6, 3, 0.8]
+    assert (tau / torch.tensor(limits)).tolist() == pytest.approx(shares, rel=0.02)
+    # Table 5.1 is printed as it is, whatever the arm.
+    assert (max(shares) < 1) == (kind != "paper")
+
+
+def test_excite_beyond_every_drive_writes_nothing(command, weak_arm, tmp_path):
+    done = command("excite", weak_arm(0.6, 3, 0.1), "--out", tmp_path / "out")
+    assert done.code == 1
+    assert "no motion keeps the torque limit of joint 3" in done.err
+    assert not list((tmp_path / "out").glob("*"))
+
+
+@pytest.mark.parametrize(("robot", "limited"), [("ur10e", True), ("3r", False)])
+def test_excite_says_that_torque_limits_were_not_checked(command, tmp_path, robot, limited):
+    data = tmp_path / "m.json"
+    done = command("excite", robot, "--kind", "random", "--json", data)
+    assert done.code == 0, done.err
+    said = json.loads(data.read_text())["torque"]
+    assert said["checked"] is False
+    assert ("not checked" in done.out) == ("no inertial parameters" in said["reason"]) == limited
 
 
 def test_simulate_paper_noise_leaves_no_error(command, tmp_path):

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.excite_for import designed_for, robot_of_result
+from torchid.app.excite_for import designed_for, robot_of_result, torque_use
 from torchid.app.options import (
     Device,
     Json,
@@ -24,7 +24,7 @@ from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
-    from torchid.excitation.trajectories import Sinusoid
+    from torchid.excitation.torque import TorqueLimits
     from torchid.log.model import Log
     from torchid.robot.model import Robot
 
@@ -91,6 +91,8 @@ def excite_command(
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
+    Torque limits are kept by the robot's parameters, or those that RESULT holds, if there are any.
+
     Example: `torchid excite kuka_lwr4 --out motion`
 
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
@@ -106,8 +108,11 @@ def excite_command(
     if result is not None:
         _refuse(kind, count)
         found = robot_of_result(result, given, max_velocity, max_acceleration)
-        best, record = designed_for(result, found, seed, criterion, restarts, settings, output)
-        record = {**record, "result": result.name, "trajectories": _coefficients([best])}
+        best, record, torque = designed_for(
+            result, found, seed, criterion, restarts, settings, output
+        )
+        record |= {"result": result.name, "trajectories": _coefficients([best])}
+        record |= torque_use(found, torque, [best], output)
         _finish(found, "next", [trajectory_log(best, rate)], record, target, output)
         return
     if given is None:
@@ -119,11 +124,12 @@ def excite_command(
             "criterion": criterion or "condition",
             "device": device(device_name),
         }
-        trajectories, record = _optimised(
+        trajectories, record, torque = _optimised(
             found, effect_names(effects), seed, count, design | settings, output
         )
     else:
-        trajectories, record = _given(found, kind, seed, count, settings)
+        trajectories, record, torque = _given(found, kind, seed, count, settings)
+    record |= torque_use(found, torque, trajectories, output)
     logs = [trajectory_log(t, rate) for t in trajectories]
     _finish(found, kind, logs, record, target, output)
 
@@ -137,28 +143,33 @@ def _refuse(kind: str, count: int) -> None:
 
 def _given(
     robot: "Robot", kind: str, seed: int, count: int, settings: dict[str, Any]
-) -> tuple[list[Any], dict[str, Any]]:
+) -> "tuple[list[Any], dict[str, Any], TorqueLimits | None]":
+    from torchid.excitation.torque import nominal_torque_limits
     from torchid.excitation.trajectories import (
         paper_trajectories_3r,
         random_trajectory,
         sinusoid,
     )
 
+    torque = nominal_torque_limits(robot, usage=settings["usage"])
     if kind == "sinusoid":
-        made: list[FourierTrajectory | Sinusoid] = [
+        made = [
             sinusoid(robot, seed + k, duration=settings["duration"], usage=settings["usage"])
             for k in range(count)
         ]
-        return made, {}
+        return [torque.within(x) for x in made] if torque else made, {}, torque
     if kind == "paper":
         if not robot.name.startswith("3r"):
             raise TorchidError(
                 "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
             )
         series = paper_trajectories_3r()
-        return [series], {"trajectories": _coefficients([series.select(k) for k in range(3)])}
+        three = _coefficients([series.select(k) for k in range(3)])
+        return [series], {"trajectories": three}, torque
     series_list = [random_trajectory(robot, seed + k, fill=True, **settings) for k in range(count)]
-    return list(series_list), {"trajectories": _coefficients(series_list)}
+    if torque is not None:
+        series_list = [torque.within(x) for x in series_list]
+    return list(series_list), {"trajectories": _coefficients(series_list)}, torque
 
 
 def _optimised(
@@ -168,7 +179,7 @@ def _optimised(
     count: int,
     settings: dict[str, Any],
     output: Output,
-) -> tuple[list[Any], dict[str, Any]]:
+) -> "tuple[list[Any], dict[str, Any], TorqueLimits | None]":
     from torchid.effects.registry import on_every_joint
     from torchid.excitation.design import optimise_trajectory
 
@@ -194,12 +205,13 @@ def _optimised(
             f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
             f"-> {design.condition_after:.0f}"
         )
-    return [f.trajectory for f in found], {
+    record = {
         "criterion": settings["criterion"],
         "condition_number_before": [f.start_condition for f in found],
         "condition_number_after": [f.condition_after for f in found],
         "trajectories": _coefficients([f.trajectory for f in found]),
     }
+    return [f.trajectory for f in found], record, found[0].torque
 
 
 def _coefficients(series: "list[FourierTrajectory]") -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """`torchid excite --for RESULT`: the next motion, given what a result has told already."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,7 +11,11 @@ from torchid.json_data import read_json
 
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.torque import TorqueLimits
+    from torchid.excitation.trajectories import Sinusoid
     from torchid.robot.model import Robot
+
+    Designed = tuple[FourierTrajectory, dict[str, Any], TorqueLimits | None]
 
 EVALUATIONS = 75
 """Trajectories that the search for a separating motion tries a restart."""
@@ -65,8 +69,8 @@ def designed_for(
     restarts: int,
     settings: dict[str, Any],
     output: Output,
-) -> tuple["FourierTrajectory", dict[str, Any]]:
-    """The trajectory and its record, by the kind of the result.
+) -> "Designed":
+    """The trajectory, its record and the torque limits kept, by the kind of the result.
 
     Raises:
         TorchidError: a result that asks for no motion.
@@ -89,7 +93,7 @@ def _for_identification(
     restarts: int,
     settings: dict[str, Any],
     output: Output,
-) -> tuple["FourierTrajectory", dict[str, Any]]:
+) -> "Designed":
     from torchid.excitation.informed import design_for
     from torchid.identification.reading import read_prior
     from torchid.report.next_motion import informed_record, informed_table, informed_verdict
@@ -111,7 +115,7 @@ def _for_identification(
         )  # fmt: skip
     output.say(f"[bold]{informed_verdict(found)}[/]\n")
     output.say(informed_table(found))
-    return found.trajectory, informed_record(found)
+    return found.trajectory, informed_record(found), found.torque
 
 
 def _for_gap(
@@ -122,11 +126,12 @@ def _for_gap(
     restarts: int,
     settings: dict[str, Any],
     output: Output,
-) -> tuple["FourierTrajectory", dict[str, Any]]:
+) -> "Designed":
     from torchid.excitation.ambiguity import read_open
     from torchid.excitation.design import optimise_trajectory
     from torchid.excitation.rivals import rivals
     from torchid.excitation.separating_motion import design_separation
+    from torchid.excitation.torque import corrected_torque_limits
     from torchid.report.next_motion import (
         separation_record,
         separation_table,
@@ -134,19 +139,39 @@ def _for_gap(
     )
 
     found = read_open(path, data, robot)
+    model, given, usage = found.setting.robot, found.setting.given, settings["usage"]
+    torque = corrected_torque_limits(model, given, usage=usage)
     with progress_bar(output) as progress:
         plain = optimise_trajectory(
-            robot, seed=seed, restarts=restarts, **settings,
+            robot, seed=seed, restarts=restarts, torque=torque, **settings,
             progress=_stage(progress, "a plain motion to compare with"),
         ).trajectory  # fmt: skip
         made = design_separation(
-            found.setting, rivals(found, plain), plain, seed=seed, usage=settings["usage"],
+            found.setting, rivals(found, plain), plain, seed=seed, usage=usage,
             evaluations=EVALUATIONS * restarts, progress=_stage(progress, "separating"),
         )  # fmt: skip
     output.say(f"[bold]{separation_verdict(made, found.kind)}[/]\n")
     output.say(separation_table(made, found.kind))
     output.warn(found.notes)
-    return made.trajectory, {**separation_record(made, found.kind), "notes": list(found.notes)}
+    record = {**separation_record(made, found.kind), "notes": list(found.notes)}
+    return made.trajectory, record, made.torque
+
+
+def torque_use(
+    robot: "Robot",
+    torque: "TorqueLimits | None",
+    trajectories: "Sequence[FourierTrajectory | Sinusoid]",
+    output: Output,
+) -> dict[str, Any]:
+    """Prints what motions ask of the drives, or that it is not known, and gives its record."""
+    from torchid.report.torque_limits import not_checked, torque_record, torque_table
+
+    use = None if torque is None else torque.use(trajectories)
+    if use is not None:
+        output.say(torque_table(robot, use))
+    elif reason := not_checked(robot):
+        output.warn((reason,))
+    return {"torque": torque_record(robot, use)}
 
 
 def _stage(progress: Any, stage: str) -> Any:

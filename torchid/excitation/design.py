@@ -3,13 +3,13 @@
 The error of least squares grows with the condition number of the weighted stacked regressor of the
 base parameters, W Y1 (eq. 2.19, section 2.2), and its covariance is sigma^2 (Y1' W^2 Y1)^-1. Both
 are functions of the trajectory's coefficients, through the closed form of the regressor, so they
-are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits: a
-candidate is first scaled, joint by joint, until it touches them, and the scale is part of what is
-differentiated.
+are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits of
+motion: a candidate is first scaled, joint by joint, until it touches them, and the scale is part of
+what is differentiated. For torque limits see `torque`.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,8 +18,10 @@ from torch import Tensor
 
 from torchid.effects.base import JointEffect, Motion
 from torchid.errors import IdentificationError, TorchidError
+from torchid.excitation.descent import Progress, descend
 from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
-from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
+from torchid.excitation.limits import motion_limits
+from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.base_parameters import (
     BaseParameters,
@@ -30,12 +32,7 @@ from torchid.robot.model import Robot
 from torchid.typing import Float
 
 Criterion = Literal["condition", "d_optimal"]
-Progress = Callable[[int, int], None]
-
-_SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
 _RATE = 50.0  # [Hz], for the condition numbers that are reported
-_LEARNING_RATE = 0.1
-_CENTRE_SHARE = 0.9  # of the half range that q0 may use, so that no scale is lost to 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +47,7 @@ class Excitation:
         criterion: what was improved, `condition` or `d_optimal`.
         base: the base parameters it was designed for.
         warnings: sentences for the user.
+        torque: the torque limits kept; None where there are none, or no model.
     """
 
     trajectory: FourierTrajectory
@@ -58,6 +56,7 @@ class Excitation:
     criterion: Criterion
     base: BaseParameters
     warnings: tuple[str, ...]
+    torque: TorqueLimits | None = None
 
     @property
     def start_condition(self) -> float:
@@ -147,6 +146,7 @@ def optimise_trajectory(
     iterations: int = 250,
     weights: Float[Tensor, " n"] | None = None,
     usage: float = 1.0,
+    torque: TorqueLimits | None = None,
     harmonics: int = HARMONICS,
     w_f: float = BASE_PULSATION,
     duration: float = 20.0,
@@ -166,12 +166,14 @@ def optimise_trajectory(
         iterations: of Adam.
         weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
         usage: share of the limits that may be used.
+        torque: limits to keep too; by default the robot's, by its nominal parameters, if any.
         harmonics, w_f, duration, ramp: see FourierTrajectory.
         device: where regressors are evaluated; the trajectories stay on the CPU.
         progress: called with (iterations done, all iterations).
 
     Raises:
-        RobotError: the limits are incomplete, see `motion_limits`.
+        RobotError: the limits are incomplete, see `motion_limits`, or no motion keeps the torque
+            limits.
         TorchidError: unknown criterion, or no restarts.
         IdentificationError: the trajectories have fewer torques than base parameters.
     """
@@ -185,6 +187,7 @@ def optimise_trajectory(
             got=f"{restarts} restarts, {iterations} iterations",
         )
     limits = motion_limits(robot, usage=usage)
+    torque = torque or nominal_torque_limits(robot, usage=usage)
     base = base_parameters(robot, effects)
     weights = row_weights(robot) if weights is None else weights
     start = random_trajectory(
@@ -198,6 +201,7 @@ def optimise_trajectory(
         duration=duration,
         ramp=ramp,
     )
+    given = start if torque is None else torque.within(start)
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         motion = trajectory.at(t).to(device)
@@ -212,13 +216,13 @@ def optimise_trajectory(
         motion = trajectory.sample(_RATE).motion
         return condition_number(robot, base, motion, weights, effects=effects)
 
-    found = descend(start, limits, cost, iterations, progress)
-    before = [condition(start.select(k)) for k in range(restarts)]
+    found = descend(start, limits, cost, iterations, progress, torque)
+    before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
-    candidates = [x.select(k) for x in (start, found) for k in range(restarts)]
+    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     with torch.no_grad():
-        costs = torch.cat([cost(start, t), cost(found, t)])
+        costs = torch.cat([cost(given, t), cost(found, t)])
     best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
     return Excitation(
         best,
@@ -227,6 +231,7 @@ def optimise_trajectory(
         criterion,
         base,
         tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
+        torque,
     )
 
 
@@ -238,74 +243,3 @@ def _cost(information: Float[Tensor, "K B B"], criterion: Criterion) -> Float[Te
     if criterion == "condition":
         return (values[:, -1].log() - values[:, 0].log()) / 2
     return -values.log().mean(-1) / 2
-
-
-def descend(
-    start: FourierTrajectory,
-    limits: MotionLimits,
-    cost: Callable[[FourierTrajectory, Tensor], Tensor],
-    iterations: int,
-    progress: Progress | None,
-) -> FourierTrajectory:
-    """The best iterate of each restart under Adam, (restarts, n, L).
-
-    Args:
-        start: the restarts, within the limits.
-        limits: to which every candidate is scaled.
-        cost: of trajectories at times t, (restarts,), differentiable.
-        iterations: of Adam.
-        progress: called with (iterations done, all iterations).
-    """
-    middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
-    # Directions (a, b) have any size: the scale to the limits takes it out again.
-    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
-    shape = (start.coefficients / size).clone().requires_grad_()
-    place = torch.atanh(((start.q0 - middle) / reach).clamp(-0.99, 0.99)).requires_grad_()
-    optimiser = torch.optim.Adam([shape, place], lr=_LEARNING_RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, iterations))
-    t = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) * (start.duration / _SAMPLES)
-
-    def candidate() -> FourierTrajectory:
-        a, b = shape.chunk(2, -1)
-        raw = FourierTrajectory(
-            a,
-            b,
-            middle + reach * torch.tanh(place),
-            start.w_f,
-            start.duration,
-            start.ramp,
-            start.warnings,
-        )
-        return raw.scaled(largest_scale(raw, limits))
-
-    lowest = torch.full((start.q0.shape[0],), math.inf, dtype=torch.float64)
-    best = start
-    for done in range(1, iterations + 1):
-        optimiser.zero_grad()
-        now = candidate()
-        costs = cost(now, t)
-        better = costs.detach() < lowest
-        lowest = torch.where(better, costs.detach(), lowest)
-        best = _merge(better, now, best)
-        costs.sum().backward()
-        optimiser.step()
-        schedule.step()
-        if progress is not None:
-            progress(done, iterations)
-    return best
-
-
-def _merge(
-    chosen: Tensor, first: FourierTrajectory, second: FourierTrajectory
-) -> FourierTrajectory:
-    """`first` where chosen (restarts,), else `second`."""
-    wide = chosen[:, None, None]
-    return FourierTrajectory(
-        torch.where(wide, first.a, second.a).detach(),
-        torch.where(wide, first.b, second.b).detach(),
-        torch.where(chosen[:, None], first.q0, second.q0).detach(),
-        first.w_f,
-        first.duration,
-        first.ramp,
-        first.warnings,
-    )

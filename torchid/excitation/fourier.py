@@ -111,6 +111,11 @@ class FourierTrajectory:
         """(a, b) side by side (..., n, 2 L)."""
         return torch.cat([self.a, self.b], -1)
 
+    @property
+    def fastest(self) -> float:
+        """Highest frequency of the series [Hz]."""
+        return self.harmonics * self.w_f / (2 * math.pi)
+
     def at(self, t: Float[Tensor, " T"]) -> Motion:
         """The motion at times t (T,) [s]: q, dq, ddq, each (..., T, n).
 
@@ -143,6 +148,13 @@ class FourierTrajectory:
     def scaled(self, factor: Float[Tensor, "*batch n"]) -> "FourierTrajectory":
         """The motion about q0 times a factor a joint (..., n); q0 stays."""
         return replace(self, a=self.a * factor.unsqueeze(-1), b=self.b * factor.unsqueeze(-1))
+
+    def towards(
+        self, rest: Float[Tensor, " n"], share: Float[Tensor, "*batch"]
+    ) -> "FourierTrajectory":
+        """rest + share (q - rest): the motion drawn towards a posture (n,)."""
+        centre = torch.lerp(rest.expand_as(self.q0), self.q0, share.unsqueeze(-1))
+        return replace(self.scaled(share.unsqueeze(-1).expand_as(self.q0)), q0=centre)
 
     def select(self, index: int) -> "FourierTrajectory":
         """One trajectory of a batch with one leading axis."""

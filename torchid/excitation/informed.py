@@ -20,9 +20,11 @@ from typing import Any, Literal
 import torch
 
 from torchid.errors import TorchidError
-from torchid.excitation.design import Progress, base_regressor, descend, optimise_trajectory
+from torchid.excitation.descent import Progress, descend
+from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
+from torchid.excitation.torque import TorqueLimits, identified_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.reading import Prior
 from torchid.robot.model import Robot
@@ -47,6 +49,7 @@ class InformedDesign:
         with_plain, after: (B,) predicted for the log and this motion together.
         goal: criterion.
         warnings: sentences for the user.
+        torque: the torque limits kept, by the identified base parameters; None if there are none.
     """
 
     trajectory: FourierTrajectory
@@ -58,6 +61,7 @@ class InformedDesign:
     after: Float[Tensor, " B"]
     goal: Goal
     warnings: tuple[str, ...]
+    torque: TorqueLimits | None = None
 
     def shrinks(self, std: Float[Tensor, " B"]) -> float:
         """Geometric mean over the targets of std against before (or, where that is infinite,
@@ -91,29 +95,32 @@ def design_for(
         progress: called with (iterations done, all iterations).
 
     Raises:
-        RobotError: the limits are incomplete.
+        RobotError: the limits are incomplete, or no motion keeps the torque limits.
         TorchidError: unknown goal.
     """
     if goal not in ("a_optimal", "d_optimal"):
         raise TorchidError("unknown criterion.", got=goal, available=["a_optimal", "d_optimal"])
     settings: dict[str, Any] = {"usage": usage, "harmonics": harmonics, "duration": duration}
     limits = motion_limits(robot, usage=usage)
+    torque = identified_torque_limits(robot, prior, usage=usage)
     plain = optimise_trajectory(
-        robot, prior.effects, seed=seed, restarts=restarts, iterations=iterations, **settings
-    )
+        robot, prior.effects, seed=seed, restarts=restarts, iterations=iterations, torque=torque,
+        **settings,
+    )  # fmt: skip
     # The plain design is a start too: the result is never worse than it.
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)
     start = _with_last(random, plain.trajectory)
+    given = start if torque is None else torque.within(start)
     targets = least_known(prior) if goal == "a_optimal" else torch.ones(len(prior.base)).bool()
 
     def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         return _cost(prior, information(robot, prior, trajectory, t), targets, goal)
 
-    found = descend(start, limits, cost, iterations, progress)
+    found = descend(start, limits, cost, iterations, progress, torque)
     t = _times(prior, duration)
     with torch.no_grad():
-        costs = torch.cat([cost(x, t) for x in (start, found)])
-    candidates = [x.select(k) for x in (start, found) for k in range(restarts)]
+        costs = torch.cat([cost(x, t) for x in (given, found)])
+    candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
     return InformedDesign(
         best,
@@ -125,6 +132,7 @@ def design_for(
         predicted_std(robot, prior, [best]),
         goal,
         limits.warnings,
+        torque,
     )
 
 

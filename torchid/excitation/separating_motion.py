@@ -21,6 +21,7 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
 from torchid.excitation.rows import Rows, Setting
 from torchid.excitation.separation import HOPELESS, Rival, Told, left_by_forms, named, separations
+from torchid.excitation.torque import TorqueLimits, corrected_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -58,6 +59,7 @@ class Separation:
         with_plain, after: of each pair for the two motions.
         hopeless: rivals that no motion tried separates, not part of the design.
         warnings: sentences for the user.
+        torque: the torque limits kept, by the corrected model; None if there are none.
     """
 
     trajectory: FourierTrajectory
@@ -67,6 +69,7 @@ class Separation:
     after: tuple[Told, ...]
     hopeless: tuple[Rival, ...]
     warnings: tuple[str, ...]
+    torque: TorqueLimits | None = None
 
 
 def design_separation(
@@ -91,11 +94,16 @@ def design_separation(
         progress: called with (evaluations done, all).
 
     Raises:
-        RobotError: the limits are incomplete, or the robot has no parameters.
+        RobotError: the limits are incomplete, no motion keeps the torque limits, or the robot has
+            no parameters.
         TorchidError: no motion tried separates any pair.
     """
     limits = motion_limits(setting.robot, usage=usage)
+    torque = corrected_torque_limits(setting.robot, setting.given, usage=usage)
     tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
+    if torque is not None:
+        tried = [torque.within(x) for x in tried]
+        plain = tried[0]
     seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST]), strict=True))
     kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > HOPELESS]
     if not kept:
@@ -107,7 +115,8 @@ def design_separation(
     asked = [_pruned(setting, rivals[k], tried[:FIRST]) for k in _promising(kept, seen)]
 
     def score(x: FourierTrajectory) -> float:
-        return _score(separations(setting, asked, x))
+        value = _score(separations(setting, asked, x))
+        return value if torque is None else value - float(torque.penalty(x))
 
     scores = []
     for x in tried:
@@ -116,6 +125,8 @@ def design_separation(
             progress(len(scores), evaluations)
     start = tried[int(np.argmax(scores))]
     found = _search(start, limits, score, seed, evaluations, progress)
+    if torque is not None:
+        found = torque.within(found)
     wanted = [rivals[k] for k in kept]
     # The search looks at some pairs and forms; what counts is all of them.
     told = {x: separations(setting, wanted, x) for x in (found, start, plain)}
@@ -128,6 +139,7 @@ def design_separation(
         tuple(told[best]),
         tuple(r for k, r in enumerate(rivals) if k not in kept),
         limits.warnings,
+        torque,
     )
 
 

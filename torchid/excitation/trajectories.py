@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -108,6 +108,16 @@ class Sinusoid:
     start: Float[Tensor, " n"]
     duration: float = 10.0
     warnings: tuple[str, ...] = ()
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency [Hz]."""
+        return 1 / float(self.period.min())
+
+    def towards(self, rest: Float[Tensor, " n"], share: Float[Tensor, ""]) -> "Sinusoid":
+        """rest + share (q - rest): the motion drawn towards a posture (n,)."""
+        start = torch.lerp(rest, self.start, share)
+        return replace(self, amplitude=share * self.amplitude, start=start)
 
     def at(self, t: Float[Tensor, " T"]) -> Motion:
         """q, dq, ddq at times t (T,): (T, n) each."""

@@ -1,0 +1,105 @@
+"""The search for a motion by gradient: Adam on a batch of Fourier series within limits."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.limits import MotionLimits, largest_scale
+from torchid.excitation.torque import TorqueLimits
+
+Progress = Callable[[int, int], None]
+
+_SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
+_LEARNING_RATE = 0.1
+_CENTRE_SHARE = 0.9  # of the half range that q0 may use, so that no scale is lost to 0
+_SLOWEST, _FASTEST = 0.02, 0.98  # shares of the scale between which a search starts
+
+
+def descend(
+    start: FourierTrajectory,
+    limits: MotionLimits,
+    cost: Callable[[FourierTrajectory, Tensor], Tensor],
+    iterations: int,
+    progress: Progress | None,
+    torque: TorqueLimits | None = None,
+) -> FourierTrajectory:
+    """The best iterate of each restart under Adam, (restarts, n, L).
+
+    Args:
+        start: the restarts, within the limits of motion.
+        limits: to which every candidate is scaled.
+        cost: of trajectories at times t, (restarts,), differentiable.
+        iterations: of Adam.
+        progress: called with (iterations done, all iterations).
+        torque: that the result keeps too. Then every joint also has a share of the scale to the
+            limits, and torque beyond its limit is penalised.
+
+    Raises:
+        RobotError: no motion keeps the torque limits.
+    """
+    if torque is not None:
+        # One half of the searches comes from within the torque limits, the other from beyond.
+        half = torch.arange(len(start.q0)) % 2 == 1
+        start = _merge(half, torque.within(start), start)
+    middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
+    # Directions (a, b) have any size: the scale to the limits takes it out again.
+    size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
+    shape = (start.coefficients / size).clone().requires_grad_()
+    place = torch.atanh(((start.q0 - middle) / reach).clamp(-0.99, 0.99)).requires_grad_()
+    searched = [shape, place]
+    if torque is not None:
+        used = (1 / largest_scale(start, limits)).clamp(_SLOWEST, _FASTEST)
+        share = torch.logit(used).requires_grad_()
+        searched.append(share)
+    optimiser = torch.optim.Adam(searched, lr=_LEARNING_RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, iterations))
+    t = (torch.arange(_SAMPLES, dtype=torch.float64) + 0.5) * (start.duration / _SAMPLES)
+
+    def candidate() -> FourierTrajectory:
+        a, b = shape.chunk(2, -1)
+        raw = FourierTrajectory(
+            a,
+            b,
+            middle + reach * torch.tanh(place),
+            start.w_f,
+            start.duration,
+            start.ramp,
+            start.warnings,
+        )
+        scale = largest_scale(raw, limits)
+        return raw.scaled(scale if torque is None else scale * torch.sigmoid(share))
+
+    lowest = torch.full((start.q0.shape[0],), math.inf, dtype=torch.float64)
+    best = start
+    for done in range(1, iterations + 1):
+        optimiser.zero_grad()
+        now = candidate()
+        costs = cost(now, t) if torque is None else cost(now, t) + torque.penalty(now)
+        better = costs.detach() < lowest
+        lowest = torch.where(better, costs.detach(), lowest)
+        best = _merge(better, now, best)
+        costs.sum().backward()
+        optimiser.step()
+        schedule.step()
+        if progress is not None:
+            progress(done, iterations)
+    return best if torque is None else torque.within(best)
+
+
+def _merge(
+    chosen: Tensor, first: FourierTrajectory, second: FourierTrajectory
+) -> FourierTrajectory:
+    """`first` where chosen (restarts,), else `second`."""
+    wide = chosen[:, None, None]
+    return FourierTrajectory(
+        torch.where(wide, first.a, second.a).detach(),
+        torch.where(wide, first.b, second.b).detach(),
+        torch.where(chosen[:, None], first.q0, second.q0).detach(),
+        first.w_f,
+        first.duration,
+        first.ramp,
+        first.warnings,
+    )

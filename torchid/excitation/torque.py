@@ -1,0 +1,291 @@
+"""Torque limits of a planned motion, by a model of the arm.
+
+Torque is no function of one joint's motion: it couples the joints, and gravity stays however small
+or slow the motion. So a motion is not scaled joint by joint. A search pays a penalty for torque
+beyond the limits, and what it leaves is shrunk towards a posture in which the arm holds itself
+with the least share of its limits: along q_r + s (q - q_r) position, velocity and acceleration
+stay within their limits too for s in [0, 1], and for small s the torque is that at rest.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import torch
+
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import JointEffect, Motion
+from torchid.effects.registry import Valued, model_torque, nominal_effects
+from torchid.errors import RobotError
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.limits import motion_limits
+from torchid.excitation.trajectories import Sinusoid
+from torchid.identification.base_parameters import nominal_values
+from torchid.identification.reading import Prior
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float, Tensor
+
+MARGIN = 0.01
+"""Share of the usable torque that is left free, for what happens between instants."""
+
+NOMINAL = "nominal parameters"
+
+_PENALTY = 2.0  # beside the logarithm of a condition number, for torque of twice its limit
+_SEARCH_MARGIN = 0.02  # the search's instants are further apart
+_SEARCH_SAMPLES = 150
+_RATE = 100.0  # [Hz] at least, of the instants that torque is checked at
+_PER_PERIOD = 250  # instants a period of the fastest harmonic, at least
+_FEWEST = 500
+_HALVINGS = 12
+_POSTURES = 2048
+_WIDTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the range, around the best posture so far
+
+
+Planned = TypeVar("Planned", FourierTrajectory, Sinusoid)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueUse:
+    """What motions ask of the drives.
+
+    Attributes:
+        source: the model that predicts it.
+        largest: (n,) size of the torque that comes nearest to its limit [N m; N].
+        limits: (n, 2) [N m; N], infinite where there is none.
+        share: (n,) of the limit.
+    """
+
+    source: str
+    largest: Float[Tensor, " n"]
+    limits: Float[Tensor, "n 2"]
+    share: Float[Tensor, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLimits:
+    """Torque limits, and a model that predicts the torque.
+
+    Attributes:
+        robot: with limits and parameters.
+        effects: of the model.
+        source: what the model is, for people.
+        usage: share of the limits that may be used.
+    """
+
+    robot: Robot
+    effects: tuple[Valued, ...]
+    source: str = NOMINAL
+    usage: float = 1.0
+
+    @property
+    def limits(self) -> Float[Tensor, "n 2"]:
+        """Lower and upper (n, 2) [N m; N]."""
+        assert self.robot.limits.torque is not None
+        return self.robot.limits.torque.double()
+
+    @property
+    def usable(self) -> Float[Tensor, "n 2"]:
+        """What of the limits a planned motion may use (n, 2), its margin left."""
+        return self.usage * (1 - MARGIN) * self.limits
+
+    def torque(self, motion: Motion) -> Float[Tensor, "*batch T n"]:
+        """Torque of the model along motions (..., T, n), `t` (T,)."""
+        if motion.q.ndim > 2 and not all(isinstance(e, JointEffect) for e, _ in self.effects):
+            flat = [x.flatten(0, -3) for x in motion.state]
+            parts = [
+                model_torque(self.robot, self.effects, Motion(q, dq, ddq, t=motion.t))
+                for q, dq, ddq in zip(*flat, strict=True)
+            ]
+            return torch.stack(parts).reshape(motion.q.shape)
+        return model_torque(self.robot, self.effects, motion)
+
+    def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
+        """What a search pays for torque beyond the limits; differentiable, 0 within them."""
+        step = trajectory.duration / _SEARCH_SAMPLES
+        t = (torch.arange(_SEARCH_SAMPLES, dtype=torch.float64) + 0.5) * step
+        excess = self._shares(self._along(trajectory, t)) / (1 - _SEARCH_MARGIN) - 1
+        return _PENALTY * excess.clamp(min=0).sum(-1)
+
+    def within(self, trajectory: Planned) -> Planned:
+        """Each motion itself if it keeps the torque limits at every instant, else the largest that
+        does between it and rest.
+
+        Raises:
+            RobotError: no motion keeps them, for gravity and friction alone need too much.
+        """
+        t = _instants(trajectory)
+        fits = self._fits(trajectory, t)
+        if bool(fits.all()):
+            return trajectory
+        low, high = fits.double(), torch.ones(fits.shape, dtype=torch.float64)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            inside = fits | self._fits(trajectory.towards(self.rest, middle), t)
+            low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
+        low = torch.where(fits, 1.0, low)
+        if not bool((low > 0).all()):
+            raise self._impossible(self.rest)
+        return trajectory.towards(self.rest, low)
+
+    def use(self, trajectories: Sequence[FourierTrajectory | Sinusoid]) -> TorqueUse:
+        """The largest torque that several motions need of every joint."""
+        torques = [self._along(x, _instants(x)).reshape(-1, self.robot.n) for x in trajectories]
+        tau = torch.cat(torques)
+        size, rows = _of_limit(tau, self.limits).max(0)
+        largest = tau[rows, torch.arange(self.robot.n)].abs()
+        return TorqueUse(self.source, largest, self.limits, size)
+
+    @cached_property
+    def rest(self) -> Float[Tensor, " n"]:
+        """The posture (n,) in which gravity and friction take the least share of the limits.
+
+        Raises:
+            RobotError: even that is beyond them.
+        """
+        bounds = motion_limits(self.robot, usage=self.usage).position
+        lower, upper = bounds.unbind(-1)
+        generator = torch.Generator().manual_seed(0)
+        best = bounds.mean(-1)
+        for width in _WIDTHS:
+            drawn = torch.rand((_POSTURES, self.robot.n), generator=generator, dtype=torch.float64)
+            near = (best + width * (upper - lower) * (drawn - 0.5)).clamp(lower, upper)
+            tried = torch.cat([best.unsqueeze(0), near])
+            best = tried[self._shares(self._at_rest(tried)).amax(-1).argmin()]
+        if bool((self._shares(self._at_rest(best.unsqueeze(0))) > 1).any()):
+            raise self._impossible(best)
+        return best
+
+    def _along(self, trajectory: FourierTrajectory | Sinusoid, t: Tensor) -> Tensor:
+        return self.torque(trajectory.at(t)._replace(t=t))
+
+    def _fits(self, trajectory: FourierTrajectory | Sinusoid, t: Tensor) -> Tensor:
+        with torch.no_grad():
+            return (self._shares(self._along(trajectory, t)) <= 1).all(-1)
+
+    def _shares(self, tau: Float[Tensor, "*batch T n"]) -> Float[Tensor, "*batch n"]:
+        """Largest share of what is usable, over time."""
+        return _of_limit(tau, self.usable).amax(-2)
+
+    def _at_rest(self, q: Float[Tensor, "K n"]) -> Float[Tensor, "K 2 n"]:
+        """Torque when motion is about to begin, either way."""
+        still = torch.zeros_like(q)
+        static = [
+            (effect, values)
+            for effect, values in self.effects
+            if "t" not in effect.needs and not getattr(effect, "memory", False)
+        ]
+        ways = [Motion(q, still, still, still + way) for way in (-1.0, 1.0)]
+        return torch.stack([model_torque(self.robot, static, way) for way in ways], -2)
+
+    def _impossible(self, q: Float[Tensor, " n"]) -> RobotError:
+        both = self._at_rest(q.unsqueeze(0))
+        j = int(self._shares(both).argmax())
+        still = torch.zeros_like(q)
+        gravity = float(inverse_dynamics(self.robot, q, still, still)[j].abs())
+        way = int(_of_limit(both, self.usable)[0, :, j].argmax())
+        whole = float(both[0, way, j])
+        unit = "N" if self.robot.joint_types[j] is JointType.PRISMATIC else "N m"
+        limit = float(self.limits[j, int(whole > 0)])
+        return RobotError(
+            f"robot '{self.robot.name}': no motion keeps the torque limit of joint {j + 1}.",
+            got=f"{gravity:.4g} {unit} for gravity alone, {abs(whole):.4g} with friction, in the "
+            f"posture that asks least of the drives, by the {self.source}",
+            expected=f"below {self.usage * (1 - MARGIN) * abs(limit):.4g} {unit}, of a limit of "
+            f"{abs(limit):.4g}",
+            hint="check the limit, the parameters and the direction of gravity: torchid robot",
+        )
+
+
+def nominal_torque_limits(robot: Robot, *, usage: float = 1.0) -> TorqueLimits | None:
+    """Torque limits by the robot's own parameters and effects; None without limits or parameters.
+
+    Raises:
+        RobotError: limits that do not contain 0.
+    """
+    if robot.parameters is None or not has_torque_limits(robot):
+        return None
+    return TorqueLimits(robot, _predictable(nominal_effects(robot)), NOMINAL, usage)
+
+
+def identified_torque_limits(
+    robot: Robot, prior: Prior, *, usage: float = 1.0
+) -> TorqueLimits | None:
+    """Torque limits by identified base parameters; None without limits.
+
+    A base parameter that the log did not determine has its nominal value, 0 if there is none.
+
+    Raises:
+        RobotError: limits that do not contain 0.
+    """
+    if not has_torque_limits(robot):
+        return None
+    base, values, source = prior.base, prior.values, "identified base parameters"
+    unknown = int((~prior.known).sum())
+    if unknown:
+        nominal = robot.parameters is not None
+        other = nominal_values(robot, base) if nominal else torch.zeros_like(values)
+        values = torch.where(prior.known, values, other)
+        source += f" ({unknown} not determined: {'nominal' if nominal else '0'})"
+    # The base parameters are the parameters of an arm whose dependent ones vanish.
+    every = values.new_zeros(len(base.parameter_names))
+    every[list(base.independent)] = values
+    rigid, coefficients = every.split(
+        [base.n_rigid_parameters, len(every) - base.n_rigid_parameters]
+    )
+    sizes = [len(effect.coefficients) for effect in prior.effects]
+    effects = [
+        (effect, own.tolist())
+        for effect, own in zip(prior.effects, coefficients.split(sizes), strict=True)
+    ]
+    arm = replace(robot, parameters=InertialParameters.from_paper_order(rigid))
+    return TorqueLimits(arm, tuple(effects), source, usage)
+
+
+def corrected_torque_limits(
+    robot: Robot, effects: Sequence[Valued], *, usage: float = 1.0
+) -> TorqueLimits | None:
+    """Torque limits by a diagnosis's corrected model with effects; None without limits.
+
+    Raises:
+        RobotError: limits that do not contain 0.
+    """
+    if not has_torque_limits(robot):
+        return None
+    return TorqueLimits(robot, _predictable(effects), "corrected model", usage)
+
+
+def has_torque_limits(robot: Robot) -> bool:
+    """Whether some joint's torque is limited.
+
+    Raises:
+        RobotError: limits that do not contain 0.
+    """
+    limits = robot.limits.torque
+    if limits is None or not bool(torch.isfinite(limits).any()):
+        return False
+    if bool(((limits[:, 0] >= 0) | (limits[:, 1] <= 0)).any()):
+        raise RobotError(
+            f"robot '{robot.name}': torque limits that do not contain 0 let no drive rest.",
+            got=limits.tolist(),
+        )
+    return True
+
+
+def _predictable(effects: Sequence[Valued]) -> tuple[Valued, ...]:
+    """Those that a planned motion determines."""
+    return tuple(p for p in effects if not p[0].needs & {"age", "velocity"})
+
+
+def _of_limit(tau: Float[Tensor, "*batch n"], limits: Float[Tensor, "n 2"]) -> Tensor:
+    """Torque as a share of the limit on its side (..., n)."""
+    return torch.maximum(tau / limits[:, 1], tau / limits[:, 0])
+
+
+def _instants(trajectory: FourierTrajectory | Sinusoid) -> Float[Tensor, " T"]:
+    """Times from 0 to the duration at which torque is checked."""
+    d = trajectory.duration
+    count = math.ceil(max(_FEWEST, _RATE * d, _PER_PERIOD * d * trajectory.fastest))
+    return torch.linspace(0, d, count + 1, dtype=torch.float64)
