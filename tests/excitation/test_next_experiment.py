@@ -48,7 +48,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion(tmp_path):
     found = diagnosed(
         robot, driven_twice(robot, replace(poor, a=poor.a * moves, b=poor.b * moves), [])
     )
-    hidden = {(x.effect, x.joint): x.reason for x in found.not_testable}
+    hidden = {(x.effect, *x.joints): x.reason for x in found.not_testable}
     assert hidden["viscous_friction", 2] == "the motion does not excite it"
     assert "% of it is not a combination" in hidden["torque_offset", 1]
 
@@ -65,4 +65,4 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion(tmp_path):
     assert set(named) == {("viscous_friction", 2), ("torque_offset", 1)}
     for effect, values in planted:
         assert named[effect.name, effect.joint] == pytest.approx(values[0], rel=0.2)
-    assert not {(x.effect, x.joint) for x in again.not_testable} & set(sizes)
+    assert not {(x.effect, *x.joints) for x in again.not_testable} & set(sizes)
