@@ -201,7 +201,8 @@ def torque_table(t: TorqueSpread, labels: Sequence[str]) -> Table:
 def set_verdict(result: SetComparison) -> str:
     """What the sets agree on, in sentences."""
     total = ", ".join(
-        f"{k} sets ({name})" for k, name in zip(result.counts, result.labels, strict=True)
+        f"{k} set{'s' * (k != 1)} ({name})"
+        for k, name in zip(result.counts, result.labels, strict=True)
     )
     parts = []
     for what, ranges in (("physical", result.physical), ("base", result.base)):
