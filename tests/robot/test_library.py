@@ -97,5 +97,5 @@ def test_a_robot_goes_to_another_process(name):
 
 
 def test_a_result_is_no_robot_and_the_error_says_what_makes_one_of_it():
-    with pytest.raises(RobotError, match=r"torchid export out/identification\\.json --to urdf"):
+    with pytest.raises(RobotError, match=r"torchid export out/identification\.json --to urdf"):
         load_robot("out/identification.json")
