@@ -14,6 +14,7 @@ from typing import Any
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
+from torchid.extraction.torque import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
 from torchid.identification.reading import read_base
@@ -85,12 +86,12 @@ def set_dynamics(
     file = _with_parameters(path, data)
     sets = read_sets(file, robot)
     k, why = _chosen(sets, _losses(path, data), asked, robot, geometry)
+    warnings = _other_torque(path, data, sets.ids[k])
     title = f"the set '{sets.ids[k]}' of {path.name}{why}"
     found = of_set(robot, sets.part([k]), title, read_other_effects(file, robot))
-    if data.get("robot") in (None, robot.name):
-        return found
-    other = f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'"
-    return replace(found, warnings=(*found.warnings, other))
+    if data.get("robot") not in (None, robot.name):
+        warnings += (f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'",)
+    return replace(found, warnings=(*found.warnings, *warnings))
 
 
 def of_set(
@@ -151,15 +152,38 @@ def _with_parameters(path: Path, data: Mapping[str, Any]) -> Path:
 
 def _losses(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
     """Losses by the sets' ids, from the result or from the extraction or study beside it."""
+    found = _beside(path, data, "phi")[0]
+    return {k: math.inf if v is None else float(v) for k, v in found.items()}
+
+
+def _other_torque(path: Path, data: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    """Says that a set's torque is far from the one that the extraction asked for."""
+    found, source = _beside(path, data, "torque_error_percent")
+    percent = [0.0 if v is None else float(v) for v in found.get(name) or ()]
+    worst = max(percent, default=0.0)
+    if worst <= 100 * FAR:
+        return ()
+    instead = "; `torchid extract --loss one-step` asks for the log's torque"
+    return (
+        f"the set's torque is up to {worst:.2g} % from the one asked for (joint "
+        f"{percent.index(worst) + 1}){instead if source.get('loss') == 'two-step' else ''}",
+    )
+
+
+def _beside(
+    path: Path, data: Mapping[str, Any], key: str
+) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """What a result says of each set under a key, by id, and the result: this one, or the
+    extraction or study beside it."""
     for other in (path, path.parent / "extraction.json", path.parent / "study.json"):
         try:
-            entries = data["sets"] if other == path else read_json(other, _KINDS)["sets"]
-            found = {str(e["id"]): e["phi"] for e in entries if "phi" in e}
+            source = data if other == path else read_json(other, _KINDS)
+            found = {str(e["id"]): e[key] for e in source["sets"] if key in e}
         except (TorchidError, KeyError, TypeError):
             continue
         if found:
-            return {k: math.inf if v is None else float(v) for k, v in found.items()}
-    return {}
+            return found, source
+    return {}, {}
 
 
 def _chosen(
