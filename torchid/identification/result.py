@@ -7,6 +7,7 @@ import torch
 from torchid.effects.base import JointEffect, Motion
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.physical_signs import physical_signs
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
@@ -159,11 +160,50 @@ def findings(result: Identification) -> list[str]:
         said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
     if result.dropped:
         said.append("cannot be told from 0, dropped as not essential: " + ", ".join(result.dropped))
+    said += _impossible(result)
+    said += _highest_cutoff(result)
     said += _unexplained(result)
     said += _friction_at_rest(result)
     for label, e in (("fit", result.fit), ("held-out data", result.held_out)):
         said += _standstill(label, e)
     return said
+
+
+def _impossible(result: Identification) -> list[str]:
+    """Sums whose 95 % interval lies where no body's value can."""
+    signs = physical_signs(result.base, result.effects).to(result.values)
+    far = (signs * result.values + result.uncertainty.quantile() * result.std < 0) & result.free
+    known = set(result.wrong_sign)
+    bad = [k for k in far.nonzero().flatten().tolist() if result.base.names[k] not in known]
+    if not bad:
+        return []
+    listed = "; ".join(
+        f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
+        f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
+        for k in bad
+    )
+    return [
+        f"no body has these values, so no physical parameters give exactly this torque: {listed}"
+    ]
+
+
+def _highest_cutoff(result: Identification) -> list[str]:
+    """Says when the best cut-off may be one that was not tried."""
+    choice = result.cutoff_choice
+    if choice is None or choice.cutoff is None:
+        return []
+    tried = [
+        (f, score)
+        for f, score in zip(choice.candidates, choice.scores, strict=True)
+        if f is not None
+    ]
+    if len(tried) < 2 or tried[-1][0] != choice.cutoff:
+        return []
+    (_, before), (last, at) = tried[-2:]
+    return [
+        f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the cross-validated "
+        f"error still falls there ({before:.4g} to {at:.4g} %): --cutoff HZ sets a higher one"
+    ]
 
 
 def _unexplained(result: Identification) -> list[str]:

@@ -84,6 +84,16 @@ def _scatter(result: Comparison) -> str:
         f"{whole.expected[0]:.0f} to {whole.expected[2]:.0f} is expected (p = {whole.p:.2g})"
     )
     if whole.pooled <= high and whole.p >= 0.05:
+        if result.same_motion:
+            return claim + together + (
+                ": no contradiction, but of results fitted on the same trajectory it says nothing "
+                "about the standard deviations from run to run."
+            )
+        if whole.pooled < low:
+            return claim + together + (
+                ": they agree better than chance allows, so they share data, or their standard "
+                "deviations are too large."
+            )
         return claim + together + ": the standard deviations can be trusted from run to run."
     if typical > NOTABLE:
         return (
