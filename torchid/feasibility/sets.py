@@ -39,6 +39,10 @@ class ParameterSets:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def __repr__(self) -> str:
+        links, count = self.parameters.pi.shape[-2], self.coefficients.shape[-1]
+        return f"ParameterSets({len(self)} of {links} links and {count} coefficients of effects)"
+
     @property
     def vector(self) -> Float[Tensor, "K P"]:
         """All parameters in the order the base parameters' grouping takes them: the paper's

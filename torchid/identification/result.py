@@ -1,7 +1,10 @@
 """What an identification found, and what its user must know about it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.effects.base import JointEffect, Motion
@@ -14,6 +17,9 @@ from torchid.identification.tuning import CutoffChoice
 from torchid.identification.validation import Errors, Prediction, model_torque
 from torchid.robot.model import Robot
 from torchid.typing import Bool, BroadcastJoints, Float, Joints, Tensor
+
+Numbers = BroadcastJoints | np.ndarray | Sequence[Any]
+"""(..., n), one column a joint."""
 
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
@@ -89,6 +95,16 @@ class Identification:
     settings: Settings
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        shown = self.fit if self.held_out is None else self.held_out
+        low, high = float(shown.relative_percent.min()), float(shown.relative_percent.max())
+        where = "fitted" if self.held_out is None else "held-out"
+        return (
+            f"Identification('{self.robot.name}', {self.base.n_rigid} base parameters, "
+            f"{len(self.base) - self.base.n_rigid} coefficients of effects, {where} torque error "
+            f"{low:.1f} to {high:.1f} % by joint)"
+        )
+
     @property
     def std(self) -> Float[Tensor, " B"]:
         """Standard deviations (B,); 0 for parameters that are not free."""
@@ -110,20 +126,22 @@ class Identification:
         half = self.uncertainty.quantile(level) * self.std
         return torch.stack([self.values - half, self.values + half], -1)
 
-    def predict(self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints) -> Joints:
-        """Joint torques (..., n) [N m; N] of the identified model.
+    def predict(self, q: Numbers, dq: Numbers, ddq: Numbers) -> Joints:
+        """Joint torques (..., n) [N m; N] of the identified model, from tensors or arrays.
 
         The direction of motion is the sign of dq here; on logs, `validation.predict` uses the
         direction with hysteresis, as the fit does.
-        """
-        values = self.values.to(q)
-        return model_torque(self.robot, self.base, self.effects, values, Motion(q, dq, ddq))
 
-    def residual(
-        self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints, tau: BroadcastJoints
-    ) -> Joints:
+        Raises:
+            TorchidError: not numbers of all joints.
+        """
+        state = [_joints(x, self.robot.n) for x in (q, dq, ddq)]
+        values = self.values.to(state[0])
+        return model_torque(self.robot, self.base, self.effects, values, Motion(*state))
+
+    def residual(self, q: Numbers, dq: Numbers, ddq: Numbers, tau: Numbers) -> Joints:
         """Measured minus predicted torque (..., n)."""
-        return tau - self.predict(q, dq, ddq)
+        return _joints(tau, self.robot.n) - self.predict(q, dq, ddq)
 
     def combination(self, weights: Float[Tensor, " P"]) -> tuple[float, float]:
         """Value and standard deviation of a linear combination of all parameters.
@@ -142,6 +160,23 @@ class Identification:
         if unknown:
             raise TorchidError("this log does not determine this combination.", got=unknown)
         return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
+
+
+def _joints(values: Numbers, n: int) -> Joints:
+    """A floating tensor (..., n) of what a user gives."""
+    try:
+        out = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TorchidError(
+            "q, dq, ddq and torque are tables of numbers.", got=type(values).__name__
+        ) from error
+    if out.ndim == 0 or out.shape[-1] != n:
+        raise TorchidError(
+            "q, dq, ddq and torque have one column a joint.",
+            got=tuple(out.shape),
+            expected=f"(..., {n})",
+        )
+    return out if out.is_floating_point() else out.double()
 
 
 def findings(result: Identification) -> list[str]:

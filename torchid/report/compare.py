@@ -85,14 +85,22 @@ def _scatter(result: Comparison) -> str:
     )
     if whole.pooled <= high and whole.p >= 0.05:
         if result.same_motion:
-            return claim + together + (
-                ": no contradiction, but of results fitted on the same trajectory it says nothing "
-                "about the standard deviations from run to run."
+            return (
+                claim
+                + together
+                + (
+                    ": no contradiction, but fitted on the same trajectory they say nothing "
+                    "about the standard deviations from run to run."
+                )
             )
         if whole.pooled < low:
-            return claim + together + (
-                ": they agree better than chance allows, so they share data, or their standard "
-                "deviations are too large."
+            return (
+                claim
+                + together
+                + (
+                    ": they agree better than chance allows, so they share data, or their standard "
+                    "deviations are too large."
+                )
             )
         return claim + together + ": the standard deviations can be trusted from run to run."
     if typical > NOTABLE:
