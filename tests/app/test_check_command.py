@@ -1,6 +1,7 @@
 """`torchid check` as a user calls it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,14 @@ from typer.testing import CliRunner
 
 from tests.real_logs import FOLDER, NO_LOGS
 from torchid.app.check import check_command
+from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import joined, nominal_set, read_sets, to_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
+from torchid.robot.writer import write_robot
 
 
 def call(*arguments: object):
@@ -82,6 +85,12 @@ def test_a_file_of_sets(tmp_path):
     assert [(e["id"], e["feasible"]) for e in data["sets"]] == [("3r", True), ("s1", False)]
     assert data["sets"][1]["reasons"] == ["inertia_2"]
     assert "s1 is infeasible: inertia_2 is not positive definite" in said(got)
+
+
+def test_a_file_of_sets_knows_its_robot(tmp_path):
+    got = call(sets_file(tmp_path / "s.json"))
+    assert got.exit_code == 0, got.output
+    assert "s1 is infeasible" in said(got)
 
 
 def test_many_sets_are_one_row_each(tmp_path):
@@ -151,6 +160,32 @@ def test_the_nearest_feasible_sets(tmp_path):
     assert again.exit_code == 0
     assert "was not written" in said(again)
     assert not (tmp_path / "no.json").exists()
+
+
+def test_the_nearest_set_keeps_every_effect(tmp_path):
+    """Effects that sets have no columns for lie beside them, and come back with an export."""
+    pytest.importorskip("clarabel")
+    spring = {"effect": "joint_spring", "joint": 3, "k": 0.5, "c0": 0.1}
+    viscous = {"effect": "viscous_friction", "joint": 2, "Fv": 0.3}
+    own = load_robot("3r")
+    pi = own.parameters.pi.clone()
+    pi[1, 4:] *= -0.1
+    robot = replace(own, effects=(viscous, spring)).with_parameters(InertialParameters(pi))
+    write_robot(robot, tmp_path / "corrected.yaml")
+    near = tmp_path / "near.json"
+    got = call(tmp_path / "corrected.yaml", "--nearest", near)
+    assert got.exit_code == 0, got.output
+    assert "joint 3: joint_spring k = 0.5 N m/rad" in said(got)
+    again = call(near, "--robot", "3r", "--nearest", tmp_path / "no.json")
+    assert again.exit_code == 0
+    out = ("--robot", "3r", "--to", "yaml", "--out", tmp_path / "o", "--geometry", "none")
+    done = CliRunner().invoke(app, ["export", *map(str, (near, *out))])
+    assert done.exit_code == 0, done.output
+    written = load_robot(tmp_path / "o" / "3r.yaml")
+    assert [(e["effect"], e["joint"]) for e in written.effects] == [
+        ("viscous_friction", 2), ("joint_spring", 3),
+    ]  # fmt: skip
+    assert (written.effects[1]["k"], written.effects[1]["c0"]) == (0.5, 0.1)
 
 
 URDF = """<robot name="r"><link name="base">{base}</link>
@@ -259,7 +294,7 @@ def spoil(key, value):
         (["3r", "--tip", "link_2"], "--tip"),
         (["nothing"], "neither a file nor a built-in robot"),
         (["none.yaml"], "does not exist"),
-        (["{sets}"], "--robot is needed"),
+        (["{bare}"], "--robot is needed"),
         (["{sets}", "--robot", "kuka_lwr4"], "wrong size"),
         (["{sets}", "--robot", "nothing"], "unknown robot"),
         (["{nan}", "--robot", "3r"], "not all finite"),
@@ -273,6 +308,9 @@ def test_bad_input_is_one_error(tmp_path, arguments, words):
     (tmp_path / "other.json").write_text('{"schema": "torchid.robot/1"}')
     places = {
         "sets": sets_file(tmp_path / "sets.json"),
+        "bare": sets_file(
+            tmp_path / "bare.json", change=lambda d: (d.pop("robot"), d.pop("robot_source"))
+        ),
         "nan": sets_file(tmp_path / "nan.json", change=spoil("mass", [1.0, float("nan"), 1.0])),
         "text": tmp_path / "text.json",
         "other": tmp_path / "other.json",

@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from tests.export.arms import write_urdf
 from torchid.app.commands import app
 from torchid.errors import TorchidError
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -93,3 +95,22 @@ def test_bad_input(tmp_path):
     with pytest.raises(TorchidError, match="does not exist"):
         run(tmp_path / "none.urdf", "--to", "c")
     assert runner.invoke(app, ["export", "3r", "--to", "sdf"]).exit_code == 2
+
+
+def test_links_of_no_material_are_named(tmp_path):
+    """A steel ball's mass in a thousandth of its inertia: a body, but none that can be built."""
+    robot = load_robot("3r")
+    small = robot.require_parameters("a test")
+    inertia = InertialParameters.from_com(
+        small.mass, small.com, 1e-4 * small.inertia_about_com.abs().clamp(min=1e-3)
+        * torch.tensor([1.0, 0, 0, 1, 0, 1])
+    )  # fmt: skip
+    write_robot(robot.with_parameters(inertia), tmp_path / "points.yaml")
+    options = ("--to", "urdf", "--out", tmp_path / "o", "--geometry", "none", "--force")
+    run(tmp_path / "points.yaml", *options)
+    warnings = json.loads((tmp_path / "o" / "export_urdf.json").read_text())["warnings"]
+    (said,) = [w for w in warnings if "lead" in w]
+    assert "link 1, 2, 3 is that of a body denser than lead" in said
+    run("3r", *options)
+    warnings = json.loads((tmp_path / "o" / "export_urdf.json").read_text())["warnings"]
+    assert not any("lead" in w for w in warnings)

@@ -172,6 +172,36 @@ def test_from_an_identification(command, tmp_path, identified, loss):
     assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
 
 
+@pytest.mark.parametrize("loss", ["two-step", "one-step"])
+def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified, loss):
+    """Coefficients that no body has: the least loss of coefficients is far off in torque."""
+    pytest.importorskip("clarabel")
+    data = json.loads(identified.read_text())
+    for k, value in enumerate(data["base_values"][:3]):
+        data["base_values"][k] = -value
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps(data))
+    options = ("--method", "sdp", "--loss", loss, "--out", tmp_path)
+    shown = command("extract", "3r_friction", path, *options)
+    assert shown.code == 0, shown.err
+    written = json.loads((tmp_path / "extraction.json").read_text())
+    assert max(written["sets"][0]["torque_error_percent"]) > 5
+    advice = "--loss one-step asks for the log's torque"
+    assert (advice in " ".join(shown.out.split())) == (loss == "two-step")
+    assert any(advice in w for w in written["warnings"]) == (loss == "two-step")
+    # The export says so, too, from either file.
+    for name in ("extraction.json", "sets.json"):
+        done = command(
+            "export", tmp_path / name, "--to", "yaml", "--out", tmp_path / "x",
+            "--geometry", "none", "--json", tmp_path / "e.json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        said = [w for w in json.loads((tmp_path / "e.json").read_text())["warnings"] if "%" in w]
+        assert len(said) == 1
+        assert "from the one asked for (joint" in said[0]
+        assert ("--loss one-step" in said[0]) == (loss == "two-step")
+
+
 def test_atlas(command, tmp_path, identified):
     shown = command("atlas", "3r_friction", identified, "--out", tmp_path)
     assert shown.code == 0, shown.err
@@ -197,7 +227,10 @@ def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypa
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "save", interrupted)
-    assert command("extract", "3r", *SMALL, "--out", halves).code == 130
+    stopped = command("extract", "3r", *SMALL, "--out", halves)
+    assert stopped.code == 130
+    assert f"{halves / 'checkpoint.npz'} is kept" in stopped.err
+    assert "--resume" in stopped.err
     assert not (halves / "sets.json").exists()
     # Whoever forgets --resume is told; whoever gives it without need, too.
     monkeypatch.setattr(module, "save", save)

@@ -122,6 +122,8 @@ def test_help_names_it(command, name):
         (("--report", "nowhere/page.html"), ("nowhere/page.html", "does not exist")),
         (("--report", "."), ("--report", "folder")),
         (("--report", "same.x", "--json", "same.x"), ("--report", "--json", "same.x")),
+        (("--report", "r.pdf"), ("r.pdf", "FILE.html", "PDF")),
+        (("--report", "page"), ("FILE.html",)),
     ],
 )
 def test_refused_before_any_work(command, folder, tmp_path, monkeypatch, options, words):
@@ -134,10 +136,10 @@ def test_refused_before_any_work(command, folder, tmp_path, monkeypatch, options
 
 
 def test_inputs_are_not_overwritten(command, folder, tmp_path):
-    log = tmp_path / "log.csv"
+    log = tmp_path / "log.html"
     log.write_bytes((folder / "check.csv").read_bytes())
     before = sha256(log)
-    done = command("identify", "3r", log, "--report", tmp_path / "." / "log.csv")
+    done = command("identify", "3r", log, "--report", tmp_path / "." / "log.html")
     assert done.code == 1
     assert "overwrite the log" in done.err
     assert sha256(log) == before

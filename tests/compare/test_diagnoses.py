@@ -1,8 +1,10 @@
 """Gap diagnoses compared: the same cause under other names, sizes, what could not be tested."""
 
+import io
 import json
 
 import pytest
+from rich.console import Console
 
 from torchid.compare.diagnoses import compare_diagnoses
 from torchid.compare.reading import read_results
@@ -81,6 +83,16 @@ def test_what_could_not_be_tested_is_not_missing(tmp_path):
     assert found.shared[0].smallest == (None, 0.9)
     assert "could not test it" in verdict(found)
     assert tables(found)
+
+
+def test_sizes_are_shown_of_what_only_one_names(tmp_path):
+    a = diagnosis(tmp_path / "a.json", named(Fc=0.4321))
+    b = diagnosis(tmp_path / "b.json", named("viscous_friction", joint=3, Fv=1.25))
+    console = Console(width=160, record=True, file=io.StringIO())
+    console.print(*tables(compared(a, b)))
+    text = console.export_text()
+    assert "0.4321 ± 0.02 N m" in text
+    assert "1.25 ± 0.02 N m" in text
 
 
 def test_torque_of_corrected_models(tmp_path):

@@ -31,6 +31,22 @@ def test_honest_results_agree(tmp_path):
     assert low < found.whole.pooled < high
     assert found.whole.p > 0.05
     assert "can be trusted" in verdict(found)
+    # The same figures, of results that share their motion, or that agree too well.
+    assert "can be trusted" not in verdict(replace(found, same_motion=True))
+    close = replace(found.whole, pooled=0.5 * low)
+    assert "better than chance" in verdict(replace(found, whole=close))
+
+
+def test_results_of_one_trajectory_do_not_vouch_for_each_other(tmp_path):
+    def rename(path):
+        data = json.loads(path.read_text())
+        data["fit"]["trajectories"] = ["run"]
+        path.write_text(json.dumps(data))
+        return path
+
+    found = compared([rename(p) for p in several(tmp_path, 3)])
+    assert found.same_motion
+    assert "can be trusted" not in verdict(found)
 
 
 def test_too_small_claims_are_said_with_their_factor(tmp_path):

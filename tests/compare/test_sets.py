@@ -5,10 +5,12 @@ import json
 import pytest
 import torch
 
+from tests.export.arms import write_urdf
 from torchid.compare.reading import read_results
 from torchid.compare.record import record
 from torchid.compare.sets import compare_sets, robot_of
-from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.errors import TorchidError
+from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
 from torchid.report.compare import set_verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -44,6 +46,20 @@ def test_ranges_torque_and_record(tmp_path):
     data = json.loads(json.dumps(record(found), allow_nan=False))
     assert data["compared"] == "parameter sets"
     assert "in the order given" in set_verdict(found)
+
+
+def test_the_robot_of_a_file_is_found_again(tmp_path):
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    urdf = write_urdf(folder)
+    robot = load_robot(urdf)
+    for name in "ab":
+        (tmp_path / f"{name}.json").write_text(json.dumps(to_record(nominal_set(robot), robot)))
+    results = read_results([tmp_path / "a.json", tmp_path / "b.json"])
+    assert robot_of(results).source == str(urdf)
+    urdf.rename(folder / "other.urdf")
+    with pytest.raises(TorchidError, match="--robot is needed"):
+        robot_of(results)
 
 
 def test_open_parameters_and_equal_files(tmp_path):

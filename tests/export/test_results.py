@@ -10,17 +10,18 @@ import torch
 from tests.arms import arm, consistent_parameters, relative
 from tests.export.arms import FRICTION, exported, with_other
 from torchid.effects.base import Motion
-from torchid.effects.registry import on_every_joint
+from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
 from torchid.export.export import export_dynamics
-from torchid.export.results import base_dynamics, load, robot_dynamics, robot_of, set_dynamics
+from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
 from torchid.export.verdict import check, require_feasible
-from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import named_robot
 
 EFFECTS = ("viscous_friction", "rotor_inertia")
 
@@ -65,7 +66,7 @@ def sets_file(tmp_path, robot, scales=(1.0, 2.0, -1.0), **more):  # type: ignore
 def test_base_parameters_have_the_identifications_torque(tmp_path):
     robot = arm("kuka_lwr4")
     path, base, effects, values = identification(tmp_path, robot)
-    found = base_dynamics(path, robot_of(path, load(path), None))
+    found = base_dynamics(path, named_robot(path, load(path), None))
     motion = states(robot, 3)
     own = model_torque(robot, base, effects, values, motion)
     assert relative(found.torque(motion), own) < 1e-14
@@ -132,7 +133,26 @@ def test_a_set_brings_its_own_effects_only(tmp_path):
     robot = replace(arm("3r"), effects=FRICTION)
     found = set_dynamics(*(lambda p: (p, load(p)))(sets_file(tmp_path, robot)), robot, "a", "none")
     assert {e["effect"] for e in found.robot.effects} == {"viscous_friction"}
-    assert "stribeck_friction" in found.warnings[0]
+    assert [w.partition("left out: ")[2][:25] for w in found.warnings] == [
+        "joint 2: joint_spring k =", "joint 1: stribeck_frictio",
+    ]  # fmt: skip
+
+
+def test_effects_beside_the_sets_come_with_them(tmp_path):
+    robot = replace(arm("3r"), effects=FRICTION)
+    others = nominal_others(robot)
+    (path := tmp_path / "near.json").write_text(
+        json.dumps(to_record(nominal_set(robot), robot, others))
+    )
+    bare = replace(robot, effects=())
+    found = set_dynamics(path, load(path), bare, None, "none")
+    assert found.warnings == ()
+    assert len(found.robot.effects) == len(robot.effects)
+    motion = states(robot, 1)
+    assert relative(found.torque(motion), robot_torque(robot, motion)) < 1e-14
+    path.write_text(json.dumps({**json.loads(path.read_text()), "other_effects": [3]}))
+    with pytest.raises(TorchidError, match="other_effects"):
+        set_dynamics(path, load(path), bare, None, "none")
 
 
 def test_an_extraction_without_parameters_looks_beside_it(tmp_path):
@@ -194,12 +214,12 @@ def test_other_files_are_refused(tmp_path, text, words):
 
 def test_the_robot_is_the_one_recorded(tmp_path):
     path = tmp_path / "r.json"
-    assert robot_of(path, {"robot": "x", "robot_source": "3r"}, None).name == "3r"
-    assert robot_of(path, {"robot": "3r"}, None).name == "3r"
+    assert named_robot(path, {"robot": "x", "robot_source": "3r"}, None).name == "3r"
+    assert named_robot(path, {"robot": "3r"}, None).name == "3r"
     exported(with_other(arm("3r")), "urdf", tmp_path)
-    assert robot_of(path, {"robot": "x", "robot_source": "out.urdf"}, None).name == "3r"
+    assert named_robot(path, {"robot": "x", "robot_source": "out.urdf"}, None).name == "3r"
     with pytest.raises(TorchidError, match="--robot is needed"):
-        robot_of(path, {"robot": "x", "robot_source": "gone.urdf"}, None)
+        named_robot(path, {"robot": "x", "robot_source": "gone.urdf"}, None)
 
 
 def test_a_robot_needs_parameters():

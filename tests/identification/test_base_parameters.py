@@ -11,11 +11,11 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.identification.base_parameters import (
-    VISIBLE,
     base_parameters,
     group_columns,
     random_states,
     stacked_regressor,
+    visible,
 )
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -142,9 +142,7 @@ def test_names_read_back_as_the_grouping(name):
     for text, row, lead in zip(base.names, base.grouping, base.independent, strict=True):
         read = coefficients(text.replace(" - ", "-").replace(" + ", "+"))
         shown = {
-            base.parameter_names[k]: float(row[k])
-            for k in range(len(row))
-            if abs(float(row[k])) > VISIBLE
+            base.parameter_names[k]: float(row[k]) for k in range(len(row)) if bool(visible(row)[k])
         }
         assert next(iter(read)) == base.parameter_names[lead]
         assert read == pytest.approx(shown, rel=1e-4)

@@ -9,7 +9,10 @@ from torchid.errors import LogError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Settings, identify
+from torchid.identification.physical_signs import physical_signs
 from torchid.identification.record import record
+from torchid.identification.result import findings
+from torchid.identification.tuning import CutoffChoice
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
@@ -145,3 +148,32 @@ def test_a_useless_model_is_called_so():
     assert any("unexplained on joint" in w for w in found.warnings)
     good = identify(ROBOT, log, settings=QUICK)
     assert not any("unexplained" in w for w in good.warnings)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    return identify(ROBOT, synthetic_log(ROBOT, motion(), HonestNoise(), 0), settings=QUICK)
+
+
+def test_values_that_no_body_has_are_named(quick):
+    assert not any("no body" in w for w in findings(quick))
+    k = int(physical_signs(quick.base, quick.effects).argmax())
+    name = quick.base.names[k]
+    assert k < quick.base.n_rigid
+    std = float(quick.std[k])
+    for value, said in ((-10 * std, True), (-0.1 * std, False)):
+        values = quick.values.clone()
+        values[k] = value
+        found = [w for w in findings(replace(quick, values=values)) if "no body" in w]
+        assert bool(found) == said
+        assert all(f"{name} = " in w and "never negative" in w for w in found)
+
+
+@pytest.mark.parametrize(
+    ("cutoff", "scores", "said"),
+    [(8.0, (9.0, 8.0, 7.0), True), (6.0, (9.0, 7.0, 8.0), False), (None, (9.0, 8.0, 7.0), False)],
+)
+def test_the_highest_cutoff_tried_is_said_to_be_it(quick, cutoff, scores, said):
+    choice = CutoffChoice(cutoff, (4.0, 6.0, 8.0), scores)
+    found = findings(replace(quick, cutoff_choice=choice))
+    assert any("highest that was tried" in w for w in found) == said

@@ -1,15 +1,20 @@
 """Tables and figures carry the numbers of the result they show."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from rich.console import Console
 
+from tests.gap.diagnoses import diagnosis
+from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.feasibility.sets import nominal_set
 from torchid.identification.identify import Settings, identify
 from torchid.report.excitation import trajectory_figure
 from torchid.report.figures import parameter_figure, save, torque_figure, truth_figure
-from torchid.report.identification import headline, tables
+from torchid.report.identification import headline, poor_names, tables
 from torchid.robot.library import load_robot
 
 
@@ -53,6 +58,36 @@ def test_headline_speaks_of_held_out_data(result):
     assert "15 base parameters of 3r_friction" in line
     assert "held-out" in line
     assert f"{float(result.held_out.relative_percent[0]):.1f}" in line
+
+
+def test_headline_counts_what_may_be_zero(result):
+    poor = poor_names(result)
+    half = result.uncertainty.quantile() * result.std
+    assert len(poor) == int((half > result.values.abs())[result.free].sum())
+    line = headline(replace(result, covariance=1e6 * result.covariance))
+    assert f"{int(result.free.sum())} of {len(result.base)} cannot be told from zero" in line
+
+
+def test_everything_prints_as_one_line(result):
+    log = trajectory_log(random_trajectory(result.robot, 0), 10.0)
+    robot = load_robot("3r")
+    for thing in (result, result.robot, log, nominal_set(robot), diagnosis()):
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 200
+    assert "3r_friction" in repr(result)
+    assert "15 base parameters" in repr(result)
+
+
+def test_predict_takes_arrays(result):
+    q, dq, ddq = torch.rand(3, 5, 3, dtype=torch.float64, generator=torch.Generator())
+    own = result.predict(q, dq, ddq)
+    assert torch.equal(result.predict(q.numpy(), dq.tolist(), ddq), own)
+    assert torch.equal(result.residual(q, dq, ddq, own.numpy()), torch.zeros_like(own))
+    assert result.predict([0, 0, 0], [0, 0, 0], [0, 0, 0]).dtype == torch.float64
+    with pytest.raises(TorchidError, match="one column a joint"):
+        result.predict(q[:, :2].numpy(), dq.numpy(), ddq.numpy())
+    with pytest.raises(TorchidError, match="tables of numbers"):
+        result.predict(["a"], dq, ddq)
 
 
 def test_figures_draw_the_data(result, tmp_path):

@@ -94,3 +94,8 @@ def test_a_robot_goes_to_another_process(name):
     again = pickle.loads(pickle.dumps(robot))
     assert again.effects == robot.effects
     assert torch.equal(again.before, robot.before)
+
+
+def test_a_result_is_no_robot_and_the_error_says_what_makes_one_of_it():
+    with pytest.raises(RobotError, match=r"torchid export out/identification\.json --to urdf"):
+        load_robot("out/identification.json")

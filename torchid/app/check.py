@@ -9,16 +9,15 @@ import typer
 from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip, interval
 from torchid.app.output import Output, open_output
 from torchid.errors import TorchidError
-from torchid.json_data import write_json
+from torchid.json_data import read_json, write_json
 
 if TYPE_CHECKING:
+    from torchid.effects.registry import Valued
     from torchid.extraction.convex.nearest import NearestSets
     from torchid.feasibility.findings import Finding
     from torchid.feasibility.record import Check
     from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
-
-_ROBOT_FILES = (".yaml", ".yml", ".urdf", ".xml")
 
 
 def check_command(
@@ -88,7 +87,7 @@ def check_command(
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets, record
 
-    found, sets, also, noticed = _read(params, robot, tip)
+    found, sets, others, also, noticed = _read(params, robot, tip)
     check = check_sets(
         found,
         sets,
@@ -103,51 +102,45 @@ def check_command(
     data = {**record(check), "seed": seed}
     data["warnings"] = [*noticed, *data["warnings"]]
     if repaired is not None and nearest is not None:
-        _write_nearest(repaired, check, nearest, data)
+        _write_nearest(repaired, check, others, nearest, data)
     _show(check, tuple(data["warnings"]), repaired, output)
     if repaired is None and nearest is not None:
         output.say(f"all sets are feasible: {nearest} was not written")
     output.write_json(data, "feasibility.json")
 
 
-def _is_robot(text: str) -> bool:
-    from torchid.robot.library import built_in_robots
-
-    path = Path(text)
-    return text in built_in_robots() or path.suffix.lower() in _ROBOT_FILES
-
-
 def _read(
     params: str, robot: str | None, tip: str | None
-) -> tuple["Robot", "ParameterSets", Sequence["Finding"], tuple[str, ...]]:
-    """The robot that counts, the sets, what its file's own elements show, and warnings."""
+) -> tuple["Robot", "ParameterSets", Sequence["Valued"], Sequence["Finding"], tuple[str, ...]]:
+    """The robot that counts, the sets, effects beside them, what the robot's file's own elements
+    show, and warnings."""
+    from torchid.effects.registry import nominal_others
     from torchid.feasibility.findings import own_inertial_findings
-    from torchid.feasibility.sets import nominal_set, other_robot, read_sets
-    from torchid.robot.library import load_robot
+    from torchid.feasibility.sets import nominal_set, other_robot, read_other_effects, read_sets
+    from torchid.robot.library import is_robot, load_robot, named_robot
     from torchid.robot.shapes import own_inertials
 
-    if not _is_robot(params):
+    if not is_robot(params):
         if not Path(params).is_file():
             raise TorchidError(
                 f"'{params}' is neither a file nor a built-in robot.",
                 expected="a .json of parameter sets, or a robot",
             )
         if robot is None:
-            raise TorchidError(
-                f"--robot is needed: '{params}' holds parameters, not a robot's kinematics.",
-                expected="torchid check SETS.json --robot ROBOT",
-            )
-        found = load_robot(robot, tip=tip)
+            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), tip)
+        else:
+            found = load_robot(robot, tip=tip)
         sets = read_sets(Path(params), found)
         noticed = other_robot(Path(params), found)
-        return found, sets, (), () if noticed is None else (noticed,)
+        others = read_other_effects(Path(params), found)
+        return found, sets, others, (), () if noticed is None else (noticed,)
     names = [params] if robot is None else [params, robot]
     # A tip is for the files that can branch; where none can, the reader refuses it.
     trees = [name for name in names if Path(name).suffix.lower() in (".urdf", ".xml")]
-    own, *others = [
+    own, *counts = [
         load_robot(name, tip=tip if name in trees or not trees else None) for name in names
     ]
-    found = others[0] if others else own
+    found = counts[0] if counts else own
     if own.n != found.n:
         raise TorchidError(
             f"'{own.name}' and --robot '{found.name}' have different numbers of links.",
@@ -155,7 +148,7 @@ def _read(
             expected=found.n,
         )
     also = own_inertial_findings(own_inertials(own))
-    return found, nominal_set(own), also, _frames_differ(own, found)
+    return found, nominal_set(own), nominal_others(own), also, _frames_differ(own, found)
 
 
 def _frames_differ(own: "Robot", found: "Robot") -> tuple[str, ...]:
@@ -196,17 +189,27 @@ def _repair(check: "Check", seed: int) -> "NearestSets | None":
 
 
 def _write_nearest(
-    nearest: "NearestSets", check: "Check", path: Path, data: dict[str, Any]
+    nearest: "NearestSets",
+    check: "Check",
+    others: Sequence["Valued"],
+    path: Path,
+    data: dict[str, Any],
 ) -> None:
     """Feasible sets to the file; what each cost in torque to the record."""
     import math
 
+    from torchid.export.dynamics import described
     from torchid.feasibility.sets import to_record
 
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:
         sets = nearest.sets.part(good)
-        write_json(to_record(sets, check.robot), path)
+        write_json(to_record(sets, check.robot, others), path)
+        data["warnings"] += [
+            f"not part of the sets, and listed beside them in {path} as it is, for `torchid "
+            f"export`: {described(*pair, check.robot)}"
+            for pair in others
+        ]
     else:
         data["warnings"].append(f"no feasible set was found: {path} was not written")
 

@@ -75,7 +75,7 @@ def compare_command(
 
     read = read_results(results)
     found = None if robot is None else load_robot(robot, tip=tip)
-    compared = _compared(read, found, lambda arm: _logs(on, arm, gain, columns, topic), seed)
+    compared = _compared(read, found, tip, lambda arm: _logs(on, arm, gain, columns, topic), seed)
     _show(compared, output)
     output.write_json({**record(compared), "seed": seed}, "compare.json")
     _draw(compared, output)
@@ -84,6 +84,7 @@ def compare_command(
 def _compared(
     results: "Sequence[Result]",
     robot: "Robot | None",
+    tip: str | None,
     log: "Callable[[Robot | None], Log | None]",
     seed: int,
 ) -> "Comparison | GapComparison | SetComparison":
@@ -101,7 +102,7 @@ def _compared(
     if results[0].schema == reading.GAP:
         robot = robot or next((r for r in recorded if r is not None), None)
         return compare_diagnoses(results, on=log(robot), seed=seed)
-    robot = robot or robot_of(results)
+    robot = robot or robot_of(results, tip)
     return compare_sets(results, robot, on=log(robot), seed=seed)
 
 

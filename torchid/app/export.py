@@ -103,15 +103,8 @@ def _read(
     geometry: str | None,
 ) -> "tuple[Dynamics, Robot, Robot]":
     """The dynamics, the robot they belong to, and that whose file a copy is edited of."""
-    from torchid.export.results import (
-        base_dynamics,
-        is_robot,
-        load,
-        robot_dynamics,
-        robot_of,
-        set_dynamics,
-    )
-    from torchid.robot.library import load_robot
+    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
+    from torchid.robot.library import is_robot, load_robot, named_robot
 
     if is_robot(result):
         # A tip is for the files that can branch; where none can, the reader refuses it.
@@ -123,7 +116,7 @@ def _read(
         return robot_dynamics(own), own, others[0] if others else own
     path = Path(result)
     data = load(path)
-    arm = robot_of(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+    arm = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
     if "sets" in data:
         found = set_dynamics(path, data, arm, chosen, geometry)
     else:

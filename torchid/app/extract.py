@@ -1,5 +1,8 @@
 """`torchid extract`: physical parameter sets from base parameters."""
 
+import sys
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -19,6 +22,8 @@ from torchid.errors import TorchidError
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from torchid.extraction.convex.certificate import Certificate
     from torchid.extraction.extract import SearchSettings
     from torchid.extraction.problem import Problem
@@ -79,6 +84,7 @@ def extract_command(
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.extraction.extract import SearchSettings, require_possible
+    from torchid.report.extraction import loss_notes
     from torchid.robot.library import load_robot
 
     settings = SearchSettings(
@@ -87,7 +93,7 @@ def extract_command(
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     arm = load_robot(robot, tip=tip)
-    problem, _, notes = build_problem(
+    problem, values, notes = build_problem(
         arm, result, bounds=bounds, geometry=geometry, shapes=shapes, total_mass=total_mass,
         loss=loss,
     )  # fmt: skip
@@ -102,6 +108,7 @@ def extract_command(
         notes = (*notes, *told)
     else:
         found = _searched(problem, settings, output, resume, device(device_name))
+    notes = (*notes, *loss_notes(found, values))
     _show(found, certificate, notes, output)
     _write(found, certificate, notes, output)
 
@@ -188,7 +195,7 @@ def _searched(
                 "anew: --resume would have continued it",
             )
         )
-    with progress_bar(output) as progress:
+    with progress_bar(output) as progress, _told_of(checkpoint):
         found = extract(
             problem,
             settings,
@@ -200,6 +207,19 @@ def _searched(
             else (lambda done, total: progress("stages", done, total)),
         )
     return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
+
+
+@contextmanager
+def _told_of(checkpoint: Path | None) -> "Iterator[None]":
+    """Says what an interrupted search left behind."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if checkpoint is not None and checkpoint.exists():
+            sys.stderr.write(
+                f"interrupted; {checkpoint} is kept: the same command with --resume continues\n"
+            )
+        raise
 
 
 def _show(

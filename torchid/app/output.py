@@ -63,7 +63,7 @@ def open_output(
     """Check that results can be written before any work is done, and set torch's threads.
 
     Raises:
-        TorchidError: a folder that does not exist or cannot be written.
+        TorchidError: a folder that does not exist or cannot be written; a page that is no .html.
         MissingExtraError: a page is asked for, and what makes it is not installed.
     """
     started = time.monotonic()
@@ -93,6 +93,13 @@ def _check_page(page_file: Path, json_file: Path | None) -> None:
     if json_file is not None and page_file.resolve() == json_file.resolve():
         raise TorchidError("--report and --json name the same file.", got=page_file)
     _check_file("--report", page_file)
+    if page_file.suffix.lower() not in (".html", ".htm"):
+        raise TorchidError(
+            "--report writes an HTML page.",
+            got=page_file,
+            expected="FILE.html",
+            hint="a browser prints it as PDF",
+        )
     from torchid.report.page.render import require_templates
 
     require_templates()

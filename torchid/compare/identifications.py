@@ -66,6 +66,7 @@ class Comparison:
         birge: of the typical parameter (median); None if nothing was compared.
         torque: None without the robot.
         notes: sentences for the user.
+        same_motion: whether two were fitted on a trajectory of the same name.
     """
 
     labels: tuple[str, ...]
@@ -76,6 +77,7 @@ class Comparison:
     birge: float | None
     torque: TorqueSpread | None
     notes: tuple[str, ...]
+    same_motion: bool = False
 
     def having(self, *verdicts: Verdict) -> list[Compared]:
         """Parameters of these verdicts."""
@@ -112,6 +114,7 @@ def compare_identifications(
         ratios = torch.tensor([p.scatter.birge for p in compared if p.scatter is not None])
         counts = torch.stack([torch.isfinite(p.std).sum() for p in compared]).double()
         birge = typical_birge(ratios.double(), counts)
+    fitted = [name for r in results for name in set(r.trajectories)]
     names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
     return Comparison(
         labels=tuple(r.label for r in results),
@@ -124,6 +127,7 @@ def compare_identifications(
         notes=common.notes
         + (() if robot is not None else ("no torque: these results did not record their robot; "
            "--robot names it",)),
+        same_motion=len(set(fitted)) < len(fitted),
     )  # fmt: skip
 
 

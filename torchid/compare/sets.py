@@ -16,12 +16,13 @@ from torchid.compare.torque import (
     random_motion,
     torque_spread,
 )
+from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import ParameterSets, read_sets
+from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
-from torchid.robot.library import built_in_robots, load_robot
+from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -68,21 +69,16 @@ class SetComparison:
     notes: tuple[str, ...]
 
 
-def robot_of(results: Sequence[Result]) -> Robot:
-    """The built-in robot that files of sets name.
+def robot_of(results: Sequence[Result], tip: str | None = None) -> Robot:
+    """The robot that files of sets name.
 
     Raises:
-        TorchidError: files of different robots, or of one that is not built in.
+        TorchidError: files of different robots, or of one that is not where it was.
     """
     names = list(dict.fromkeys(r.robot_name for r in results))
     if len(names) > 1:
         raise TorchidError("the sets are of different robots.", got=", ".join(names))
-    if names[0] not in built_in_robots():
-        raise TorchidError(
-            f"sets do not record their robot, and '{names[0]}' is not built in.",
-            expected="--robot ROBOT",
-        )
-    return load_robot(names[0])
+    return named_robot(results[0].path, results[0].data, tip)
 
 
 def compare_sets(
@@ -107,7 +103,10 @@ def compare_sets(
     units = [c.unit for e in effects for c in e.coefficients]
     base = base_parameters(robot, effects)
     vectors = [s.vector.double() for s in sets]
-    models = [_mean_model(s, robot) for s in sets]
+    models = [
+        _mean_model(s, robot, read_other_effects(r.path, robot))
+        for s, r in zip(sets, results, strict=True)
+    ]
     motion = random_motion(robot, seed) if on is None else log_motion(robot, on, None)
     return SetComparison(
         tuple(r.label for r in results),
@@ -142,10 +141,10 @@ def _verdict(low: Float[Tensor, " m"], high: Float[Tensor, " m"]) -> Verdict:
     return "never_determined" if bool((half > UNKNOWN * middle.abs()).all()) else "agree"
 
 
-def _mean_model(sets: ParameterSets, robot: Robot) -> Model:
+def _mean_model(sets: ParameterSets, robot: Robot, others: Sequence[Valued]) -> Model:
     mean = sets.parameters.pi.mean(0)
     values = sets.coefficients.mean(0).tolist()
-    records = []
+    records = [effect.record(own) for effect, own in others]
     for effect in sets.effects:
         own, values = values[: len(effect.coefficients)], values[len(effect.coefficients) :]
         records.append(effect.record(own))

@@ -123,6 +123,11 @@ def nominal_columns(robot: Robot) -> list[tuple[JointEffect, list[float]]]:
     ]
 
 
+def nominal_others(robot: Robot) -> list[Valued]:
+    """Those that it cannot."""
+    return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
+
+
 def nominal_effect_torque(robot: Robot, motion: Motion) -> Joints:
     """Torque (..., n) of the robot's nominal effects."""
     effects = nominal_effects(robot)

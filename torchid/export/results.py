@@ -6,32 +6,26 @@ robot is a built-in name or a file, such as `torchid gap --save-model` writes.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from torchid.effects.registry import COLUMN_KINDS, nominal_effects
+from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
-from torchid.export.dynamics import Dynamics, of_base, records
+from torchid.export.dynamics import Dynamics, described, of_base, records
+from torchid.extraction.torque import FAR
 from torchid.feasibility.record import check_sets
-from torchid.feasibility.sets import ParameterSets, read_sets
+from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
 from torchid.identification.reading import read_base
 from torchid.identification.record import SCHEMA as IDENTIFICATION
 from torchid.identification.result import Identification
 from torchid.identification.values import identified_base
 from torchid.json_data import read_json
-from torchid.robot.library import built_in_robots, load_robot
 from torchid.robot.model import Robot
 
-_ROBOT_FILES = (".yaml", ".yml", ".urdf", ".xml")
 Exportable = Dynamics | Identification | ParameterSets | Robot
 _KINDS = "the JSON of `torchid identify` or `extract`, a file of parameter sets, or a robot"
-
-
-def is_robot(result: str) -> bool:
-    """Whether a result is a robot itself, by its name."""
-    return result in built_in_robots() or Path(result).suffix.lower() in _ROBOT_FILES
 
 
 def load(path: Path) -> Mapping[str, Any]:
@@ -71,29 +65,6 @@ def dynamics_of(
     return robot_dynamics(result) if isinstance(result, Robot) else result
 
 
-def robot_of(result: Path, data: Mapping[str, Any], tip: str | None) -> Robot:
-    """The robot that a JSON result names, by the file or built-in name it records, with the tip
-    that it records unless another is given.
-
-    Raises:
-        TorchidError: it names none, or one that is not where it was.
-    """
-    source, name = data.get("robot_source"), data.get("robot")
-    tip = data.get("robot_tip") if tip is None else tip
-    for place in (source, name):
-        if not isinstance(place, str):
-            continue
-        beside = result.parent / place
-        for found in (place, str(beside)):
-            if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
-                return load_robot(found, tip=tip)
-    raise TorchidError(
-        f"--robot is needed: the robot of '{result}' was not found.",
-        got=source or name,
-        expected="torchid export RESULT --robot ROBOT --to FORMAT",
-    )
-
-
 def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     """The base parameters of an identification."""
     values = read_base(path, robot)
@@ -106,27 +77,33 @@ def set_dynamics(
     path: Path, data: Mapping[str, Any], robot: Robot, asked: str | None, geometry: str | None
 ) -> Dynamics:
     """One set of a file: the one asked for; else, of the feasible ones, the one of least loss, or
-    of the largest degree where no losses are known. Where none is feasible, of all.
+    of the largest degree where no losses are known. Where none is feasible, of all. The effects
+    that the file lists beside its sets come with it.
 
     Raises:
         TorchidError: no such set, or a file without parameters.
     """
-    sets = read_sets(_with_parameters(path, data), robot)
+    file = _with_parameters(path, data)
+    sets = read_sets(file, robot)
     k, why = _chosen(sets, _losses(path, data), asked, robot, geometry)
-    found = of_set(robot, sets.part([k]), f"the set '{sets.ids[k]}' of {path.name}{why}")
-    if data.get("robot") in (None, robot.name):
-        return found
-    other = f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'"
-    return replace(found, warnings=(*found.warnings, other))
+    warnings = _other_torque(path, data, sets.ids[k])
+    title = f"the set '{sets.ids[k]}' of {path.name}{why}"
+    found = of_set(robot, sets.part([k]), title, read_other_effects(file, robot))
+    if data.get("robot") not in (None, robot.name):
+        warnings += (f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'",)
+    return replace(found, warnings=(*found.warnings, *warnings))
 
 
-def of_set(robot: Robot, one: ParameterSets, title: str | None = None) -> Dynamics:
+def of_set(
+    robot: Robot, one: ParameterSets, title: str | None = None, others: Sequence[Valued] = ()
+) -> Dynamics:
     """A set of parameters to export.
 
     Args:
         robot: that it belongs to.
         one: one set, e.g. `sets.part([k])` of several.
         title: what it is, for people; by its name otherwise.
+        others: effects beside it, which sets have no columns for.
 
     Raises:
         TorchidError: not one set.
@@ -135,13 +112,16 @@ def of_set(robot: Robot, one: ParameterSets, title: str | None = None) -> Dynami
         raise TorchidError("one set is exported.", got=f"{len(one)} sets", hint="sets.part([k])")
     coefficients = iter(one.coefficients[0].tolist())
     effects = [(e, [next(coefficients) for _ in e.coefficients]) for e in one.effects]
-    left = sorted({e.name for e, _ in nominal_effects(robot) if e.name not in COLUMN_KINDS})
-    said = f"effects of the robot that are not part of the sets: {', '.join(left)}"
     return Dynamics(
-        replace(one.to_robot(robot, 0), effects=records(effects)),
+        replace(one.to_robot(robot, 0), effects=records([*effects, *others])),
         "set",
         f"the set '{one.ids[0]}'" if title is None else title,
-        warnings=(said,) if left else (),
+        warnings=tuple(
+            f"an effect of the robot that is not part of the set is left out: "
+            f"{described(*pair, robot)}"
+            for pair in nominal_others(robot)
+            if pair not in others
+        ),
     )
 
 
@@ -172,15 +152,38 @@ def _with_parameters(path: Path, data: Mapping[str, Any]) -> Path:
 
 def _losses(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
     """Losses by the sets' ids, from the result or from the extraction or study beside it."""
+    found = _beside(path, data, "phi")[0]
+    return {k: math.inf if v is None else float(v) for k, v in found.items()}
+
+
+def _other_torque(path: Path, data: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    """Says that a set's torque is far from the one that the extraction asked for."""
+    found, source = _beside(path, data, "torque_error_percent")
+    percent = [0.0 if v is None else float(v) for v in found.get(name) or ()]
+    worst = max(percent, default=0.0)
+    if worst <= 100 * FAR:
+        return ()
+    instead = "; `torchid extract --loss one-step` asks for the log's torque"
+    return (
+        f"the set's torque is up to {worst:.2g} % from the one asked for (joint "
+        f"{percent.index(worst) + 1}){instead if source.get('loss') == 'two-step' else ''}",
+    )
+
+
+def _beside(
+    path: Path, data: Mapping[str, Any], key: str
+) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """What a result says of each set under a key, by id, and the result: this one, or the
+    extraction or study beside it."""
     for other in (path, path.parent / "extraction.json", path.parent / "study.json"):
         try:
-            entries = data["sets"] if other == path else read_json(other, _KINDS)["sets"]
-            found = {str(e["id"]): e["phi"] for e in entries if "phi" in e}
+            source = data if other == path else read_json(other, _KINDS)
+            found = {str(e["id"]): e[key] for e in source["sets"] if key in e}
         except (TorchidError, KeyError, TypeError):
             continue
         if found:
-            return {k: math.inf if v is None else float(v) for k, v in found.items()}
-    return {}
+            return found, source
+    return {}, {}
 
 
 def _chosen(

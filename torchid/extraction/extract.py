@@ -119,6 +119,10 @@ class Extraction:
     contradictions: tuple[str, ...]
     seconds: float
 
+    def __repr__(self) -> str:
+        name, best = self.problem.robot.name, float(self.phi[self.best])
+        return f"Extraction('{name}', {len(self.sets)} sets, best {self.best} with phi {best:.4g})"
+
     @property
     def best(self) -> int:
         """The run with the lowest final loss phi + xi gamma (phi alone if partial)."""

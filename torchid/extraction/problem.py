@@ -23,7 +23,7 @@ from torchid.errors import TorchidError
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.sets import ParameterSets
-from torchid.identification.base_parameters import VISIBLE, BaseParameters
+from torchid.identification.base_parameters import BaseParameters, visible
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, paper_order
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -261,5 +261,5 @@ def with_coefficient_bounds(
 def _largest_sizes(base: BaseParameters, values: Tensor) -> Float[Tensor, " P"]:
     """Size (P,) of each parameter if it alone made up one of the sums that it is part of."""
     grouping = base.grouping.abs().to(values)
-    share = torch.where(grouping > VISIBLE, values.abs().unsqueeze(-1) / grouping, 0.0)
+    share = torch.where(visible(grouping), values.abs().unsqueeze(-1) / grouping, 0.0)
     return share.amax(0)

@@ -7,6 +7,9 @@ from torchid.feasibility.sets import ParameterSets
 from torchid.identification.base_parameters import random_states, stacked_regressor
 from torchid.typing import Float
 
+FAR = 0.05
+"""Largest such difference of a joint from which a set's torque is said to be another one."""
+
 
 def torque_error(problem: Problem, sets: ParameterSets) -> Float[torch.Tensor, "K n"]:
     """Root mean square over random states of the difference between each set's torque and that of

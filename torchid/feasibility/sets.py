@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from torchid.effects.base import JointEffect
-from torchid.effects.registry import column_kind, nominal_columns
+from torchid.effects.registry import Valued, column_kind, effect_from_record, nominal_columns
 from torchid.errors import TorchidError
 from torchid.json_data import read_json
 from torchid.robot.inertia import InertialParameters, parallel_axis
@@ -38,6 +38,10 @@ class ParameterSets:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def __repr__(self) -> str:
+        links, count = self.parameters.pi.shape[-2], self.coefficients.shape[-1]
+        return f"ParameterSets({len(self)} of {links} links and {count} coefficients of effects)"
 
     @property
     def vector(self) -> Float[Tensor, "K P"]:
@@ -100,12 +104,13 @@ def joined(parts: Sequence[ParameterSets]) -> ParameterSets:
     )
 
 
-def to_record(sets: ParameterSets, robot: Robot) -> dict[str, Any]:
+def to_record(sets: ParameterSets, robot: Robot, others: Sequence[Valued] = ()) -> dict[str, Any]:
     """JSON-ready data, lossless: masses, first moments and inertias about the link frames.
 
     Args:
         sets: of one robot.
         robot: that they belong to.
+        others: effects that hold beside every set, which has no columns for them.
     """
     first = torch.cumsum(torch.tensor([0] + [len(e.coefficients) for e in sets.effects]), 0)
     entries = []
@@ -131,7 +136,9 @@ def to_record(sets: ParameterSets, robot: Robot) -> dict[str, Any]:
                 "effects": effects,
             }
         )
-    return {"schema": SCHEMA, **named_record(robot), "sets": entries}
+    beside = [dict(effect.record(values)) for effect, values in others]
+    more = {"other_effects": beside} if beside else {}
+    return {"schema": SCHEMA, **named_record(robot), "sets": entries, **more}
 
 
 def read_sets(path: Path, robot: Robot) -> ParameterSets:
@@ -157,6 +164,18 @@ def read_sets(path: Path, robot: Robot) -> ParameterSets:
     if len(set(ids)) != len(ids):
         raise TorchidError(f"'{path}': two sets have the same id.", got=ids)
     return joined(parts)
+
+
+def read_other_effects(path: Path, robot: Robot) -> tuple[Valued, ...]:
+    """The effects that a file of sets lists beside them (`other_effects`).
+
+    Raises:
+        TorchidError: not a list of effects as in a robot's yaml.
+    """
+    entries = read_json(path, _FILE).get("other_effects", [])
+    if not isinstance(entries, list) or not all(isinstance(e, Mapping) for e in entries):
+        raise TorchidError(f"'{path}': other_effects is not a list of effects.", got=entries)
+    return tuple(effect_from_record(entry, robot) for entry in entries)
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:

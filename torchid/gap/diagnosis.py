@@ -245,3 +245,10 @@ class Diagnosis:
     cutoff: float
     settings: dict[str, Any]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        effects = ", ".join(f.effect.name for f in self.findings) or "no effects"
+        closed = (
+            "" if self.how_far.closed is None else f", {100 * self.how_far.closed:.0f} % closed"
+        )
+        return f"Diagnosis('{self.robot.name}', {self.status}: {effects}{closed})"

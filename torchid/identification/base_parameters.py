@@ -24,15 +24,15 @@ from torchid.errors import IdentificationError
 from torchid.identification.rank import independent_columns
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float
+from torchid.typing import Bool, Float
 
 RANK_TOLERANCE = 1e-4
 """Relative size below which a diagonal entry of R counts as zero. Kept entries are of order 1e-2
 and above on the arms tried, dropped ones 1e-15; twists written as 1.5708 for pi/2 make 1e-5."""
 
-VISIBLE = 1e-5
-"""Smaller coefficients of a grouping are not shown in its name: they come from twists written with
-a few digits, not from the robot's structure."""
+VISIBLE = 1e-4
+"""Coefficients of a grouping below this share of its largest are not shown in its name: they come
+from twists written with a few digits, not from the robot's structure."""
 
 _CLEAR_GAP = 1e3
 
@@ -78,7 +78,13 @@ class BaseParameters:
 
     def is_single(self, position: int) -> bool:
         """Whether base parameter `position` is one parameter, not a sum of several."""
-        return int((self.grouping[position].abs() > VISIBLE).sum()) == 1
+        return int(visible(self.grouping[position]).sum()) == 1
+
+
+def visible(grouping: Float[Tensor, "*rows P"]) -> Bool[Tensor, "*rows P"]:
+    """Which coefficients of a grouping its names show."""
+    size = grouping.abs()
+    return size > VISIBLE * size.amax(-1, keepdim=True)
 
 
 def base_parameters(
@@ -207,11 +213,11 @@ def _gap_warnings(
 
 def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
     """`m3 + m4 - 5 m3c3y`, the independent parameter first, then by index."""
-    order = [lead] + [k for k in (row.abs() > VISIBLE).nonzero().flatten().tolist() if k != lead]
+    order = [lead] + [k for k in visible(row).nonzero().flatten().tolist() if k != lead]
     text = ""
     for k in order:
         value = float(row[k])
-        size = "" if abs(abs(value) - 1) < 1e-9 else f"{abs(value):.5g} "
+        size = "" if (number := f"{abs(value):.5g}") == "1" else f"{number} "
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         text += f"{sign}{size}{names[k]}"
     return text

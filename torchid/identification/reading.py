@@ -35,6 +35,7 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
             got=f"{len(names)} of '{data.get('robot')}'"
             + (f", e.g. {differing[0]}" if differing else ""),
             expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
+            hint="of the same robot by an older torchid: identify again",
         )
     b = len(base)
     values = _tensor(data, "base_values", (b,), path)

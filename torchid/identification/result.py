@@ -1,18 +1,25 @@
 """What an identification found, and what its user must know about it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.effects.base import JointEffect, Motion
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.physical_signs import physical_signs
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
 from torchid.identification.validation import Errors, Prediction, model_torque
 from torchid.robot.model import Robot
 from torchid.typing import Bool, BroadcastJoints, Float, Joints, Tensor
+
+Numbers = BroadcastJoints | np.ndarray | Sequence[Any]
+"""(..., n), one column a joint."""
 
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
@@ -88,6 +95,16 @@ class Identification:
     settings: Settings
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        shown = self.fit if self.held_out is None else self.held_out
+        low, high = float(shown.relative_percent.min()), float(shown.relative_percent.max())
+        where = "fitted" if self.held_out is None else "held-out"
+        return (
+            f"Identification('{self.robot.name}', {self.base.n_rigid} base parameters, "
+            f"{len(self.base) - self.base.n_rigid} coefficients of effects, {where} torque error "
+            f"{low:.1f} to {high:.1f} % by joint)"
+        )
+
     @property
     def std(self) -> Float[Tensor, " B"]:
         """Standard deviations (B,); 0 for parameters that are not free."""
@@ -109,20 +126,22 @@ class Identification:
         half = self.uncertainty.quantile(level) * self.std
         return torch.stack([self.values - half, self.values + half], -1)
 
-    def predict(self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints) -> Joints:
-        """Joint torques (..., n) [N m; N] of the identified model.
+    def predict(self, q: Numbers, dq: Numbers, ddq: Numbers) -> Joints:
+        """Joint torques (..., n) [N m; N] of the identified model, from tensors or arrays.
 
         The direction of motion is the sign of dq here; on logs, `validation.predict` uses the
         direction with hysteresis, as the fit does.
-        """
-        values = self.values.to(q)
-        return model_torque(self.robot, self.base, self.effects, values, Motion(q, dq, ddq))
 
-    def residual(
-        self, q: BroadcastJoints, dq: BroadcastJoints, ddq: BroadcastJoints, tau: BroadcastJoints
-    ) -> Joints:
+        Raises:
+            TorchidError: not numbers of all joints.
+        """
+        state = [_joints(x, self.robot.n) for x in (q, dq, ddq)]
+        values = self.values.to(state[0])
+        return model_torque(self.robot, self.base, self.effects, values, Motion(*state))
+
+    def residual(self, q: Numbers, dq: Numbers, ddq: Numbers, tau: Numbers) -> Joints:
         """Measured minus predicted torque (..., n)."""
-        return tau - self.predict(q, dq, ddq)
+        return _joints(tau, self.robot.n) - self.predict(q, dq, ddq)
 
     def combination(self, weights: Float[Tensor, " P"]) -> tuple[float, float]:
         """Value and standard deviation of a linear combination of all parameters.
@@ -143,6 +162,23 @@ class Identification:
         return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
 
 
+def _joints(values: Numbers, n: int) -> Joints:
+    """A floating tensor (..., n) of what a user gives."""
+    try:
+        out = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TorchidError(
+            "q, dq, ddq and torque are tables of numbers.", got=type(values).__name__
+        ) from error
+    if out.ndim == 0 or out.shape[-1] != n:
+        raise TorchidError(
+            "q, dq, ddq and torque have one column a joint.",
+            got=tuple(out.shape),
+            expected=f"(..., {n})",
+        )
+    return out if out.is_floating_point() else out.double()
+
+
 def findings(result: Identification) -> list[str]:
     """What a user must know about a result, one sentence each."""
     said = []
@@ -159,11 +195,50 @@ def findings(result: Identification) -> list[str]:
         said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
     if result.dropped:
         said.append("cannot be told from 0, dropped as not essential: " + ", ".join(result.dropped))
+    said += _impossible(result)
+    said += _highest_cutoff(result)
     said += _unexplained(result)
     said += _friction_at_rest(result)
     for label, e in (("fit", result.fit), ("held-out data", result.held_out)):
         said += _standstill(label, e)
     return said
+
+
+def _impossible(result: Identification) -> list[str]:
+    """Sums whose 95 % interval lies where no body's value can."""
+    signs = physical_signs(result.base, result.effects).to(result.values)
+    far = (signs * result.values + result.uncertainty.quantile() * result.std < 0) & result.free
+    known = set(result.wrong_sign)
+    bad = [k for k in far.nonzero().flatten().tolist() if result.base.names[k] not in known]
+    if not bad:
+        return []
+    listed = "; ".join(
+        f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
+        f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
+        for k in bad
+    )
+    return [
+        f"no body has these values, so no physical parameters give exactly this torque: {listed}"
+    ]
+
+
+def _highest_cutoff(result: Identification) -> list[str]:
+    """Says when the best cut-off may be one that was not tried."""
+    choice = result.cutoff_choice
+    if choice is None or choice.cutoff is None:
+        return []
+    tried = [
+        (f, score)
+        for f, score in zip(choice.candidates, choice.scores, strict=True)
+        if f is not None
+    ]
+    if len(tried) < 2 or tried[-1][0] != choice.cutoff:
+        return []
+    (_, before), (last, at) = tried[-2:]
+    return [
+        f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the cross-validated "
+        f"error still falls there ({before:.4g} to {at:.4g} %): --cutoff HZ sets a higher one"
+    ]
 
 
 def _unexplained(result: Identification) -> list[str]:

@@ -128,6 +128,13 @@ class Log:
         """Number of joints."""
         return self.q.shape[1]
 
+    def __repr__(self) -> str:
+        count, signals = len(self.names), ", ".join(self.signals)
+        return (
+            f"Log({count} trajector{'y' if count == 1 else 'ies'} of {self.n} joints, "
+            f"{self.samples} samples of {signals})"
+        )
+
     @property
     def samples(self) -> int:
         """Number of samples of all trajectories together."""

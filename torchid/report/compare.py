@@ -84,6 +84,24 @@ def _scatter(result: Comparison) -> str:
         f"{whole.expected[0]:.0f} to {whole.expected[2]:.0f} is expected (p = {whole.p:.2g})"
     )
     if whole.pooled <= high and whole.p >= 0.05:
+        if result.same_motion:
+            return (
+                claim
+                + together
+                + (
+                    ": no contradiction, but fitted on the same trajectory they say nothing "
+                    "about the standard deviations from run to run."
+                )
+            )
+        if whole.pooled < low:
+            return (
+                claim
+                + together
+                + (
+                    ": they agree better than chance allows, so they share data, or their standard "
+                    "deviations are too large."
+                )
+            )
         return claim + together + ": the standard deviations can be trusted from run to run."
     if typical > NOTABLE:
         return (
@@ -201,7 +219,8 @@ def torque_table(t: TorqueSpread, labels: Sequence[str]) -> Table:
 def set_verdict(result: SetComparison) -> str:
     """What the sets agree on, in sentences."""
     total = ", ".join(
-        f"{k} sets ({name})" for k, name in zip(result.counts, result.labels, strict=True)
+        f"{k} set{'s' * (k != 1)} ({name})"
+        for k, name in zip(result.counts, result.labels, strict=True)
     )
     parts = []
     for what, ranges in (("physical", result.physical), ("base", result.base)):

@@ -2,7 +2,7 @@
 
 from rich.table import Table
 
-from torchid.compare.diagnoses import ALPHA, Coefficient, GapComparison, Shared
+from torchid.compare.diagnoses import ALPHA, Coefficient, GapComparison, Named, Shared
 from torchid.report.compare import torque_sentence, torque_table
 from torchid.report.identification import compact
 
@@ -68,6 +68,10 @@ def _effect_table(result: GapComparison) -> Table:
         table.add_row(_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", "")
         for c in s.coefficients:
             table.add_row("", c.name, *_values(c), f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}")
+        alike = [c.name for c in s.coefficients]
+        sizes = (k for n in s.named if n is not None for k in n.values if k not in alike)
+        for name in dict.fromkeys(sizes):
+            table.add_row("", name, *(_size(n, name) for n in s.named), "", "")
         for shape in dict.fromkeys(k for n in s.named if n is not None for k in n.shapes):
             cells = [
                 "" if n is None or shape not in n.shapes else f"{n.shapes[shape]:.4g}"
@@ -86,6 +90,15 @@ def _state(s: Shared, k: int) -> str:
     if s.states[k] == "not_testable":
         return "not testable" + ("" if smallest is None else f" below {smallest:.2g}")
     return "not found"
+
+
+def _size(n: Named | None, name: str) -> str:
+    """A coefficient that no other diagnosis gives with a standard deviation."""
+    if n is None or name not in n.values:
+        return ""
+    std = f" ± {n.std[name]:.2g}" if name in n.std else ""
+    unit = n.units.get(name, "1")
+    return f"{n.values[name]:.4g}{std}{'' if unit == '1' else f' {unit}'}"
 
 
 def _values(c: Coefficient) -> list[str]:

@@ -7,6 +7,7 @@ from rich.table import Table
 
 from torchid.export.checks import Comparison
 from torchid.export.export import Export
+from torchid.feasibility.plausibility import DENSITIES
 from torchid.report.identification import compact
 
 SCHEMA = "torchid.export/1"
@@ -53,8 +54,23 @@ def warnings(done: Export) -> tuple[str, ...]:
     if done.check is not None and not bool(done.check.feasibility.feasible[0]):
         reasons = ", ".join(done.check.feasibility.reasons(0))
         said.append(f"infeasible, and written all the same: {reasons}")
+    said += _dense(done)
     said += [f"LEFT OUT of the {done.format} file: {words}" for words in done.left_out]
     return tuple(said)
+
+
+def _dense(done: Export) -> list[str]:
+    """Links that are bodies, but of no material; a sentence for all of them."""
+    findings = () if done.check is None else done.check.findings[0]
+    dense = [f for f in findings if f.what == "density" and f.value > f.threshold == DENSITIES[1]]
+    if not dense:
+        return []
+    links = ", ".join(str(f.link) for f in dense)
+    return [
+        f"not plausible, though not forbidden: the inertia of link {links} is that of a body "
+        f"denser than lead (up to {max(f.value for f in dense):.2g} kg/m^3); `torchid check` says "
+        "more"
+    ]
 
 
 def comparison_table(done: Export) -> Table:

@@ -17,9 +17,10 @@ from torchid.extraction.record import (
     problem_record,
     sets_record,
 )
-from torchid.extraction.torque import torque_error
+from torchid.extraction.torque import FAR, torque_error
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.identification.values import BaseValues
 from torchid.json_data import plain
 from torchid.report.figures import BLUE, GREY, INK, RED, new_figure, styled
 from torchid.report.identification import compact
@@ -105,7 +106,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
     k, count = found.best, int(found.verdict.feasible.sum())
     degree = float(found.verdict.degree[k])
     verdict = (
-        f"feasible ({'on the boundary, ' if degree < ON_THE_BOUNDARY else ''}degree {degree:.2g})"
+        f"feasible ({'on the boundary' if degree < ON_THE_BOUNDARY else f'degree {degree:.2g}'})"
         if bool(found.verdict.feasible[k])
         else f"infeasible: {', '.join(found.verdict.reasons(k))}"
     )
@@ -122,6 +123,18 @@ def headline(found: Found, proof: Certificate | None) -> str:
         more = "" if len(edges) <= _SHOWN else f" and {len(edges) - _SHOWN} more"
         text += f" On its bounds: {', '.join(edges[:_SHOWN])}{more}."
     return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
+
+
+def loss_notes(found: Found, values: BaseValues) -> tuple[str, ...]:
+    """Says that the loss is to blame, where the best set's torque is far off and a log is there to
+    ask."""
+    far = float(found.torque[found.best].max()) > FAR
+    if not far or found.problem.target.loss != "two-step" or values.factor is None:
+        return ()
+    return (
+        "the two-step loss counts coefficients, all alike, not torque: --loss one-step asks for "
+        "the log's torque",
+    )
 
 
 def _equally_good(found: Found) -> str:
@@ -164,10 +177,10 @@ def least_loss(found: Found, proof: Certificate) -> str:
 
 def tables(found: Found, proof: Certificate | None) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    shown = min(_SHOWN, len(found.sets))
+    count = len(found.sets)
+    which = f"the best {_SHOWN} of {count} sets" if count > _SHOWN else f"set{'s' * (count > 1)}"
     table = compact(
-        f"the best {shown} of {len(found.sets)} sets within the bounds "
-        f"'{found.problem.bounds.name}' (torque: largest joint)"
+        f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)"
     )
     for heading in ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"):
         table.add_column(heading, justify="left" if heading in ("set", "reasons") else "right")
@@ -180,7 +193,7 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
             f"{100 * float(found.torque[k].max()):.2g}",
             f"{float(found.gamma[k]):.2g}",
             "yes" if verdict[k] else "no",
-            f"{float(found.verdict.degree[k]):.2g}",
+            _degree(float(found.verdict.degree[k])),
             ", ".join(found.verdict.reasons(k)),
         )
     out = [table]
@@ -192,6 +205,10 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
             forced.add_row(name, f"{value:.5g}")
         out.append(forced)
     return out
+
+
+def _degree(value: float) -> str:
+    return "boundary" if abs(value) < ON_THE_BOUNDARY else f"{value:.2g}"
 
 
 def extraction_record(

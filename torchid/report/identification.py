@@ -11,6 +11,9 @@ from torchid.identification.motion import MOVING
 from torchid.identification.validation import Errors
 from torchid.robot.model import JointType
 
+_ZERO = 100.0
+"""Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
+
 
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
@@ -35,8 +38,20 @@ def headline(result: Identification) -> str:
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{len(result.base) - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
         f"number {result.scaled_condition_number:.0f} with scaled columns). Torque error on "
-        f"{where}, % per joint: {percent} (while moving: {moving})."
+        f"{where}, % per joint: {percent} (while moving: {moving}).{_poor(result)}"
     )
+
+
+def _poor(result: Identification) -> str:
+    count = len(poor_names(result))
+    return f" {count} of {len(result.base)} cannot be told from zero (95 %)." if count else ""
+
+
+def poor_names(result: Identification) -> list[str]:
+    """Names of estimated coefficients whose 95 % interval holds zero, the worst first."""
+    half = result.uncertainty.quantile() * result.relative_std_percent
+    bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > _ZERO]
+    return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
 
 
 def parameter_table(result: Identification) -> Table:
@@ -103,13 +118,15 @@ def error_table(result: Identification) -> Table:
         f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note}; "
         f"moving: |dq| > {MOVING:g})"
     )
+    kinds = dict.fromkeys(result.robot.joint_types)
+    unit = "; ".join("N" if kind is JointType.PRISMATIC else "N m" for kind in kinds)
     table.add_column("data, rows")
     for i in range(result.robot.n):
         table.add_column(str(i + 1), justify="right", no_wrap=True)
     table.add_column("mean", justify="right")
     for label, errors in (("fit", result.fit), ("held out", result.held_out)):
         if errors is not None:
-            _error_rows(table, label, errors)
+            _error_rows(table, label, errors, unit)
     return table
 
 
@@ -118,7 +135,7 @@ def compact(title: str) -> Table:
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
 
 
-def _error_rows(table: Table, label: str, e: Errors) -> None:
+def _error_rows(table: Table, label: str, e: Errors, unit: str) -> None:
     rows = (
         ("all", e.relative_percent),
         ("moving", e.relative_percent_moving),
@@ -128,7 +145,9 @@ def _error_rows(table: Table, label: str, e: Errors) -> None:
         listed = values.tolist()
         mean = sum(listed) / len(listed)
         table.add_row(f"{label}, {name}", *(_percent(v) for v in listed), _percent(mean))
-    table.add_row(f"{label}, RMSE", *(f"{v:.3g}" for v in e.rmse.tolist()), "", end_section=True)
+    table.add_row(
+        f"{label}, RMSE \\[{unit}]", *(f"{v:.3g}" for v in e.rmse.tolist()), "", end_section=True
+    )
 
 
 def _percent(value: float) -> str:

@@ -1,9 +1,11 @@
 """Find a robot by built-in name or by path."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from torchid.errors import RobotError
+from torchid.errors import RobotError, TorchidError
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
 from torchid.robot.sidecar import with_sidecar
@@ -19,6 +21,11 @@ def _folder() -> Path:
 def built_in_robots() -> list[str]:
     """Names of the built-in robots."""
     return sorted(path.stem for path in _folder().glob("*.yaml"))
+
+
+def is_robot(name: str) -> bool:
+    """Whether this names a robot: a built-in one, or a file by its suffix."""
+    return name in built_in_robots() or Path(name).suffix.lower() in _SUFFIXES
 
 
 def robot_file(name: str | Path) -> Path:
@@ -51,6 +58,9 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
             f"unknown robot '{text}'.",
             expected=f"a built-in name or a file ({', '.join(_SUFFIXES)})",
             available=built_in_robots(),
+            hint=f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
+            if suffix == ".json"
+            else None,
         )
     if not path.is_file():
         raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
@@ -75,6 +85,33 @@ def named_record(robot: Robot) -> dict[str, str]:
     source = path.stem if path.parent == _folder() else robot.source
     tip = {} if robot.tip is None else {"robot_tip": robot.tip}
     return {"robot": robot.name, "robot_source": source, **tip}
+
+
+def named_robot(result: Path, data: Mapping[str, Any], tip: str | None = None) -> Robot:
+    """The robot that a result's data name, as `named_record` writes it: its file or built-in name,
+    with the tip that it records unless another is given.
+
+    Args:
+        result: file of the data; the robot may lie beside it.
+        data: of the result.
+        tip: in place of the recorded one.
+
+    Raises:
+        TorchidError: it names none, or one that is not where it was.
+    """
+    source, name = data.get("robot_source"), data.get("robot")
+    tip = data.get("robot_tip") if tip is None else tip
+    for place in (source, name):
+        if not isinstance(place, str):
+            continue
+        for found in (place, str(result.parent / place)):
+            if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
+                return load_robot(found, tip=tip)
+    raise TorchidError(
+        f"--robot is needed: the robot of '{result}' was not found.",
+        got=source or name,
+        expected="--robot ROBOT",
+    )
 
 
 def _refuse_tip(tip: str | None, name: str) -> None:

@@ -126,6 +126,10 @@ class Robot:
     source: str = ""
     tip: str | None = None
 
+    def __repr__(self) -> str:
+        known = "without parameters" if self.parameters is None else "with parameters"
+        return f"Robot('{self.name}', {self.n} joints, {known}, {len(self.effects)} effects)"
+
     @property
     def n(self) -> int:
         """Number of joints."""

@@ -8,7 +8,7 @@ from torchid.identification.result import UNEXPLAINED
 from torchid.identification.validation import Prediction
 from torchid.report.figures import parameter_figure, torque_figure
 from torchid.report.gap_words import listed
-from torchid.report.identification import effect_table, error_table
+from torchid.report.identification import effect_table, error_table, poor_names
 from torchid.report.page.document import Page, Picture, Section, unit_words
 from torchid.report.page.from_rich import sheet
 from torchid.report.page.origin import Origin
@@ -18,8 +18,6 @@ from torchid.robot.model import JointType
 MOST_TRAJECTORIES = 3
 """Shown as pictures."""
 _MOST_NAMED = 3
-_ZERO = 100.0
-"""Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
 
 
 def identification_page(result: Identification, origin: Origin) -> Page:
@@ -73,7 +71,7 @@ def _percent(value: float) -> str:
 def _determined(result: Identification) -> str:
     """What is poorly determined, or that nothing is."""
     total = f"{len(result.base)} coefficients"
-    never, poor = result.undetermined, _poor(result)
+    never, poor = result.undetermined, poor_names(result)
     parts = []
     if never:
         parts.append(f"{len(never)} not determined at all ({_named(never)})")
@@ -82,13 +80,6 @@ def _determined(result: Identification) -> str:
     if not parts:
         return f"all {total} that were estimated can be told from zero"
     return f"of {total}, {listed(parts)}"
-
-
-def _poor(result: Identification) -> list[str]:
-    """Names of estimated coefficients whose 95 % interval holds zero, the worst first."""
-    half = result.uncertainty.quantile() * result.relative_std_percent
-    bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > _ZERO]
-    return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
 
 
 def _named(names: Sequence[str]) -> str:
@@ -131,7 +122,7 @@ def coefficient_sheet(result: Identification, which: Sequence[int], title: str) 
         if bool(result.free[k]):
             spread = (
                 f"{float(result.std[k]):.3g}",
-                f"[{ends[k][0]:.6g}, {ends[k][1]:.6g}]",
+                "[{}, {}]".format(*(_to_digits(end, float(result.std[k])) for end in ends[k])),
                 f"{relative:.1f}" if relative < 1e4 else "> 10⁴",
             )
         rows.append(
@@ -151,6 +142,14 @@ def coefficient_sheet(result: Identification, which: Sequence[int], title: str) 
     )
 
 
+def _to_digits(value: float, std: float) -> str:
+    """A number to a hundredth of its standard deviation, six digits at most."""
+    if not (value and std > 0 and math.isfinite(value) and math.isfinite(std)):
+        return f"{value:.6g}"
+    digits = 3 + math.floor(math.log10(abs(value))) - math.floor(math.log10(std))
+    return f"{value:.{min(6, max(1, digits))}g}"
+
+
 def _pictures(result: Identification) -> tuple[Picture, ...]:
     held = bool(result.held_out_predictions)
     shown = result.held_out_predictions if held else result.fit_predictions
@@ -158,7 +157,7 @@ def _pictures(result: Identification) -> tuple[Picture, ...]:
         _torque_picture(result, p, k, held, len(shown))
         for k, p in enumerate(shown[:MOST_TRAJECTORIES], start=1)
     ]
-    poor = len(_poor(result))
+    poor = len(poor_names(result))
     out.append(
         Picture(
             "parameters",
