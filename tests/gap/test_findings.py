@@ -7,10 +7,10 @@ import pytest
 
 from tests.gap.problems import Case
 from tests.gap.test_solve import changed, solved
+from torchid.effects.experiments import APART, experiment
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.gravity import BaseTilt
 from torchid.effects.inertia import Payload
-from torchid.gap.experiments import APART, experiment
 from torchid.gap.findings import findings, next_experiment
 from torchid.gap.solve import Solution
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.excite_for import designed_for, robot_of_result, torque_use
+from torchid.app.excite_for import designed_for, read_result, robot_of_result, torque_use
 from torchid.app.options import (
     Device,
     Json,
@@ -107,9 +107,10 @@ def excite_command(
     given = None if robot is None else load_robot(robot, tip=tip)
     if result is not None:
         _refuse(kind, count)
-        found = robot_of_result(result, given, max_velocity, max_acceleration)
+        data = read_result(result)
+        found = robot_of_result(result, data, given, max_velocity, max_acceleration)
         best, record, torque = designed_for(
-            result, found, seed, criterion, restarts, settings, output
+            result, data, found, seed, criterion, restarts, settings, output
         )
         record |= {"result": result.name, "trajectories": _coefficients([best])}
         record |= torque_use(found, torque, [best], output)

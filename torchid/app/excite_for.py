@@ -22,22 +22,26 @@ EVALUATIONS = 75
 
 
 def robot_of_result(
-    path: Path, robot: "Robot | None", velocity: str | None, acceleration: str | None
+    path: Path,
+    data: Mapping[str, Any],
+    robot: "Robot | None",
+    velocity: str | None,
+    acceleration: str | None,
 ) -> "Robot":
     """The robot given, or the one that a result records, with limits from the command line.
 
     Raises:
-        TorchidError: neither; or no result.
+        TorchidError: neither.
     """
     from torchid.robot.record import recorded_robot
 
-    found = robot or recorded_robot(_result(path), str(path))
+    found = robot or recorded_robot(data, str(path))
     if found is None:
         raise TorchidError(f"'{path}' does not record its robot.", expected="torchid excite ROBOT")
     return limited(found, velocity, acceleration)
 
 
-def _result(path: Path) -> Mapping[str, Any]:
+def read_result(path: Path) -> Mapping[str, Any]:
     """What a motion can be designed for.
 
     Raises:
@@ -63,6 +67,7 @@ def _result(path: Path) -> Mapping[str, Any]:
 
 def designed_for(
     path: Path,
+    data: Mapping[str, Any],
     robot: "Robot",
     seed: int,
     criterion: str | None,
@@ -77,7 +82,6 @@ def designed_for(
     """
     from torchid.excitation.ambiguity import SCHEMA as GAP
 
-    data = _result(path)
     if data["schema"] != GAP:
         return _for_identification(path, robot, seed, criterion, restarts, settings, output)
     if criterion not in (None, "separation"):

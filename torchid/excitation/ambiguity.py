@@ -107,10 +107,9 @@ def _unexplained(status: str) -> str | None:
 
 
 def _refuse_another(path: Path, model: Robot, robot: Robot) -> None:
-    if robot.joint_types == model.joint_types:
-        frames = ((robot.before, model.before), (robot.after, model.after))
-        if all(float((one - two).abs().max()) < SAME_FRAMES for one, two in frames):
-            return
+    same_joints = robot.joint_types == model.joint_types
+    if same_joints and bool((robot.frames_apart(model) < SAME_FRAMES).all()):
+        return
     raise TorchidError(
         f"'{path}' is of another robot.",
         got=f"'{model.name}', {model.n} joints",

@@ -2,9 +2,14 @@
 
 from collections.abc import Iterable
 
+from torchid.effects.experiments import APART
+
 _LOAD = "weigh the load, or compare the link's parameters with CAD"
 _ZERO = "measure the pose with an external instrument (tracker, gauge, level): calibration"
 _FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
+
+_REPEATED = ("torque_gain", "thermal_friction_drift", "saturation", "contact", "dropped_samples")
+"""What shows these is no other motion, but the same one under other conditions."""
 
 BEYOND = {
     "payload": _LOAD,
@@ -13,16 +18,11 @@ BEYOND = {
     "encoder_offset": _ZERO,
     "kinematic_error": _ZERO,
     "base_tilt": _ZERO,
-    "torque_gain": "repeat the motion with a known payload",
     "torque_crosstalk": "load one joint alone with a known weight",
     "joint_elasticity": "measure on the link's side, or excite the joint with a chirp",
     "time_delay": "stamp both signals with one clock",
     "filter_lag": "record the unfiltered signals",
-    "thermal_friction_drift": "repeat one motion cold, warm and cold again",
-    "saturation": "repeat the motion at half the torque",
-    "contact": "repeat the motion away from obstacles",
-    "dropped_samples": "repeat the motion and compare the two logs",
-}
+} | {name: APART[name] for name in _REPEATED}
 
 
 def beyond(names: Iterable[str]) -> str:

@@ -114,17 +114,12 @@ def _require_same_frames(robot: Robot, other: Robot) -> None:
             expected=" ".join(other.joint_types),
             hint="choose the chain with --tip",
         )
-    apart = [
-        str(i + 1)
-        for i in range(robot.n)
-        for own, its in ((robot.before, other.before), (robot.after, other.after))
-        if float((own[i] - its[i]).abs().max()) > SAME_FRAMES
-    ]
+    apart = (robot.frames_apart(other) > SAME_FRAMES).nonzero().flatten().tolist()
     if apart:
         raise TorchidError(
             f"the result has its link frames elsewhere than '{other.source}', so its parameters "
             "do not fit into it.",
-            got=f"links {', '.join(dict.fromkeys(apart))}",
+            got=f"links {', '.join(str(i + 1) for i in apart)}",
             hint="identify with this file as the robot; without --robot a new file is written",
         )
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from torchid.effects.base import Effect
+from torchid.effects.experiments import experiment
 from torchid.effects.transient import Contact
 from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
 from torchid.gap.diagnosis import Finding, Parametric
 from torchid.gap.evidence import p_value
-from torchid.gap.experiments import experiment
 from torchid.gap.passages import Passage, Rows, when
 from torchid.gap.problem import BASE, LINK, Term
 from torchid.gap.select import Search

@@ -24,7 +24,10 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
     Raises:
         TorchidError: not such a file, another robot's, or values that are not finite.
     """
-    data = _load(path)
+    return _base(_load(path), path, robot)
+
+
+def _base(data: Mapping[str, Any], path: Path, robot: Robot) -> BaseValues:
     effects = tuple(on_every_joint(_names(data["settings"], "effects", path), robot.n))
     base = base_parameters(robot, effects)
     names = _names(data, "base_names", path)
@@ -125,8 +128,8 @@ def read_prior(path: Path, robot: Robot) -> Prior:
     Raises:
         TorchidError: not such a file, or one without the rows' weights, of an older torchid.
     """
-    found = read_base(path, robot)
-    rows = _load(path).get("rows")
+    data = _load(path)
+    found, rows = _base(data, path, robot), data.get("rows")
     if not isinstance(rows, Mapping) or not {"per_second", "whitening"} <= set(rows):
         raise TorchidError(
             f"'{path}' does not say how its rows were weighted.",

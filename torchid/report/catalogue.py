@@ -8,10 +8,10 @@ from rich.table import Table
 
 from torchid.effects.base import Effect, Family, ModelEffect, Scale, Shape
 from torchid.effects.catalogue import ENTRIES
+from torchid.effects.experiments import APART
 from torchid.effects.registry import COLUMN_KINDS, KINDS
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.files import atomic_write
-from torchid.gap.experiments import APART
 from torchid.report.identification import compact
 
 FAMILY_WORDS: dict[Family, str] = {

@@ -140,6 +140,12 @@ class Robot:
         """Unit vectors along the joint axes, in the link frames."""
         return self.after[:, 2, :3].clone()
 
+    def frames_apart(self, other: "Robot") -> Float[Tensor, "n"]:
+        """Largest difference of entries of each link's two poses [1; m] in a robot of as many
+        joints."""
+        pairs = ((self.before, other.before), (self.after, other.after))
+        return torch.stack([(a - b).abs().amax((1, 2)) for a, b in pairs]).amax(0)
+
     def require_parameters(self, purpose: str) -> InertialParameters:
         """The nominal inertial parameters, or a RobotError that says what needs them."""
         if self.parameters is None:
