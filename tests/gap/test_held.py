@@ -7,7 +7,7 @@ from tests.gap.motions import RATE, motion_at, noise, times
 from tests.real_logs import FOLDER, NO_LOGS
 from torchid.gap.held import held_ages, passage_ages
 from torchid.gap.passages import passages_of
-from torchid.identification.motion import measurements
+from torchid.design.motion import measurements
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.log.sampling import resample

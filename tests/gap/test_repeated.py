@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests.log.examples import log_at, uniform
-from torchid.gap.repeated import repeated_motion
+from torchid.gap.data.repeated import repeated_motion
 from torchid.log.model import Log
 
 

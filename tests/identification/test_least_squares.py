@@ -19,7 +19,7 @@ from torchid.identification.least_squares import (
     solve,
     undetermined_columns,
 )
-from torchid.identification.motion import Measurement, measurements
+from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import RowSource
 from torchid.robot.library import load_robot
 

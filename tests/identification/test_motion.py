@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.identification.motion import (
+from torchid.design.motion import (
     MOVING,
     WIDE,
     Measurement,

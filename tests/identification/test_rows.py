@@ -12,7 +12,7 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
-from torchid.identification.motion import Measurement, measurements
+from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 
 from tests.identification.test_rows import a_log, collected, layout_of
 from torchid.identification.least_squares import Fit, fit
-from torchid.identification.motion import Measurement, measurements
+from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import RowSource
 from torchid.identification.statistics import (
     CORRELATION_TIMES,

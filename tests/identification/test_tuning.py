@@ -13,7 +13,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import tuning
 from torchid.identification.identify import Settings, identify
 from torchid.identification.least_squares import fit
-from torchid.identification.motion import direction, fast_speed, measurements
+from torchid.design.motion import direction, fast_speed, measurements
 from torchid.identification.rows import RowSource
 from torchid.identification.tuning import (
     CUTOFFS,

@@ -51,7 +51,7 @@ def show_command(
     run1.parquet`
     """
     output = open_output(json_file, None, quiet)
-    from torchid.gap.repeated import repeated_motion
+    from torchid.gap.data.repeated import repeated_motion
     from torchid.log.mapping import read_mapping
     from torchid.log.overview import look_at, overview_record
     from torchid.log.readers import write_log

@@ -251,7 +251,7 @@ def _read_motion(path: Path, robot: "Robot") -> "Motion":
     import torch
 
     from torchid.effects.base import Motion
-    from torchid.identification.motion import measurements
+    from torchid.design.motion import measurements
     from torchid.log.readers import read_log
     from torchid.log.sampling import resample
 

@@ -16,7 +16,7 @@ import torch
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import JointEffect
 from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.motion import Measurement
+from torchid.design.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot

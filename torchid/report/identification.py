@@ -7,7 +7,7 @@ from rich.table import Table
 
 from torchid.effects.base import JointEffect
 from torchid.identification.identify import Identification
-from torchid.identification.motion import MOVING
+from torchid.design.motion import MOVING
 from torchid.identification.validation import Errors
 from torchid.robot.model import JointType
 

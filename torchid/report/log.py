@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.table import Table
 
-from torchid.gap.repeated import Repeat
+from torchid.gap.data.repeated import Repeat
 from torchid.log.model import JOINT_SIGNALS
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic

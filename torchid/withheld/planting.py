@@ -10,7 +10,7 @@ from torchid.errors import TorchidError
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
-from torchid.identification.motion import measurements
+from torchid.design.motion import measurements
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.gap.passages import Passage
+from torchid.design.segments import Segment
 from torchid.typing import Bool, Float, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
@@ -46,7 +46,7 @@ class Pair:
     """Two stretches in which the arm moved alike.
 
     Attributes:
-        a, b: passages, by their number in the list; equal for two periods of one.
+        a, b: segments, by their number in the list; equal for two periods of one.
         rows_a, rows_b: samples, equally many.
         shift: fraction of a sample by which b is to be read later than `rows_b`.
     """
@@ -60,7 +60,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Repeats:
-    """All repeats found; each passage is compared with the one before it that it repeats."""
+    """All repeats found; each segment is compared with the one before it that it repeats."""
 
     pairs: tuple[Pair, ...] = ()
 
@@ -71,7 +71,7 @@ class Repeats:
         """(b - a) / sqrt(2) of any signal, a pair: noise of the size that it has in either.
 
         Args:
-            signals: (T, n) a passage, in the passages' order; e.g. torque, or better torque less
+            signals: (T, n) a segment, in the segments' order; e.g. torque, or better torque less
                 the model's, in which what the motions differ by cancels.
         """
         out = []
@@ -80,39 +80,38 @@ class Repeats:
             out.append((shifted - signals[pair.a][pair.rows_a]) / math.sqrt(2))
         return out
 
-    def passages(
-        self, passages: Sequence[Passage], signals: Sequence[Float[Tensor, "_ n"]]
-    ) -> list[Passage]:
-        """The differences of signals as the torque of passages, with the motion and time of a, so
+    def segments(
+        self, segments: Sequence[Segment], signals: Sequence[Float[Tensor, "_ n"]]
+    ) -> list[Segment]:
+        """The differences of signals as the torque of segments, with the motion and time of a, so
         that they can be taken to rows like any other."""
         return [
-            Passage(
-                name=passages[p.a].name,
-                trajectory=k,
-                rate=passages[p.a].rate,
-                band=passages[p.a].band,
-                motion=passages[p.a].motion.part(p.rows_a),
+            Segment(
+                name=segments[p.a].name,
+                rate=segments[p.a].rate,
+                band=segments[p.a].band,
+                motion=segments[p.a].motion.part(p.rows_a),
                 tau=difference,
-                own_velocity=passages[p.a].own_velocity,
+                own_velocity=segments[p.a].own_velocity,
             )
-            for k, (p, difference) in enumerate(
+            for p, difference in (
                 zip(self.pairs, self.differences(signals), strict=True)
             )
         ]
 
 
-def find_repeats(passages: Sequence[Passage]) -> Repeats:
-    """Repeats among the passages, and periods within each (see the module).
+def find_repeats(segments: Sequence[Segment]) -> Repeats:
+    """Repeats among the segments, and periods within each (see the module).
 
     The work grows with the log's length and, for the coarse search, with the number of pairs of
-    passages; passages of different rates are not compared.
+    segments; segments of different rates are not compared.
     """
     pairs: list[Pair] = []
-    for b, later in enumerate(passages):
+    for b, later in enumerate(segments):
         for a in reversed(range(b)):
-            if passages[a].rate != later.rate:
+            if segments[a].rate != later.rate:
                 continue
-            found = _between(a, passages[a], b, later)
+            found = _between(a, segments[a], b, later)
             pairs += found
             if found:
                 break
@@ -141,8 +140,8 @@ def delayed(x: Signals, samples: float) -> Signals:
     return back + x[..., :1] + slope * (index - samples)
 
 
-def _between(a: int, one: Passage, b: int, two: Passage) -> list[Pair]:
-    """Agreeing stretches of two passages at the one lag where they are longest in all."""
+def _between(a: int, one: Segment, b: int, two: Segment) -> list[Pair]:
+    """Agreeing stretches of two segments at the one lag where they are longest in all."""
     best: list[Pair] = []
     for lag in _lags(one, two, same=a == b):
         if _overlap(one, two, lag) <= _length(best):
@@ -153,15 +152,15 @@ def _between(a: int, one: Passage, b: int, two: Passage) -> list[Pair]:
     return best
 
 
-def _overlap(one: Passage, two: Passage, lag: int) -> int:
-    return min(one.samples, two.samples - lag) - max(0, -lag)
+def _overlap(one: Segment, two: Segment, lag: int) -> int:
+    return min(one.length, two.length - lag) - max(0, -lag)
 
 
 def _length(pairs: Sequence[Pair]) -> int:
     return sum(p.rows_a.stop - p.rows_a.start for p in pairs)
 
 
-def _lags(one: Passage, two: Passage, *, same: bool) -> list[int]:
+def _lags(one: Segment, two: Segment, *, same: bool) -> list[int]:
     """Lags [samples] at which q_one(t) and q_two(t + lag) differ least, coarsely."""
     step = max(1, int(one.rate / _COARSE))
     x, y = one.motion.q[::step].T, two.motion.q[::step].T
@@ -214,8 +213,8 @@ def _spread(q: Samples) -> Float[Tensor, " n"]:
     return spread.clamp(min=max(1e-12, 0.1 * float(spread.max())))
 
 
-def _stretches(a: int, one: Passage, b: int, two: Passage, lag: int) -> list[Pair]:
-    """Where two passages agree at a lag, which is refined on the way."""
+def _stretches(a: int, one: Segment, b: int, two: Segment, lag: int) -> list[Pair]:
+    """Where two segments agree at a lag, which is refined on the way."""
     total = float(lag)
     pairs: list[Pair] = []
     for _ in range(_REFINEMENTS):
@@ -230,7 +229,7 @@ def _stretches(a: int, one: Passage, b: int, two: Passage, lag: int) -> list[Pai
 
 
 def _agreeing(
-    a: int, one: Passage, b: int, two: Passage, lag: float, looser: float = 1.0
+    a: int, one: Segment, b: int, two: Segment, lag: float, looser: float = 1.0
 ) -> list[Pair]:
     """Stretches in which q and dq agree at a lag [samples], to `looser` times the tolerances."""
     whole = round(lag)
@@ -254,7 +253,7 @@ def _agreeing(
         # Next to a trajectory's ends, odd reflection stands in for what a shift would need.
         low = max(first * step + start, margin, margin - whole)
         high = min(
-            (last - 1) * step + 1 + start, one.samples - margin, two.samples - margin - whole
+            (last - 1) * step + 1 + start, one.length - margin, two.length - margin - whole
         )
         rows = slice(low, high)
         if high - low >= shortest and _moves(one.motion.q, rows):
@@ -276,7 +275,7 @@ def _read(x: Float[Tensor, "_ n"], rows: slice, shift: float) -> Float[Tensor, "
     return here + 0.5 * u * (linear + u * (square + u * cube))
 
 
-def _correction(one: Passage, two: Passage, pairs: Sequence[Pair]) -> float:
+def _correction(one: Segment, two: Segment, pairs: Sequence[Pair]) -> float:
     """Seconds to add to the lag, by one step of Gauss-Newton on q_a(t) = q_b(t + lag)."""
     top = bottom = 0.0
     weight = 1 / _spread(one.motion.q).square()

@@ -8,12 +8,12 @@ ends in a jump of several quanta and is longer than the share of equal pairs els
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 
-from torchid.gap.passages import Passage
-from torchid.identification.motion import MOVING
+from torchid.design.segments import Segment
+from torchid.design.motion import MOVING
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
@@ -52,33 +52,32 @@ def held_ages(log: Log) -> Float[Tensor, "T n"]:
     return ages
 
 
-def passage_ages(log: Log, passages: Sequence[Passage]) -> list[Float[Tensor, "_ n"]]:
-    """Ages (T, n) [s] on the grid of each passage.
+def held_ages_of(log: Log, segments: Sequence[Segment]) -> list[Float[Tensor, "_ n"]]:
+    """Ages (T, n) [s] on the grid of each segment.
 
-    Where a passage is decimated they are low-passed first, as its torque is.
+    Where a segment is decimated they are low-passed first, as its torque is.
 
     Args:
-        log: uniform, the one that the passages come from.
-        passages: its trajectories in order; some may have been left out as too short.
+        log: uniform, the one that the segments come from.
+        segments: its trajectories in order; some may have been left out as too short.
     """
-    ages, rates = held_ages(log), sampling_rate(log)
-    parts = iter(zip(log.names, log.slices(), rates, strict=True))
-    return [_on(passage, ages, parts) for passage in passages]
-
-
-def _on(
-    passage: Passage, ages: Float[Tensor, "_ n"], parts: Iterator[tuple[str, slice, float]]
-) -> Float[Tensor, "_ n"]:
-    """Ages on the grid of one passage, whose trajectory is the next of this name and length."""
-    for name, rows, rate in parts:
-        step = round(rate / passage.rate)
-        if name == passage.name and math.ceil((rows.stop - rows.start) / step) == passage.samples:
-            x = ages[rows]
-            if step > 1:
-                cutoff = min(1.5 * passage.band, 0.4 * rate / step)
-                x = ZeroPhaseFilter(rate, cutoff).apply(x.T).T
-            return x[::step].contiguous()
-    raise ValueError(f"passage '{passage.name}' is not of this log, or out of order.")
+    ages = held_ages(log)
+    parts = iter(zip(log.names, log.slices(), sampling_rate(log), strict=True))
+    out = []
+    for segment in segments:
+        # The segment's trajectory is the next one of this name and length.
+        for name, rows, rate in parts:
+            step = round(rate / segment.rate)
+            if name == segment.name and math.ceil((rows.stop - rows.start) / step) == segment.length:
+                break
+        else:
+            raise ValueError(f"segment '{segment.name}' is not of this log, or out of order.")
+        x = ages[rows]
+        if step > 1 and bool(x.any()):
+            cutoff = min(1.5 * segment.band, 0.4 * rate / step)
+            x = ZeroPhaseFilter(rate, cutoff).apply(x.T).T
+        out.append(x[::step].contiguous())
+    return out
 
 
 def _ages(tau: Float[Tensor, " T"], speed: Float[Tensor, " T"]) -> Float[Tensor, " T"]:

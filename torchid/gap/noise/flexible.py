@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from torchid.gap.blocks import block_numbers, block_sums
 from torchid.gap.passages import Passage, Rows
-from torchid.identification.motion import MOVING
+from torchid.design.motion import MOVING
 from torchid.typing import Bool, Float, Int, Signals, Tensor
 
 FOLDS = 5

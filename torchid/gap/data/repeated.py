@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 
 from torchid.errors import LogError
-from torchid.gap.passages import passages_of
-from torchid.gap.repeats import find_repeats
-from torchid.identification.motion import measurements
+from torchid.design.segments import segments_of
+from torchid.gap.data.repeats import find_repeats
+from torchid.design.motion import measurements
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 
@@ -41,12 +41,12 @@ def repeated_motion(log: Log) -> tuple[Repeat, ...]:
     try:
         even = resample(log.replace(tau=still))
         band = min(_BAND, 0.2 * min(sampling_rate(even)))
-        passages = passages_of(measurements(even, band), band)
+        segments = segments_of(measurements(even, band), band)
     except LogError:
         return ()
     found = []
-    for pair in find_repeats(passages).pairs:
-        one, two = passages[pair.a], passages[pair.b]
+    for pair in find_repeats(segments).pairs:
+        one, two = segments[pair.a], segments[pair.b]
         found.append(
             Repeat(
                 one.name,

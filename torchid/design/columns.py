@@ -1,0 +1,182 @@
+"""Columns of effects along segments, as samples: what every least squares of effects is made of.
+
+A `Model` is a rigid body with effects. `Columns` evaluates what an effect would add to a model's
+torque per unit coefficient: in the wide band, then through the filter that the torque passes. The
+columns are those of the present model: friction that grows with load sees its torque, a compliance
+its inertia. None of them contains a measured torque, whose noise would explain itself.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+
+from torchid.design.segments import Samples, Segment
+from torchid.dynamics.regressor import regressor_chunks
+from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.robot.inertia import PARAMETERS_PER_LINK
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+AT_ONCE = 4_000_000
+"""Values that are evaluated and filtered at a time: bounds the memory of long logs."""
+
+ROUNDING = 1e-11
+"""Size of a signal, relative to the largest of its effect, that is rounding."""
+
+SMOOTHED = ("q", "dq", "ddq", "torque")
+
+Place = int | None
+"""A joint, from 0, whose torque alone columns are in; None for those of all joints."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A rigid body with effects and their coefficients."""
+
+    robot: Robot
+    effects: tuple[Valued, ...]
+
+    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
+        """Torque along a segment. Effects that differentiate the model's torque see the motion
+        low-passed like the samples, as their columns do: twice differentiated, the encoder's noise
+        would be all that is left of them."""
+        rough = [p for p in self.effects if p[0].smooth]
+        others = [p for p in self.effects if not p[0].smooth]
+        tau = model_torque(self.robot, others, segment.motion)
+        if rough:
+            motion = segment.motion._replace(torque=self.load(segment.motion))
+            low = smoothed(motion, samples)
+            tau = tau + sum(effect.all_torques(low, v, self.robot) for effect, v in rough)
+        return tau
+
+    def load(self, motion: Motion) -> Float[Tensor, "T n"]:
+        """Torque that effects see: of the body and of the effects that need no torque themselves."""
+        return model_torque(self.robot, in_rounds(self.effects)[0], motion)
+
+    def described(self) -> Robot:
+        """The model as a robot description."""
+        return replace(self.robot, effects=tuple(e.record(v) for e, v in self.effects))
+
+
+def smoothed(motion: Motion, samples: Samples) -> Motion:
+    """A motion low-passed like the samples."""
+    return motion._replace(**{k: samples.low_passed(getattr(motion, k)) for k in SMOOTHED})
+
+
+class Columns:
+    """Columns of effects at a model, as samples.
+
+    Args:
+        model: with parameters.
+        samples: of the segments.
+    """
+
+    def __init__(self, model: Model, samples: Samples):
+        self.model = model
+        self.samples = samples
+        self.motions = [
+            s.motion._replace(torque=model.load(s.motion)) for s in samples.segments
+        ]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.model.robot.n
+
+    def gap(self) -> Float[Tensor, "n N"]:
+        """Samples of the measured torque minus the model's."""
+        parts = (s.tau - self.model.torque(s, self.samples) for s in self.samples.segments)
+        return self.samples.of([x.T for x in parts])
+
+    def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
+        """Columns of an effect: (C, N) of its joint, or (C, n, N) of all joints."""
+        if isinstance(effect, JointEffect):
+            motions = [only(m, effect.joint) for m in self.motions]
+            one = replace(effect, joint=0)
+            return effect.joint, self._sampled([one.columns(m).T for m in motions])
+        columns = self._sampled(self._signals(effect))
+        peak = columns.abs().amax(2)
+        # What only rounding has put there would be given any coefficient.
+        columns = columns * (peak > ROUNDING * peak.max()).unsqueeze(2)
+        felt = (peak.amax(0) > ROUNDING * peak.max()).nonzero().flatten().tolist()
+        return (felt[0], columns[:, felt[0]]) if len(felt) == 1 else (None, columns)
+
+    def on_all_joints(self, effect: Effect) -> Float[Tensor, "C n N"]:
+        """Columns of an effect, zero on joints that do not feel it."""
+        place, columns = self.of(effect)
+        return columns if place is None else on_joint(columns, place, self.n)
+
+    def of_shapes(
+        self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"]
+    ) -> Float[Tensor, "S C N"]:
+        """Columns of a joint effect for a list of shapes."""
+        motions = [only(m, joint) for m in self.motions]
+        total = sum(m.q.shape[0] for m in motions) * len(kind.coefficients)
+        parts = []
+        for some in shapes.split(max(1, AT_ONCE // total)) if len(kind.shapes) else [shapes[:1]]:
+            given = [s.reshape(-1, 1, 1) for s in some.unbind(1)]
+            signals = [kind.formula(m, *given)[..., 0, :].transpose(-1, -2) for m in motions]
+            parts.append(self._sampled([x if given else x.unsqueeze(0) for x in signals]))
+        return torch.cat(parts)
+
+    @cached_property
+    def regressor(self) -> Float[Tensor, "n 10 n N"]:
+        """The rigid body's columns, link by link; zero where a joint does not feel a link."""
+        n = self.n
+        out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
+        chunks = list(regressor_chunks(self.model.robot, *self._together.state))
+        lengths = [len(m.q) for m in self.motions]
+        for j in range(n):
+            pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
+            rows = self._sampled(torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1))
+            out[j:, :, j] = rows.unflatten(0, (n - j, PARAMETERS_PER_LINK))
+        return out
+
+    def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
+        """Columns of a model effect along every segment: in one call where time plays no part."""
+        robot = self.model.robot
+        if not effect.needs & {"t", "age"}:
+            together = effect.torque_columns(self._together, robot).permute(2, 1, 0)
+            return list(together.split([len(m.q) for m in self.motions], -1))
+        motions = self._smooth if effect.smooth else self.motions
+        return [effect.torque_columns(m, robot).permute(2, 1, 0) for m in motions]
+
+    @cached_property
+    def _together(self) -> Motion:
+        """The motion of all segments in one piece."""
+        parts = zip(*self.motions, strict=True)
+        return Motion(*(None if x[0] is None else torch.cat(x) for x in parts))  # type: ignore[arg-type]
+
+    @cached_property
+    def _smooth(self) -> list[Motion]:
+        return [smoothed(m, self.samples) for m in self.motions]
+
+    def _sampled(self, signals: Sequence[Tensor]) -> Tensor:
+        """Samples of signals (..., T_s), so many at a time as memory bears."""
+        flat = [x.reshape(-1, x.shape[-1]) for x in signals]
+        step = max(1, AT_ONCE // max(x.shape[-1] for x in flat))
+        parts = [
+            self.samples.of([x[k : k + step] for x in flat])
+            for k in range(0, flat[0].shape[0], step)
+        ]
+        return torch.cat(parts).reshape(*signals[0].shape[:-1], -1)
+
+
+def only(motion: Motion, joint: int) -> Motion:
+    """Motion of one joint."""
+    own = slice(joint, joint + 1)
+    signals: Iterable[Tensor | None] = (
+        x if x is None or name == "t" else x[..., own]
+        for name, x in zip(Motion._fields, motion, strict=True)
+    )
+    return Motion(*signals)  # type: ignore[arg-type]
+
+
+def on_joint(columns: Float[Tensor, "C N"], joint: int, n: int) -> Float[Tensor, "C n N"]:
+    """Columns of one joint's torque with zeros in those of the other n - 1."""
+    out = columns.new_zeros(columns.shape[0], n, columns.shape[1])
+    out[:, joint] = columns
+    return out

@@ -1,0 +1,142 @@
+"""Normal equations of many columns at once, joint by joint and part by part; columns are not kept.
+
+A column acts on one joint or on all. Joint j's matrix holds the columns of all joints first, then
+its own, then the target y; G_j[f] = A_j A_j' over the samples of part f that count. From these a fit
+of any subset of columns, its loss on any part of the data, and what any other column would add to it
+follow without a second look at the log (Golub and Van Loan 2013, 5.3).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchid.typing import Bool, Float, Int, Tensor
+
+DETERMINED = 1e-7
+"""Eigenvalue of normal equations with a unit diagonal below which a direction is left at zero: more
+would be rounding, for the equations square the condition number."""
+
+
+class Gram:
+    """Normal equations of n joints in P parts of the data; the one mutable value of this room.
+
+    Args:
+        common: number of columns that act on all joints.
+        own: per joint the number of its own columns.
+        parts: P.
+    """
+
+    def __init__(self, common: int, own: Sequence[int], parts: int):
+        self.common = common
+        self.own = tuple(own)
+        self.parts = parts
+        sizes = [common + k + 1 for k in own]
+        self.g = [torch.zeros(parts, s, s, dtype=torch.float64) for s in sizes]
+        self.rows = torch.zeros(parts, len(own), dtype=torch.float64)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.own)
+
+    def add(
+        self,
+        joint: int,
+        columns: Sequence[Float[Tensor, "_ N"]],
+        y: Float[Tensor, " N"],
+        keep: Bool[Tensor, " N"],
+        part: Int[Tensor, " N"],
+    ) -> None:
+        """Samples of one joint: its columns in pieces, the common ones first."""
+        a = torch.cat([*columns, y.unsqueeze(0)])
+        for p in part.unique().tolist():
+            own = a[:, keep & (part == p)]
+            self.g[joint][p] += own @ own.T
+            self.rows[p, joint] += own.shape[1]
+
+    def over(self, parts: Sequence[int] | None = None) -> "Normal":
+        """The sums over some parts; over all if None."""
+        chosen = list(range(self.parts)) if parts is None else list(parts)
+        return Normal(tuple(g[chosen].sum(0) for g in self.g), self.rows[chosen].sum(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations of one part of the data.
+
+    Attributes:
+        g: per joint (c + o + 1, c + o + 1): common columns, own columns, y.
+        rows: (n,) samples.
+    """
+
+    g: tuple[Float[Tensor, "_ _"], ...]
+    rows: Float[Tensor, " n"]
+
+    def losses(self, subset: "Subset", x: Float[Tensor, " K"]) -> Float[Tensor, " n"]:
+        """Sums of squares (n,) that coefficients leave."""
+        out = []
+        for g, s in zip(self.g, subset.joints, strict=True):
+            v = s.target.clone()
+            v[s.at] -= x[s.of]
+            out.append(v @ g @ v)
+        return torch.stack(out).clamp(min=0)
+
+    def solve(
+        self,
+        subset: "Subset",
+        weight: Float[Tensor, " n"],
+        ridge: Float[Tensor, " K"] | None = None,
+    ) -> "Solved":
+        """Weighted least squares of a subset of columns.
+
+        Args:
+            subset: of K columns.
+            weight: (n,) of each joint's squares.
+            ridge: (K,) inverse variances of the coefficients about zero.
+        """
+        k = subset.count
+        matrix = torch.zeros(k, k, dtype=torch.float64)
+        right = torch.zeros(k, dtype=torch.float64)
+        for w, g, s in zip(weight.tolist(), self.g, subset.joints, strict=True):
+            matrix[s.of.unsqueeze(1), s.of] += w * g[s.at.unsqueeze(1), s.at]
+            right[s.of] += w * (g[s.at] @ s.target)
+        if ridge is not None:
+            matrix += torch.diag(ridge)
+        # A column that is nowhere in these samples determines nothing.
+        size = torch.where(matrix.diagonal() > 0, matrix.diagonal().sqrt(), torch.inf)
+        values, vectors = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+        kept = values > DETERMINED * values[-1:].clamp(min=1.0)
+        root = vectors[:, kept] / values[kept].sqrt() / size.unsqueeze(1)
+        return Solved(root @ (root.T @ right), root)
+
+
+@dataclass(frozen=True, eq=False)
+class OnJoint:
+    """Where a subset's columns are in one joint's matrix.
+
+    Attributes:
+        of: which of the K columns.
+        at: their rows in the matrix.
+        target: what they are fitted to: y, plus columns with given coefficients.
+    """
+
+    of: Int[Tensor, " k"]
+    at: Int[Tensor, " k"]
+    target: Float[Tensor, " c"]
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """K columns, as each joint's matrix has them."""
+
+    count: int
+    joints: tuple[OnJoint, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Coefficients (K,), and a root (K, r) of the inverse of the normal equations."""
+
+    x: Float[Tensor, " K"]
+    root: Float[Tensor, "K r"]

@@ -1,0 +1,211 @@
+"""What a log becomes before it is fitted: segments on a common grid, and their decimated samples.
+
+Columns that jump (signs, hysteresis, dead bands) must be computed from sharp motion and be smoothed
+afterwards like the torque; so there are two bands. A `Segment` is one trajectory in the wide band,
+on which all columns are evaluated. `Samples` takes any signal on segments to the narrow band of the
+fit: one zero-phase filter for torque and columns alike, decimated to two and a half samples a
+period of the cut-off, so that white noise stays nearly white and samples are few.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from torchid.design.motion import MOVING, Measurement
+from torchid.effects.base import Motion
+from torchid.log.filtering import ZeroPhaseFilter, extended
+from torchid.typing import Bool, Float, Signals, Tensor
+
+GRID = 6.0
+"""Samples of a segment a period of the wide band's edge, at least where the log has as many."""
+
+DENSITY = 2.5
+"""Decimated samples a period of the cut-off: the filter leaves next to nothing above it."""
+
+EDGE = 3.0
+"""Length that is left out at both ends of a segment, in periods of the cut-off: beyond them the
+filter sees a reflection, and most trajectories begin and end at rest, where friction can be
+anything."""
+
+REACH = 0.75
+"""How far the filter carries what happens at a reversal, in periods of the cut-off."""
+
+NEVER = 1e-3
+"""A joint that travels less than this never moves [rad or m]."""
+
+HARDLY = 0.1
+"""Share of the time below which a joint hardly moves: what holds it is then most of what is known
+about it, and all its samples count."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One trajectory in the wide band.
+
+    Attributes:
+        name: of the trajectory.
+        rate: of the grid [Hz].
+        band: low-pass of the signals [Hz].
+        motion: q, dq, ddq, direction, age (T, n) and t (T,) [s].
+        tau: (T, n) measured torque [N m; N].
+        own_velocity: whether dq was measured on its own, so that it can lag behind q.
+    """
+
+    name: str
+    rate: float
+    band: float
+    motion: Motion
+    tau: Float[Tensor, "T n"]
+    own_velocity: bool
+
+    @property
+    def length(self) -> int:
+        """T."""
+        return self.tau.shape[0]
+
+    @property
+    def start(self) -> float:
+        """Its first time [s]; time runs on from one segment to the next."""
+        return float(self.motion.require("t", "a segment")[0])
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.tau.shape[1]
+
+
+def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0) -> list[Segment]:
+    """Segments of trajectories differentiated in the wide band (see `measurements`).
+
+    Their time runs on from one to the next where the log's does not.
+
+    Args:
+        measured: with the wide band as their cut-off.
+        band: the wide band's edge [Hz].
+        clock: time at which they begin [s], at the earliest.
+    """
+    out = []
+    for m in measured:
+        step = max(1, int(m.rate / (GRID * band)))
+        tau = m.tau
+        if step > 1:
+            tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
+        t = m.t - measured[0].t[0]
+        # Files whose clocks all start at zero follow one another, as far as anyone knows.
+        t = t + max(0.0, clock - float(t[0]))
+        clock = float(t[-1]) + 1 / m.rate
+        sensed = tau[::step].contiguous()
+        motion = m.motion._replace(t=t).every(step)._replace(sensed=sensed)
+        out.append(Segment(m.name, m.rate / step, band, motion, sensed, m.own_velocity))
+    return out
+
+
+def when(segments: Sequence[Segment], t: float) -> tuple[str, float]:
+    """The trajectory at a time that runs on from one to the next, and its own time [s] there."""
+    begins = [s.start for s in segments]
+    k = max((k for k, begin in enumerate(begins) if begin <= t), default=0)
+    return segments[k].name, t - begins[k]
+
+
+class Samples:
+    """Signals of segments, low-passed and decimated, edges left out: N samples in all.
+
+    Args:
+        segments: all on the same rate.
+        cutoff: [Hz].
+    """
+
+    def __init__(self, segments: Sequence[Segment], cutoff: float):
+        rates = {s.rate for s in segments}
+        assert len(rates) == 1, "segments are resampled to one rate"
+        self.rate = rates.pop()
+        self.cutoff = cutoff
+        self.segments = tuple(segments)
+        self.step = max(1, int(self.rate / (DENSITY * cutoff)))
+        if self.step > 2:
+            self.step -= self.step % 2
+        self._filter = ZeroPhaseFilter(self.rate, cutoff) if cutoff < 0.45 * self.rate else None
+        self.edge = round(EDGE * self.rate / cutoff)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.segments[0].n
+
+    @property
+    def interval(self) -> float:
+        """Seconds between samples."""
+        return self.step / self.rate
+
+    @cached_property
+    def bounds(self) -> tuple[slice, ...]:
+        """Samples of each segment."""
+        counts = [len(range(self.edge, s.length - self.edge, self.step)) for s in self.segments]
+        ends = list(itertools.accumulate(counts, initial=0))
+        return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+    def __len__(self) -> int:
+        return self.bounds[-1].stop
+
+    def of(self, signals: Sequence[Float[Tensor, "..."]]) -> Float[Tensor, "..."]:
+        """Samples (..., N) of signals (..., T_s), one tensor a segment."""
+        return torch.cat([self._one(x) for x in signals], -1)
+
+    def low_passed(self, x: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
+        """A signal of a segment through the samples' filter, on the segment's grid."""
+        return x if self._filter is None else self._filter.apply(x.T).T.contiguous()
+
+    def pick(self, signals: Sequence[Tensor]) -> Tensor:
+        """Unfiltered values (N, ...) of signals (T_s, ...) at the samples' instants."""
+        return torch.cat([x[self.edge : x.shape[0] - self.edge : self.step] for x in signals])
+
+    @cached_property
+    def t(self) -> Float[Tensor, " N"]:
+        """Instants [s]."""
+        return self.pick([s.motion.require("t", "samples") for s in self.segments])
+
+    def _one(self, x: Signals) -> Float[Tensor, "*batch _"]:
+        last = x.shape[-1] - self.edge
+        if self._filter is None:
+            return x[..., self.edge : last : self.step]
+        tail = self._filter.tail
+        padded = extended(x, tail, tail)
+        # Cut at the samples' own Nyquist frequency, the spectrum would ring along all of them, and
+        # what happens at a reversal would be everywhere. At twice that nothing is left to cut.
+        half = self.step // 2 if self.step > 2 else 1
+        finer = self._filter.decimated(padded, half, tail + self.edge, tail + last)
+        return finer[..., :: self.step // half]
+
+
+def still_joints(segments: Sequence[Segment]) -> tuple[int, ...]:
+    """Joints, from 0, that never move."""
+    q = torch.cat([s.motion.q for s in segments])
+    return tuple(((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist())
+
+
+def moving_instants(segment: Segment, cutoff: float | None = None) -> Bool[Tensor, "T n"]:
+    """Instants at which a joint moves; all of a joint's if it hardly does. With a cut-off [Hz] those
+    that the filter reaches from a reversal are left out: there the joint may stick, and no law of
+    sliding says with which torque."""
+    moving = segment.motion.dq.abs() > MOVING
+    if cutoff is not None:
+        sign = torch.sign(segment.motion.dq)
+        turns = torch.zeros_like(sign)
+        turns[1:] = (sign[1:] != sign[:-1]).to(sign)
+        moving &= widened(turns, REACH / cutoff * segment.rate) == 0
+    return moving | (moving.double().mean(0) < HARDLY)
+
+
+def moving_samples(samples: Samples, *, sliding: bool = False) -> Bool[Tensor, "n N"]:
+    """Samples in which a joint moves, or also slides: away from its reversals."""
+    cutoff = samples.cutoff if sliding else None
+    return samples.pick([moving_instants(s, cutoff) for s in samples.segments]).T
+
+
+def widened(mask: Float[Tensor, "T n"], samples: float) -> Float[Tensor, "T n"]:
+    """1 wherever the mask is 1 within so many samples."""
+    width = 2 * round(samples) + 1
+    return torch.nn.functional.max_pool1d(mask.T.unsqueeze(1), width, 1, width // 2)[:, 0].T

@@ -1,0 +1,291 @@
+"""The search: terms enter, leave and change places as long as the evidence rises.
+
+Evidence ranks, held-out worth gates. A step needs positive evidence. Whether a cause is worth a name
+is asked of the finished explanation, for a true cause whose complement is missing looks worthless:
+one that lowers the held-out error of no joint by a share that the user finds worth having leaves,
+the least worthy first.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import torch
+
+from torchid.design.gram import Normal
+from torchid.effects.registry import KINDS
+from torchid.gap.search.evidence import (
+    Fitted,
+    Offer,
+    Question,
+    causes,
+    effective_samples,
+    fit_terms,
+    is_common,
+    offers,
+    residual,
+)
+from torchid.gap.search.terms import BASE, Term
+from torchid.typing import Float, Tensor
+
+TRIED = 10
+"""Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no name."""
+
+CLOSELY = 3
+"""Of these, those whose effective samples are computed."""
+
+Move = tuple[Term, ...]
+
+
+@dataclass(frozen=True)
+class Worth:
+    """From which size on a cause is worth a name.
+
+    Attributes:
+        gap: share of a joint's gap, as far as it can be explained [1].
+        torque: share of a joint's torque [1].
+    """
+
+    gap: float = 0.05
+    torque: float = 0.01
+
+
+def empty_fit(question: Question) -> Fitted:
+    """The model as given, with what is always fitted."""
+    start = fit_terms(question, (), torch.ones(question.candidates.gram.n).double())
+    effective = effective_samples(question, start.terms, start.x)
+    return fit_terms(question, (), effective)
+
+
+def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
+    """Terms from a start on, as long as the evidence rises."""
+    fit = _refitted(question, tuple(start))
+    seen = {_signature(fit)}
+    while True:
+        better = _added(question, fit, most) or _lighter(question, fit) or _swapped(question, fit)
+        if better is None or _signature(better) in seen:
+            return fit
+        fit = better
+        seen.add(_signature(fit))
+        # Whatever a new term has made superfluous leaves at once.
+        lighter = _lighter(question, fit)
+        while lighter is not None and _signature(lighter) not in seen:
+            fit = lighter
+            seen.add(_signature(fit))
+            lighter = _lighter(question, fit)
+
+
+def _own(question: Question, fit: Fitted) -> tuple[Term, ...]:
+    return fit.terms[len(question.fixed) :]
+
+
+def _signature(fit: Fitted) -> frozenset[int]:
+    return frozenset(id(t) for t in fit.terms)
+
+
+def _refitted(question: Question, terms: Sequence[Term]) -> Fitted:
+    """A fit whose effective samples are those of what itself leaves."""
+    n = question.candidates.gram.n
+    fit = fit_terms(question, terms, torch.ones(n, dtype=torch.float64))
+    effective = effective_samples(question, fit.terms, fit.x)
+    return fit_terms(question, terms, effective, effective / fit.losses.clamp(min=1e-300))
+
+
+def moves(question: Question, fit: Fitted) -> list[tuple[float, Move]]:
+    """What may be added, with the rise of the evidence to first order: terms one by one, dry and
+    viscous friction of a joint together, and what most joints have at once, priced as one cause."""
+    n = question.candidates.gram.n
+    own = _own(question, fit)
+    found = offers(question, fit)
+    out: list[tuple[float, Move]] = []
+    for offer in found:
+        price = 0.0 if is_common(offer.term.name, (*own, offer.term), n) and is_common(
+            offer.term.name, own, n
+        ) else question.price()
+        out.append((offer.net - price, (offer.term,)))
+    best: dict[tuple[str, int], Offer] = {}
+    for offer in found:
+        name, place = offer.term.name, offer.term.place
+        if place is not None and name in KINDS and KINDS[name].on_all:
+            best.setdefault((name, place), offer)
+    names = sorted({name for name, _ in best})
+    for pair in [(a,) for a in names] + [("coulomb_friction", "viscous_friction")]:
+        if not set(pair) <= set(names):
+            continue
+        together: list[tuple[float, Move]] = []
+        for j in range(n):
+            own_offers = [best[(name, j)] for name in pair if (name, j) in best]
+            if len(own_offers) < len(pair):
+                continue
+            net = _joint_net(question, fit, [o.term for o in own_offers], j)
+            if len(pair) > 1:
+                out.append((net - len(pair) * question.price(), tuple(o.term for o in own_offers)))
+            if net > 0:
+                together.append((net, tuple(o.term for o in own_offers)))
+        if 2 * len(together) >= n and len(together) > 1:
+            terms = tuple(t for _, move in together for t in move)
+            net = sum(g for g, _ in together)
+            out.append((net - len(pair) * question.price(), terms))
+    return sorted(out, key=lambda move: -move[0])
+
+
+def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term], joint: int) -> float:
+    """Rise of the evidence by terms of one joint together, without the price of a cause, while all
+    else stays as it is."""
+    g, s = question.normal.g[joint], fit.subset.joints[joint]
+    v = s.target.clone()
+    v[s.at] -= fit.x[s.of]
+    at = torch.cat([t.at for t in terms])
+    b = g[at] @ v
+    inner = g[at.unsqueeze(1), at]
+    size = inner.diagonal().clamp(min=1e-300).sqrt()
+    scaled = inner / size / size.unsqueeze(1) + 1e-9 * torch.eye(len(at), dtype=torch.float64)
+    gain = float((b / size) @ torch.linalg.solve(scaled, b / size))
+    n = float(question.normal.rows[joint])
+    share = min(gain / max(float(v @ g @ v), 1e-300), 1 - 1e-9)
+    log_n = torch.tensor(max(n, 2.0)).log()
+    return float(-n * torch.log1p(torch.tensor(-share)) - len(at) * log_n)
+
+
+def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
+    """The best addition, if the evidence rises with it."""
+    own = _own(question, fit)
+    if causes(own, question.candidates.gram.n) >= most:
+        return None
+    options = [m for m in moves(question, fit) if not any(t.name == BASE for t in m[1])][:TRIED]
+    return _best(question, fit, [(*own, *move) for _, move in options])
+
+
+def _lighter(question: Question, fit: Fitted) -> Fitted | None:
+    """Without the term that the evidence misses least, if it rises."""
+    own = _own(question, fit)
+    if not own:
+        return None
+    options = [tuple(t for t in own if t is not term) for term in own]
+    found = [fit_terms(question, o, fit.effective, fit.weight) for o in options]
+    best = max(found, key=lambda f: f.evidence)
+    return best if best.evidence > fit.evidence else None
+
+
+def _swapped(question: Question, fit: Fitted) -> Fitted | None:
+    """With one term changed for another, if the evidence rises: another shape, or another effect."""
+    own = _own(question, fit)
+    best: Fitted | None = None
+    for term in own:
+        rest = tuple(t for t in own if t is not term)
+        without = fit_terms(question, rest, fit.effective, fit.weight)
+        options = [m for _, m in moves(question, without)[:3]]
+        for move in options:
+            if move == (term,) or any(t.name == BASE for t in move):
+                continue
+            other = fit_terms(question, (*rest, *move), fit.effective, fit.weight)
+            if best is None or other.evidence > best.evidence:
+                best = other
+    return best if best is not None and best.evidence > fit.evidence + 1e-6 else None
+
+
+def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) -> Fitted | None:
+    """The option whose evidence rises most above the present fit's, if any does. Both are computed
+    with the effective samples of what the option leaves: one that is true makes the rest less
+    dependent. Of the options only the most likely ones are looked at so closely."""
+    rows = question.normal.rows
+    tried = [fit_terms(question, o, rows, rows / fit.losses.clamp(min=1e-300)) for o in options]
+    best: tuple[float, Fitted] | None = None
+    for likely in sorted(tried, key=lambda f: -f.evidence)[:CLOSELY]:
+        own = _own(question, likely)
+        after = effective_samples(question, likely.terms, likely.x)
+        then = fit_terms(question, own, after, after / likely.losses.clamp(min=1e-300))
+        now = fit_terms(question, _own(question, fit), after, after / fit.losses.clamp(min=1e-300))
+        rise = then.evidence - now.evidence
+        if rise > 0 and (best is None or rise > best[0]):
+            best = rise, then
+    return None if best is None else best[1]
+
+
+def held_out_losses(
+    question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted, terms: Sequence[Term]
+) -> Float[Tensor, " n"]:
+    """Sums of squares that terms leave on data they were not fitted on."""
+    from torchid.gap.search.evidence import ridge_of, subset_of
+
+    every = (*question.fixed, *terms)
+    total = torch.zeros_like(fit.losses)
+    subset, ridge = subset_of(question.normal, every), ridge_of(every)
+    for train, test in folds:
+        x = train.solve(subset, fit.weight, ridge).x
+        total += test.losses(subset, x)
+    return total
+
+
+def worthy(
+    question: Question,
+    folds: Sequence[tuple[Normal, Normal]],
+    fit: Fitted,
+    torque: Float[Tensor, " n"],
+    worth: Worth,
+) -> tuple[Fitted, list[Term]]:
+    """Without the causes that are not worth a name, the least worthy first.
+
+    Args:
+        question: what is explained.
+        folds: (fitted on, judged on).
+        fit: a finished explanation.
+        torque: (n,) RMS of the joints' torque.
+        worth: the user's.
+
+    Returns:
+        what is left, and the terms that left.
+    """
+    left: list[Term] = []
+    rows = sum(test.rows for _, test in folds)
+    assert isinstance(rows, Tensor)
+    rows = rows.clamp(min=1.0)
+    while own := _own(question, fit):
+        before = held_out_losses(question, folds, fit, ())
+        now = held_out_losses(question, folds, fit, own)
+        explained = (before / rows - now / rows).clamp(min=0).sqrt()
+        least = torch.maximum(worth.gap * explained, worth.torque * torque).clamp(min=1e-300)
+        ratios = []
+        for cause in cause_groups(own, len(now)):
+            rest = [t for t in own if all(t is not c for c in cause)]
+            lost = held_out_losses(question, folds, fit, rest)
+            fall = ((lost / rows).sqrt() - (now / rows).sqrt()) / least
+            joints = sorted({j for t in cause for j in _joints(t, len(now))})
+            ratio = fall[joints].sort(descending=True).values
+            # What most joints have must be worth it on more than half of them.
+            ratios.append(float(ratio[len(cause) // 2 if len(cause) > 1 else 0]))
+        worst = min(range(len(ratios)), key=ratios.__getitem__)
+        if ratios[worst] >= 1:
+            break
+        gone = cause_groups(own, len(now))[worst]
+        if len(gone) > 1:  # of a common cause the joints that bear it least leave first
+            gone = [min(gone, key=lambda t: _single_fall(question, folds, fit, own, t))]
+        left += gone
+        keep = [t for t in own if all(t is not c for c in gone)]
+        fit = fit_terms(question, keep, fit.effective, fit.weight)
+    return fit, left
+
+
+def _single_fall(
+    question: Question,
+    folds: Sequence[tuple[Normal, Normal]],
+    fit: Fitted,
+    own: Sequence[Term],
+    term: Term,
+) -> float:
+    rest = [t for t in own if t is not term]
+    lost = held_out_losses(question, folds, fit, rest)
+    now = held_out_losses(question, folds, fit, own)
+    assert term.place is not None
+    return float((lost[term.place] / now[term.place].clamp(min=1e-300)))
+
+
+def _joints(term: Term, n: int) -> Iterator[int]:
+    yield from range(n) if term.place is None else (term.place,)
+
+
+def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:
+    """Terms by cause: what most joints have of an effect that arms have is one."""
+    out = [[t] for t in terms if not is_common(t.name, terms, n)]
+    common = sorted((t for t in terms if is_common(t.name, terms, n)), key=lambda t: t.name)
+    return out + [list(own) for _, own in groupby(common, key=lambda t: t.name)]

@@ -1,0 +1,343 @@
+"""One number for how good an explanation is, and what any candidate would add to it.
+
+    E(S) = sum_j n_j log(L_j(0) / L_j(S)) - |x / sigma|^2 - sum_k log n_k - 2 log(looks / alpha) c
+
+L_j(S) is the sum of squares that the terms S leave on joint j, n_j the effective number of samples
+there: samples divided by the autocorrelation time of what is left. Every coefficient and every shape
+that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that were
+looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
+something is missing E is careful by itself.
+
+A cause is one term; or the same effect on most joints, where arms have it (dry friction, say).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from torchid.design.gram import Normal, OnJoint, Solved, Subset
+from torchid.effects.registry import KINDS
+from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.typing import Float, Tensor
+
+VISIBLE = 0.01
+"""Share of a column's square that must be left beside the model for it to be seen at all. Of less,
+what is left is noise of the columns and the misfit of what is there: the coefficient would be large
+and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are unseen."""
+
+SURE = 2.0
+"""Standard deviations beyond what physics allows from which a coefficient is refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Terms, their coefficients, and what they leave.
+
+    Attributes:
+        terms: fixed ones first.
+        x: (K,) coefficients, term by term.
+        root: (K, r) root of their covariance, in units of the weights.
+        losses: (n,) sums of squares left.
+        evidence: E.
+        effective: (n,) numbers of samples with which E was computed.
+    """
+
+    terms: tuple[Term, ...]
+    subset: Subset
+    x: Float[Tensor, " K"]
+    root: Float[Tensor, "K r"]
+    losses: Float[Tensor, " n"]
+    evidence: float
+    effective: Float[Tensor, " n"]
+
+    @property
+    def weight(self) -> Float[Tensor, " n"]:
+        """Of each joint's squares."""
+        return self.effective / self.losses.clamp(min=1e-300)
+
+    def values(self) -> list[Float[Tensor, " _"]]:
+        """Coefficients, term by term."""
+        return list(self.x.split([len(t.at) for t in self.terms]))
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is to be explained, by which candidates.
+
+    Attributes:
+        candidates: with their normal equations.
+        normal: of the samples that are explained.
+        alpha: family-wise level.
+        rows: columns of terms that were in a model, as samples.
+    """
+
+    candidates: Candidates
+    normal: Normal
+    alpha: float
+    rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
+
+    @property
+    def fixed(self) -> tuple[Term, ...]:
+        """Terms that are always in the model."""
+        return self.candidates.fixed
+
+    @property
+    def looks(self) -> float:
+        """Candidates that are looked at."""
+        return float(max(1, len(self.candidates.terms)))
+
+    def price(self) -> float:
+        """Of a cause."""
+        return 2 * math.log(self.looks / self.alpha)
+
+
+def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
+    """Where the columns of terms are in each joint's matrix."""
+    joints = []
+    first = 0
+    starts = []
+    for term in terms:
+        starts.append(first)
+        first += len(term.at)
+    for j, g in enumerate(normal.g):
+        of = [
+            torch.arange(a, a + len(t.at))
+            for a, t in zip(starts, terms, strict=True)
+            if t.place in (None, j)
+        ]
+        at = [t.at for t in terms if t.place in (None, j)]
+        empty = torch.zeros(0, dtype=torch.long)
+        target = g.new_zeros(len(g))
+        target[-1] = 1.0
+        for term in terms:
+            for joint, own, values in term.instead:
+                if joint == j:
+                    target[own.at] += values
+        joints.append(
+            OnJoint(torch.cat(of) if of else empty, torch.cat(at) if at else empty, target)
+        )
+    return Subset(first, tuple(joints))
+
+
+def ridge_of(terms: Sequence[Term]) -> Float[Tensor, " K"]:
+    """Inverse variances of coefficients beforehand."""
+    parts = [
+        torch.zeros(len(t.at), dtype=torch.float64) if t.sigma is None else t.sigma**-2
+        for t in terms
+    ]
+    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.float64)
+
+
+def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:
+    """A term's columns as samples, on its joint or on all; kept for the next time."""
+    rows = question.rows.get(id(term))
+    if rows is None:
+        rows = term_columns(question.candidates.columns, term)
+        rows = rows if term.place is None else rows[:, term.place : term.place + 1]
+        question.rows[id(term)] = rows
+    return rows
+
+
+def residual(
+    question: Question, terms: Sequence[Term], x: Float[Tensor, " K"]
+) -> Float[Tensor, "n N"]:
+    """Samples that terms with these coefficients leave; zero where none counts."""
+    left = question.candidates.gap.clone()
+    for term, own in zip(terms, x.split([len(t.at) for t in terms]), strict=True):
+        joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
+        left[joints] -= torch.tensordot(own, rows_of(question, term), 1)
+        for joint, effect, values in term.instead:
+            left[joint] += values @ rows_of(question, effect)[:, 0]
+    return left * question.candidates.keep
+
+
+def effective_samples(
+    question: Question, terms: Sequence[Term], x: Float[Tensor, " K"]
+) -> Float[Tensor, " n"]:
+    """Samples of each joint divided by the autocorrelation time of what terms leave there."""
+    left = residual(question, terms, x)
+    times = integrated_time(left, question.candidates.columns.samples.bounds)
+    return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
+
+
+def fit_terms(
+    question: Question,
+    terms: Sequence[Term],
+    effective: Float[Tensor, " n"],
+    weight: Float[Tensor, " n"] | None = None,
+) -> Fitted:
+    """The maximum of the likelihood over the coefficients of terms, and its evidence.
+
+    Args:
+        question: what is explained.
+        terms: beside the fixed ones, which come first.
+        effective: (n,) numbers of samples.
+        weight: (n,) of the joints' squares at the start.
+    """
+    normal = question.normal
+    every = (*question.fixed, *terms)
+    subset = subset_of(normal, every)
+    ridge = ridge_of(every)
+    if weight is None:
+        weight = effective / torch.stack([g[-1, -1] for g in normal.g]).clamp(min=1e-300)
+    # Each joint's weight is what it leaves: twice is enough to rank, and each step gains.
+    for _ in range(2):
+        solved: Solved = normal.solve(subset, weight, ridge)
+        losses = normal.losses(subset, solved.x)
+        weight = effective / losses.clamp(min=1e-300)
+    nothing = torch.stack([g[-1, -1] for g in normal.g])
+    gain = effective * (nothing.clamp(min=1e-300) / losses.clamp(min=1e-300)).log()
+    prior = float((ridge * solved.x.square()).sum())
+    evidence = float(gain.sum()) - prior - cost(question, terms, effective)
+    return Fitted(every, subset, solved.x, solved.root, losses, evidence, effective)
+
+
+def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
+    """Of the coefficients and shapes of terms, and of their causes."""
+    total = question.price() * causes(terms, len(effective))
+    for term in terms:
+        n = effective.sum() if term.place is None else effective[term.place]
+        total += (directions(question, term) + term.shapes) * math.log(max(float(n), 2.0))
+    return total
+
+
+def directions(question: Question, term: Term) -> int:
+    """Directions of a term's columns that the samples tell apart."""
+    if len(term.at) == 1:
+        return 1
+    joints = range(len(question.normal.g)) if term.place is None else (term.place,)
+    gram = sum(question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints)
+    assert isinstance(gram, Tensor)
+    size = gram.diagonal().clamp(min=1e-300).sqrt()
+    values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
+    return max(1, int((values > VISIBLE).sum()))
+
+
+def causes(terms: Iterable[Term], n: int) -> int:
+    """Number of causes: what most joints have of an effect that arms have is one."""
+    count = 0
+    common: dict[str, int] = {}
+    for term in terms:
+        if term.place is not None and term.name in KINDS and KINDS[term.name].on_all:
+            common[term.name] = common.get(term.name, 0) + 1
+        else:
+            count += 1
+    return count + sum(1 if 2 * k >= n else k for k in common.values())
+
+
+def is_common(name: str, terms: Iterable[Term], n: int) -> bool:
+    """Whether most joints have this effect."""
+    return name in KINDS and KINDS[name].on_all and 2 * sum(t.name == name for t in terms) >= n
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """What a term would add to a fit, to first order.
+
+    Attributes:
+        term: a candidate.
+        gain: rise of the likelihood's part of E.
+        paid: what its own coefficients and shapes cost.
+    """
+
+    term: Term
+    gain: float
+    paid: float
+
+    @property
+    def net(self) -> float:
+        """Gain less the cost of its columns; without that of a cause."""
+        return self.gain - self.paid
+
+
+def offers(question: Question, fit: Fitted) -> list[Offer]:
+    """Every candidate's gain beside a fit, those that physics refuses left out.
+
+    Gains are those of independent samples, for what a candidate leaves may be as independent: what is
+    dependent now may be the very effect that is missing.
+    """
+    normal = question.normal
+    weight = normal.rows / fit.losses.clamp(min=1e-300)
+    solved = normal.solve(fit.subset, weight, ridge_of(fit.terms))
+    common = question.candidates.gram.common
+    k = solved.root.shape[1]
+    held_common = torch.zeros(common, k, dtype=torch.float64)
+    pull_common = torch.zeros(common, dtype=torch.float64)
+    held: list[Tensor] = []
+    pulls: list[Tensor] = []
+    for w, g, s in zip(weight.tolist(), normal.g, fit.subset.joints, strict=True):
+        v = s.target.clone()
+        v[s.at] -= solved.x[s.of]
+        b = w * (g @ v)
+        h = w * (g[:, s.at] @ solved.root[s.of])
+        held_common += h[:common]
+        pull_common += b[:common]
+        held.append(h)
+        pulls.append(b)
+    present = {t.key for t in fit.terms if t.effects}
+    out: list[Offer] = []
+    for batch in question.candidates.batches:
+        if batch.place is None:
+            h, b = held_common[batch.at], pull_common[batch.at]
+            gram = sum(
+                w * g[batch.at.unsqueeze(2), batch.at.unsqueeze(1)]
+                for w, g in zip(weight.tolist(), normal.g, strict=True)
+            )
+            assert isinstance(gram, Tensor)
+        else:
+            h, b = held[batch.place][batch.at], pulls[batch.place][batch.at]
+            g = normal.g[batch.place]
+            gram = float(weight[batch.place]) * g[batch.at.unsqueeze(2), batch.at.unsqueeze(1)]
+            extra = torch.zeros(len(batch.terms), dtype=torch.float64)
+            for m, term in enumerate(batch.terms):
+                for _, own, values in term.instead:
+                    # The target grows by the effect that is replaced: so does what is left of it.
+                    w = float(weight[batch.place])
+                    rest = held[batch.place][own.at].T @ values
+                    grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
+                    extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
+                    b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m] @ rest
+        gains, counts, x = _gains(batch, gram, h, b)
+        if batch.place is not None:
+            gains = gains - extra
+        n = normal.rows.sum() if batch.place is None else normal.rows[batch.place]
+        price = math.log(max(float(n), 2.0))
+        for m, term in enumerate(batch.terms):
+            gain = float(gains[m])
+            if gain <= 0 or term.key in present or term in fit.terms:
+                continue
+            # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
+            share = min(gain / max(float(n), 1e-9), 1 - 1e-9)
+            rise = -float(n) * math.log1p(-share)
+            out.append(Offer(term, rise, (int(counts[m]) + term.shapes) * price))
+    return sorted(out, key=lambda o: -o.net)
+
+
+def _gains(
+    batch: Batch, gram: Float[Tensor, "M C C"], held: Float[Tensor, "M C k"], b: Float[Tensor, "M C"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gains (M,), directions (M,) and coefficients (M, C) of terms beside a model that holds part of
+    their columns; 0 where physics forbids a coefficient."""
+    square = gram.diagonal(dim1=1, dim2=2)
+    left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
+    there = square > 1e-300
+    size = torch.where(there, (square + batch.ridge).clamp(min=1e-300).sqrt(), math.inf)
+    scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))
+    values, vectors = torch.linalg.eigh(scaled)
+    seen = values > VISIBLE
+    along = (vectors.transpose(1, 2) @ (b / size).unsqueeze(-1)).squeeze(-1)
+    safe = torch.where(seen, values, torch.ones_like(values))
+    along = torch.where(seen, along, torch.zeros_like(along))
+    gain = (along.square() / safe).sum(-1)
+    x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
+    # A sign counts only where the coefficient is determined, and is no noise.
+    squares = vectors.square() * seen.unsqueeze(-2)
+    sure = squares.sum(-1) > 0.99
+    std = (squares / safe.unsqueeze(-2)).sum(-1).sqrt() / size
+    low = (x + batch.known < -SURE * std) & batch.signed
+    high = x.abs() > batch.largest + SURE * std
+    wrong = (sure & (low | high)).any(-1)
+    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x

@@ -1,0 +1,353 @@
+"""Candidates of a search: effects at their places, and the columns that each of them has."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.design.columns import Columns, Place
+from torchid.design.gram import Gram
+from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
+from torchid.effects.registry import KINDS, Valued
+from torchid.gap.data.prepare import Data
+from torchid.identification.base_parameters import BaseParameters
+from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
+from torchid.typing import Bool, Float, Int, Tensor
+
+BASE = "all_base"
+"""Name of a correction of all base parameters."""
+LINK = "link_inertia"
+PAYLOAD = "payload"
+
+PRIOR = 0.3
+"""Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to
+some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly any."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """An effect at a place, as a part of a model.
+
+    Attributes:
+        name: of the effect, or `all_base`.
+        effects: whose coefficients the columns belong to: one; several that share theirs; none for
+            base parameters.
+        place: the joint whose torque alone the columns are in, or None.
+        at: (C,) rows of the columns in the joint's matrix, or among the common ones.
+        coefficients: C of them; base parameters have one description for all.
+        known: what the model as given has of each.
+        instead: (joint, term, coefficients) of the model's own effect that this one stands in the
+            place of: the same effect with another shape.
+        sigma: (C,) standard deviations of the coefficients before the log is seen; None: unknown.
+    """
+
+    name: str
+    effects: tuple[Effect, ...]
+    place: Place
+    at: Int[Tensor, " C"]
+    coefficients: tuple[Coefficient, ...]
+    known: tuple[float, ...]
+    instead: tuple[tuple[int, "Term", Tensor], ...] = ()
+    sigma: Float[Tensor, " C"] | None = None
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What it is, whatever its shape: effect and place, or that all joints share it."""
+        if len(self.effects) == 1:
+            return self.effects[0].identity
+        return (self.name, len(self.effects))
+
+    @property
+    def inertial(self) -> bool:
+        """Whether it corrects the model's own parameters."""
+        return self.name in (BASE, LINK)
+
+    @property
+    def shapes(self) -> int:
+        """Number of its parameters that are searched beside the coefficients."""
+        return len(self.effects[0].shapes) if self.effects else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Terms of one place with equally many columns, to be looked at together."""
+
+    place: Place
+    terms: tuple[Term, ...]
+    at: Int[Tensor, "M C"]
+    signed: Bool[Tensor, "M C"]
+    known: Float[Tensor, "M C"]
+    largest: Float[Tensor, "M C"]
+    ridge: Float[Tensor, "M C"]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a search looks for.
+
+    Attributes:
+        names: effects.
+        free: whether base parameters are always fitted.
+        background: effects that are always fitted with them, on every joint.
+        inertial: whether corrections of the links' parameters compete.
+        only: (effect, joint from 0 or None) that alone are candidates; None for all.
+        base: rigid base parameters of the robot.
+    """
+
+    names: tuple[str, ...]
+    free: bool
+    background: tuple[str, ...]
+    inertial: bool
+    only: tuple[tuple[str, int | None], ...] | None
+    base: BaseParameters
+
+    @property
+    def independent(self) -> list[int]:
+        """Numbers, link by link, of the parameters that stand for the base parameters."""
+        order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
+        return order[list(self.base.independent[: self.base.n_rigid])].tolist()
+
+    def allows(self, term: Term) -> bool:
+        """Whether a term is one of the candidates."""
+        if self.only is None or term.name == BASE:
+            return self.only is None
+        joints = term.effects[0].joints if len(term.effects) == 1 else ()
+        return any(term.name == n and (j is None or j in joints) for n, j in self.only)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """All candidates, and the normal equations of their columns.
+
+    Attributes:
+        columns: at the model whose gap is to be explained.
+        gap: (n, N) what is to be explained.
+        keep: (n, N) samples that count.
+        gram: joint by joint, fold by fold; the last part holds samples between folds.
+        terms: candidates.
+        fixed: terms that are always in the model.
+        batches: the candidates, by place and number of columns.
+    """
+
+    columns: Columns
+    gap: Float[Tensor, "n N"]
+    keep: Bool[Tensor, "n N"]
+    gram: Gram
+    terms: tuple[Term, ...]
+    fixed: tuple[Term, ...]
+    batches: tuple[Batch, ...]
+
+
+def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
+    """A term's columns on all joints, at the columns' model."""
+    if term.name == BASE:
+        flat = columns.regressor.flatten(0, 1)
+        return flat[term.at]
+    if term.name in (LINK, PAYLOAD):
+        link = columns.n - 1 if term.name == PAYLOAD else term.effects[0].joints[0]
+        return columns.regressor[link]
+    return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
+
+
+
+
+def candidates_of(
+    columns: Columns,
+    data: Data,
+    wanted: Wanted,
+    parts: Int[Tensor, " N"],
+    given: Sequence[Valued],
+    extra: Sequence[Effect] = (),
+) -> Candidates:
+    """Columns of all candidates at a model, put into normal equations.
+
+    Args:
+        columns: at the model.
+        data: which samples count, and what the log holds.
+        wanted: what is looked for.
+        parts: (N,) fold of every sample; the last number is of those between folds.
+        given: effects of the model as given.
+        extra: further shapes and windows of effects.
+    """
+    n, robot = columns.n, columns.model.robot
+    common: list[Tensor] = [columns.regressor.flatten(0, 1)]
+    local: list[list[Tensor]] = [[] for _ in range(n)]
+    terms: list[Term] = _bodies(columns, wanted)
+    filled = common[0].shape[0]
+    own = [0] * n
+
+    def put(effects: tuple[Effect, ...], place: Place, x: Tensor) -> Term:
+        """Columns take their rows in the matrices, and become a term."""
+        nonlocal filled
+        if place is None:
+            at = torch.arange(filled, filled + len(x))
+            common.append(x)
+            filled += len(x)
+        else:
+            at = torch.arange(own[place], own[place] + len(x))
+            local[place].append(x)
+            own[place] += len(x)
+        effect = effects[0]
+        coefficients, known = effect.coefficients, _known(effects, given)
+        return Term(effect.name, effects, place, at, coefficients, known)
+
+    for effect in _model_effects(wanted, data, columns, extra):
+        place, x = columns.of(effect)
+        terms.append(put((effect,), place, x))
+    for name in wanted.names:
+        if KINDS[name].shared:
+            every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
+            terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
+    for joint in range(n):
+        for kind in _joint_kinds(wanted, data, joint):
+            shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
+            if not len(shapes):  # a ripple on a joint that never moves
+                continue
+            names = [s.name for s in kind.shapes]
+            effects = [kind(joint, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
+            found = columns.of_shapes(kind, joint, shapes)
+            terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
+        for effect in _own_shapes(wanted, given, joint, extra):
+            terms.append(put((effect,), joint, columns.of(effect)[1]))
+    # Own columns stand behind the common ones.
+    terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
+    terms = _standing_in(terms, given)
+    gram = Gram(filled, own, int(parts.max()) + 1)
+    y = columns.gap()
+    for j in range(n):
+        gram.add(j, [*(x[:, j] for x in common), *local[j]], y[j], data.keep[j], parts)
+        local[j] = []
+    fixed = _fixed(terms, wanted, n)
+    chosen = [t for t in terms if wanted.allows(t) and t not in fixed]
+    if wanted.free:
+        chosen = [t for t in chosen if not t.inertial]
+    return Candidates(
+        columns, y, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
+    )
+
+
+def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
+    """Payload, links and all base parameters: rows of the regressor, link by link."""
+    n, robot = columns.n, columns.model.robot
+    sigma = body_sigma(columns)
+    out = []
+    for link in range(n):
+        at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
+        if link == n - 1 and PAYLOAD in wanted.names:
+            effect: Effect = KINDS[PAYLOAD]()
+            out.append(Term(PAYLOAD, (effect,), None, at, effect.coefficients, (0.0,) * len(at)))
+        if wanted.inertial and LINK in wanted.names:
+            effect = KINDS[LINK](link)  # type: ignore[call-arg]
+            known = tuple(robot.require_parameters("a diagnosis").pi[link].tolist())
+            out.append(
+                Term(LINK, (effect,), None, at, effect.coefficients, known, sigma=sigma[link])
+            )
+    numbers = wanted.independent
+    grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
+    spread = (grouping[:, _paper_position(n)] * sigma.flatten()).norm(dim=1)
+    described = (Coefficient("", "", False, "a base parameter"),)
+    base = Term(BASE, (), None, torch.tensor(numbers), described * len(numbers), (0.0,) * len(numbers))
+    return [*out, base if wanted.free else replace(base, sigma=spread)]
+
+
+def _paper_position(n: int) -> Tensor:
+    """Position in the paper's order of each parameter, link by link."""
+    order = paper_order(n)
+    out = torch.empty_like(order)
+    out[order] = torch.arange(len(order))
+    return out
+
+
+def body_sigma(columns: Columns) -> Float[Tensor, "n 10"]:
+    """How far a model's parameters may be off: a share of the mass, of the mass at the radius of
+    gyration, and of the inertia at it; of a body without mass, that of a twentieth of the arm's."""
+    pi = columns.model.robot.require_parameters("a diagnosis").pi.double()
+    mass = pi[:, 0].abs().clamp(min=0.05 * float(pi[:, 0].abs().mean()) + 1e-9)
+    inertia = (0.5 * pi[:, [4, 7, 9]].sum(1)).abs()
+    radius = (inertia / mass).sqrt().clamp(min=0.05)
+    sizes = [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
+    return PRIOR * torch.stack(sizes, 1)
+
+
+def _model_effects(
+    wanted: Wanted, data: Data, columns: Columns, extra: Sequence[Effect]
+) -> Iterator[ModelEffect]:
+    """Effects of the whole arm at all their places, where the log holds what they need."""
+    for name in wanted.names:
+        kind = KINDS[name]
+        if issubclass(kind, ModelEffect) and not (kind.inertial or kind.needs & data.missing):
+            if not kind.windowed:
+                yield from kind.candidates(columns.model.robot)
+    yield from (e for e in extra if isinstance(e, ModelEffect))
+
+
+def _joint_kinds(wanted: Wanted, data: Data, joint: int) -> Iterator[type[JointEffect]]:
+    """Effects of one joint's motion; of friction nothing is told on a joint that does not slide."""
+    for name in dict.fromkeys((*wanted.names, *wanted.background)):
+        kind = KINDS[name]
+        if issubclass(kind, JointEffect) and not kind.needs & data.missing:
+            if bool(data.slides[joint]) or not (kind.jumps or kind.family in ("speed", "time")):
+                yield kind
+
+
+def _own_shapes(
+    wanted: Wanted, given: Sequence[Valued], joint: int, extra: Sequence[Effect]
+) -> list[JointEffect]:
+    """Shapes that no grid holds: the model's own, with its options, and refined ones."""
+    own = [e for e, _ in given if isinstance(e, JointEffect) and (e.shapes or e != type(e)(joint))]
+    own += [e for e in extra if isinstance(e, JointEffect)]
+    return [e for e in dict.fromkeys(own) if e.joint == joint and e.name in wanted.names]
+
+
+def _known(effects: tuple[Effect, ...], given: Sequence[Valued]) -> tuple[float, ...]:
+    """Coefficients that the model as given has of exactly this effect; zeros where it has none."""
+    total = [0.0] * len(effects[0].coefficients)
+    for other, values in given:
+        if len(effects) == 1 and other == effects[0]:
+            total = [a + b for a, b in zip(total, values, strict=True)]
+    return tuple(total)
+
+
+def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
+    """Other shapes of an effect that the model has stand in its place, not beside it."""
+    own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
+    out = []
+    for term in terms:
+        alone = term.effects[0] if len(term.effects) == 1 and term.place is not None else None
+        instead = [
+            (term.place, own[effect], torch.tensor(values, dtype=torch.float64))
+            for effect, values in given
+            if alone and effect in own and effect != alone and effect.identity == alone.identity
+        ]
+        out.append(replace(term, instead=tuple(instead)) if instead else term)
+    return out
+
+
+def _fixed(terms: Sequence[Term], wanted: Wanted, n: int) -> tuple[Term, ...]:
+    """Terms that are always in the model: free base parameters, and a background."""
+    if not wanted.free:
+        return ()
+    base = [t for t in terms if t.name == BASE]
+    plain = [t for t in terms if t.name in wanted.background and t.effects[0].joints]
+    return (*base, *(t for t in plain if len(t.effects) == 1))
+
+
+def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
+    def group(t: Term) -> tuple[int, int]:
+        return (-1 if t.place is None else t.place, len(t.at))
+
+    for (place, count), some in itertools.groupby(sorted(terms, key=group), key=group):
+        own = tuple(some)
+        ridge = torch.stack(
+            [torch.zeros(count).double() if t.sigma is None else t.sigma**-2 for t in own]
+        )
+        yield Batch(
+            None if place < 0 else place,
+            own,
+            torch.stack([t.at for t in own]),
+            torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
+            torch.tensor([t.known for t in own], dtype=torch.float64),
+            torch.tensor([[c.largest for c in t.coefficients] for t in own], dtype=torch.float64),
+            ridge,
+        )
