@@ -6,7 +6,6 @@ Columns are evaluated in the wide band, filtered and whitened like the torque.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import product
 
 import torch
 
@@ -16,9 +15,8 @@ from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect, 
 from torchid.effects.registry import KINDS, Valued, in_rounds, model_torque
 from torchid.effects.transient import Contact
 from torchid.gap.bank import Bank, Place
-from torchid.gap.grids import grid_of
 from torchid.gap.passages import Rows
-from torchid.gap.prediction import DIFFERENTIATING, predicted_torque, smoothed
+from torchid.gap.prediction import predicted_torque, smoothed
 from torchid.gap.windows import best_windows
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -106,7 +104,7 @@ class Evaluator:
     def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
         """Columns of a model effect along every passage; in one call where time plays no part."""
         if effect.needs & {"t", "age"}:
-            motions = self._smooth if effect.family in DIFFERENTIATING else self.motions
+            motions = self._smooth if effect.smooth else self.motions
             return [effect.torque_columns(m, self.robot).permute(2, 1, 0) for m in motions]
         together = effect.torque_columns(self._together, self.robot).permute(2, 1, 0)
         return list(together.split([len(m.q) for m in self.motions], -1))
@@ -136,7 +134,7 @@ class Evaluator:
     def renewed(self, bank: Bank) -> Bank:
         """A bank's columns at this model."""
         effect = bank.members[0][0]
-        if bank.name in SHARED and bank.place is None:
+        if effect.shared and bank.place is None:
             return self.shared_bank(type(effect))  # type: ignore[arg-type]
         if isinstance(effect, JointEffect):
             return self.joint_bank(type(effect), effect.joint)
@@ -159,7 +157,7 @@ class Evaluator:
 
     def grid(self, kind: type[JointEffect], joint: int) -> Float[Tensor, "S P"]:
         """Values of the shape parameters tried at first, one combination a row."""
-        return grid_of(self.motions, kind, joint, self.rows.cutoff)
+        return kind.grid(self.motions, joint, self.rows.cutoff)
 
     def joint_bank(
         self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"] | None = None
@@ -233,14 +231,7 @@ class Evaluator:
 
     def around(self, contact: Contact, level: int) -> Bank:
         """Contacts whose window begins and ends a little earlier or later, ever less so."""
-        assert contact.start is not None
-        assert contact.stop is not None
-        step = max(self.rows.interval, 0.2 * (contact.stop - contact.start)) / 2**level
-        members = [
-            Contact(contact.start + a * step, contact.stop + b * step)
-            for a, b in product((-1, 0, 1), repeat=2)
-        ]
-        return self._contacts([c for c in members if c.stop > c.start])  # type: ignore[operator]
+        return self._contacts(contact.around(level, self.rows.interval))
 
     def shared_bank(
         self, kind: type[ModelEffect], members: Sequence[ModelEffect] | None = None
@@ -303,9 +294,6 @@ RIPPLE_LOOKS = 60.0
 WINDOW_LOOKS = 300.0
 """Tests that a search over wave numbers, or over windows, counts for: neighbours are related."""
 
-SHARED = ("time_delay", "torque_gain")
-"""Effects of one joint that may be common to all: one cause explains them better than many."""
-
 
 def _only(motion: Motion, own: slice) -> Motion:
     """Motion of one joint."""
@@ -345,5 +333,5 @@ def all_banks(
         elif kind is not Contact:
             assert issubclass(kind, ModelEffect)
             yield from evaluator.model_bank(kind)
-            if name in SHARED:
+            if kind.shared:  # one cause explains them better than many
                 yield evaluator.shared_bank(kind)

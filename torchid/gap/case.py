@@ -24,9 +24,6 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Tensor
 
-EVENTS = ("contact", "dropped_samples")
-"""Effects of one log, not of the arm."""
-
 Progress = Callable[[str, int, int], None]
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from torchid.effects.base import Effect
-from torchid.effects.experiments import experiment
+from torchid.effects.registry import experiment
 from torchid.effects.transient import Contact
 from torchid.gap.ambiguity import Alternative, aliases, alternatives, separation
 from torchid.gap.diagnosis import Finding, Parametric

@@ -8,9 +8,6 @@ from torchid.gap.passages import Passage, Rows
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-DIFFERENTIATING = ("phase", "hysteresis")
-"""Families of model effects whose columns differentiate the model's torque."""
-
 SMOOTHED = ("q", "dq", "ddq", "torque")
 
 
@@ -25,7 +22,7 @@ def predicted_torque(
     """Torque of a model along a passage. Effects that differentiate the model's torque see the
     motion low-passed like the rows, as their columns do: twice differentiated, the encoder's noise
     would be all that is left of them."""
-    rough = [p for p in effects if p[0].family in DIFFERENTIATING and "t" in p[0].needs]
+    rough = [p for p in effects if p[0].smooth]
     others = [p for p in effects if not any(p is r for r in rough)]
     tau = model_torque(robot, others, passage.motion)
     if rough:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from torchid.gap.case import EVENTS, Case
+from torchid.gap.case import Case
 from torchid.gap.diagnosis import Trace
 from torchid.gap.findings import Findings
 from torchid.gap.folds import Folds
@@ -28,7 +28,7 @@ def remarks(
         )
     if len(whole.terms) >= settings.max_effects:
         out.append(f"the search ended at {settings.max_effects} effects: --max-effects")
-    events = sorted({e.name for e, _ in whole.effects if e.name in EVENTS})
+    events = sorted({e.name for e, _ in whole.effects if e.event})
     if events:
         out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
     changed = bool(found.parametric) or case.task.free

@@ -6,8 +6,7 @@ model settles.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -17,7 +16,6 @@ from torchid.effects.transient import Contact
 from torchid.gap.bank import Bank
 from torchid.gap.candidates import Evaluator
 from torchid.gap.fit import Fit, fitted, huber_weights
-from torchid.gap.grids import scale_of
 from torchid.gap.problem import BASE, FRICTION, LINK, Problem, Term, term_of
 from torchid.gap.projection import in_all_rows
 from torchid.gap.select import Search
@@ -264,7 +262,7 @@ def _change(last: Evaluator, new: Evaluator, count: int) -> _Change:
         size = b.square().mean(0)
         moved.append((a - b).square().mean(0) > CHANGED**2 * size + 1e-300)
     found = new.effects[count:]
-    secants = any(f.name == "at" for e, _ in found for f in fields(e))
+    secants = any(e.linearised for e, _ in found)
     return _Change(bool(moved[0].any()), frozenset(moved[1].nonzero().flatten().tolist()), secants)
 
 
@@ -276,22 +274,14 @@ def _retaken(term: Term, evaluator: Evaluator, values: Tensor) -> Term:
     if not effect.needs or isinstance(effect, Contact):
         return term
     if len(term.effects) > 1:
-        shared = [at_estimate(e, values) for e in term.effects]
+        shared = [e.at_estimate(values.tolist()) for e in term.effects]
         bank = evaluator.shared_bank(type(effect), shared)  # type: ignore[arg-type]
         return replace(term, effects=bank.members[0], columns=bank.columns[0])
-    effect = at_estimate(effect, values)
+    effect = effect.at_estimate(values.tolist())
     place, columns = evaluator.columns(effect)
     if place != term.place and term.place is None:
         return term
     return replace(term, effects=(effect,), columns=columns)
-
-
-def at_estimate(effect: Effect, values: Tensor) -> Effect:
-    """The effect with its secant taken at the estimate, where it is nonlinear."""
-    names = [f.name for f in fields(effect)]
-    if "at" not in names or not float(values[0].abs()) > 0:
-        return effect
-    return replace(effect, at=float(values[0]))  # type: ignore[call-arg]
 
 
 def _renewed(banks: Sequence[Bank], evaluator: Evaluator, change: _Change) -> list[Bank]:
@@ -320,32 +310,12 @@ def _refiner(evaluator: Evaluator) -> Callable[[Effect, int], Bank | None]:
             return evaluator.around(effect, level)
         if not isinstance(effect, JointEffect):
             return None
-        kind = type(effect)
-        offsets = torch.linspace(-1, 1, 7, dtype=torch.float64)
-        axes = []
-        for shape, value in zip(kind.shapes, effect.shape_values, strict=True):
-            scale = scale_of(evaluator.motions, shape, effect.joint)
-            if kind.name == "cogging":
-                grid = evaluator.grid(kind, effect.joint).flatten()
-                step = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0
-                tried = value + offsets * step / 3**level
-            elif shape.logarithmic:
-                ratio = _largest_ratio(shape.grid) ** (1 / 3**level)
-                tried = value * ratio**offsets
-            else:
-                step = max(b - a for a, b in pairwise(shape.grid)) * scale
-                tried = value + offsets * step / 3**level
-            axes.append(tried.clamp(shape.low * scale, shape.high * scale))
-        if not axes:
+        shapes = effect.finer(evaluator.motions, level, evaluator.rows.cutoff)
+        if shapes is None:
             return None
-        shapes = torch.cartesian_prod(*axes).reshape(-1, len(axes))
-        return evaluator.joint_bank(kind, effect.joint, shapes)
+        return evaluator.joint_bank(type(effect), effect.joint, shapes)
 
     return refine
-
-
-def _largest_ratio(grid: Sequence[float]) -> float:
-    return max((b / a for a, b in pairwise(grid)), default=2.0)
 
 
 def corrected(

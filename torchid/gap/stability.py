@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from torchid.effects.registry import FAMILIES
-from torchid.gap.case import EVENTS, Case, FoldModels
+from torchid.effects.registry import EVENTS, FAMILIES
+from torchid.gap.case import Case, FoldModels
 from torchid.gap.findings import Findings, findings
 from torchid.gap.problem import Term
 from torchid.gap.solve import Solution, settled

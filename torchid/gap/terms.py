@@ -134,4 +134,4 @@ def best_member(scanner: Scanner, model: Projector) -> Candidate | None:
 
 
 def _is_secant(term: Term) -> bool:
-    return any(hasattr(effect, "at") for effect in term.effects)
+    return any(effect.linearised for effect in term.effects)
