@@ -19,7 +19,7 @@ import torch
 from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
 
-from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
+from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.folds import Model, traces
@@ -29,9 +29,6 @@ from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import sensed_log
-
-EVENTS = ("contact", "dropped_samples")
-"""They happened in one log; a fresh one cannot be predicted with them."""
 
 WELL_DEFINED = (
     "viscous_friction",

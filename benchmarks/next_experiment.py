@@ -25,8 +25,8 @@ from typing import Any
 import torch
 
 from torchid.effects.base import Motion
-from torchid.effects.registry import Valued, effect_from_record, nominal_effects
-from torchid.excitation.ambiguity import EVENTS, read_open
+from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
+from torchid.excitation.ambiguity import read_open
 from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.rivals import rivals
@@ -176,7 +176,8 @@ def play(name: str, seed: int, usage: float) -> dict[str, Any]:
         print(f"{name}: nothing ambiguous, {[f.effect.name for f in found.findings]}", flush=True)
         return {"scene": name, "seed": seed, "set": [], "verdicts": []}
     first = next(f for f in found.findings if f.ambiguous_with)
-    names = tuple(n for n in (first.effect.name, *first.ambiguous_with) if n not in EVENTS)
+    asked = (first.effect.name, *first.ambiguous_with)
+    names = tuple(n for n in asked if n not in KINDS or KINDS[n].by_motion)
     arms = members(robot, log, found, names)
     made = next_motion(robot, found, usage, seed)
     verdicts = []

@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, Motion
+from torchid.effects.base import Coefficient, Example, Family, Motion
 from torchid.effects.instants import derivative, interval
 from torchid.effects.variation import (
     OneJointEffect,
@@ -51,6 +51,13 @@ class Backlash(OneJointEffect):
     jumps: ClassVar[bool] = True
     coefficients: ClassVar = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
     meaning: ClassVar[str] = "Gear teeth lose contact and cross the play when the torque reverses."
+    equation: ClassVar[str] = (
+        "tau(q - width/2 s e_j, ..) - tau(q, ..), s = 1 or -1 the flank in contact"
+    )
+    signature: ClassVar[str] = "pulses where the joint's torque, not its speed, changes sign"
+    experiment: ClassVar[str] = (
+        "bias the joint with a gravity load so that its torque does not change sign"
+    )
     remedy: ClassVar[str] = (
         "Preload or adjust the gear; in the simulator, a joint of range `width` between motor and "
         "link."
@@ -59,6 +66,9 @@ class Backlash(OneJointEffect):
         "Nordin and Gutman 2002, Controlling mechanical systems with backlash: a survey, "
         "Automatica 38(10), section 2"
     )
+    example: ClassVar[Example] = Example((2e-3,), "time")
+    smooth: ClassVar[bool] = True
+    linearised: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None

@@ -16,15 +16,18 @@ delay, a wave number, ...). Its columns X are torque per unit coefficient. There
   needs the robot, and may act on all joints.
 """
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
+from torchid.effects.motion import Motion
+from torchid.effects.parameters import Coefficient, Shape
 from torchid.typing import Float
 
 if TYPE_CHECKING:
@@ -44,135 +47,59 @@ Family = Literal[
 ]
 """What effects of one family have in common is their signature in the torque."""
 
-Scale = Literal["one", "speed", "torque", "travel"]
-"""What the grid of a shape parameter is relative to: nothing, or the joint's 99 % speed, the 99 %
-torque of its model, or its range of positions."""
-
-
 PLACES = ("joint", "source_joint")
 """Fields of effects that are joints: from 0 in Python, from 1 in files."""
 
-
-class Motion(NamedTuple):
-    """Motion of all joints.
-
-    Attributes:
-        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
-        direction: (..., n) sign of each joint's motion, where it is known better than from the
-            sign of dq: measured velocity is noise at standstill.
-        t: (...,) [s] since the arm was switched on or the log began; where it is known.
-        torque: (..., n) torque of the model along this motion [N m; N], never a measured one;
-            where it is known.
-        age: (..., n) [s] by which the measured torque is older than its stamp, where samples were
-            held; where it is known.
-        sensed: (..., n) measured torque, of which effects may use the sign alone; where there is a
-            log.
-    """
-
-    q: Tensor
-    dq: Tensor
-    ddq: Tensor
-    direction: Tensor | None = None
-    t: Tensor | None = None
-    torque: Tensor | None = None
-    age: Tensor | None = None
-    sensed: Tensor | None = None
-
-    @property
-    def state(self) -> tuple[Tensor, Tensor, Tensor]:
-        """q, dq, ddq: what a rigid body feels."""
-        return self.q, self.dq, self.ddq
-
-    @property
-    def sign(self) -> Tensor:
-        """Direction of motion (..., n): as given, else the sign of dq."""
-        return torch.sign(self.dq) if self.direction is None else self.direction.to(self.dq)
-
-    def to(self, device: torch.device | str) -> "Motion":
-        """The motion on another device."""
-        return Motion(*(None if x is None else x.to(device) for x in self))  # type: ignore[arg-type]
-
-    def part(self, rows: slice) -> "Motion":
-        """The motion at some of the instants (first axis)."""
-        return Motion(*(None if x is None else x[rows] for x in self))  # type: ignore[arg-type]
-
-    def every(self, step: int) -> "Motion":
-        """The motion at every so many instants."""
-        return self.part(slice(None, None, step))
-
-    def require(self, what: str, effect: str) -> Tensor:
-        """`t`, `torque` or `age`, which an effect needs; ValueError (a programmer's) without it."""
-        value: Tensor | None = getattr(self, what)
-        if value is None:
-            raise ValueError(f"{effect} needs the motion's {what}.")
-        return value
+Abscissa = Literal["speed", "position", "acceleration", "time"]
 
 
-@dataclass(frozen=True)
-class Coefficient:
-    """One coefficient of an effect that is linear in it.
+class Example(NamedTuple):
+    """An effect of a size to be seen, on the shoulder of an arm that weighs tens of newton metres.
 
     Attributes:
-        name: as in files and tables, e.g. `Fv`.
-        unit: for a revolute joint; for a prismatic one N replaces N m and m replaces rad.
-        non_negative: whether physics forbids a negative value.
-        meaning: one line.
-        largest: size that it hardly exceeds on any arm, in `unit`; what seems larger is something
-            else.
+        values: coefficients.
+        over: what its torque is drawn over.
+        given: fields of the effect but its joint, where they are not the default.
     """
 
-    name: str
-    unit: str
-    non_negative: bool
-    meaning: str
-    largest: float = math.inf
-
-    def unit_for(self, prismatic: bool) -> str:
-        """The unit on this kind of joint."""
-        if not prismatic:
-            return self.unit
-        return self.unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A parameter that an effect is not linear in.
-
-    Attributes:
-        name: as in files and tables, e.g. `vs`; also the name of the effect's field.
-        unit: as Coefficient's.
-        low, high: bounds, in units of `scale`.
-        grid: where a search starts, in units of `scale`.
-        scale: what bounds and grid are relative to.
-        meaning: one line.
-        logarithmic: whether to refine it in ratios rather than differences.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    grid: tuple[float, ...]
-    meaning: str
-    scale: Scale = "one"
-    logarithmic: bool = True
+    values: tuple[float, ...]
+    over: Abscissa
+    given: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
     """Something that adds torque to the rigid body, linear in its coefficients.
 
+    All that is known of an effect stands in its class, and nowhere else.
+
     Class attributes:
         name, family: as in files (see the registry).
         coefficients: what it is linear in.
         shapes: what it is not; each is also a field of the instance.
         meaning: what it is physically, one sentence.
+        equation: torque that it adds, in the names of its coefficients and shapes. `Y_i` are the
+            columns of link i in the regressor (eq. 2.18), `tau(..)` is the model's torque, `e_j`
+            the unit vector of joint j.
+        signature: how it shows in the residual torque.
+        experiment: the motion in which it shows itself, as an order (the literature's advice).
+        beyond: what settles whether it is there when no motion of the bare arm does; None where
+            only the maker's data or trusted inertial parameters do.
         remedy: what an engineer does about it, one sentence.
         source: where its equation comes from.
+        example: what is drawn of it.
         needs: which of `t`, `torque`, `age`, `robot`, and `velocity` (that dq was measured on its
             own, not differentiated from q) its columns need.
         jumps: whether its columns are discontinuous in the motion.
         essential: numbers of the coefficients without which it would be another, simpler effect.
+        event: whether it happened once in one log, and is no property of the arm.
+        by_motion: whether a motion of some seconds brings it about.
+        on_all: whether nearly all joints of an arm have it.
+        shared: whether one coefficient may be common to all joints.
+        inertial: whether it is a change of the bodies' inertial parameters.
+        smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
+            motion that is low-passed as the rows are.
+        linearised: whether its columns are a secant, taken at the field `at`.
     """
 
     name: ClassVar[str]
@@ -180,11 +107,29 @@ class Effect(ABC):
     coefficients: ClassVar[tuple[Coefficient, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
     meaning: ClassVar[str]
+    equation: ClassVar[str]
+    signature: ClassVar[str]
+    experiment: ClassVar[str]
+    beyond: ClassVar[str | None] = None
     remedy: ClassVar[str]
     source: ClassVar[str]
+    example: ClassVar[Example]
     needs: ClassVar[frozenset[str]] = frozenset()
     jumps: ClassVar[bool] = False
     essential: ClassVar[tuple[int, ...]] = ()
+    event: ClassVar[bool] = False
+    by_motion: ClassVar[bool] = True
+    on_all: ClassVar[bool] = False
+    shared: ClassVar[bool] = False
+    inertial: ClassVar[bool] = False
+    smooth: ClassVar[bool] = False
+    linearised: ClassVar[bool] = False
+
+    @classmethod
+    def exemplar(cls, joint: int) -> Self:
+        """The effect of the example, on a joint where it is located at one."""
+        place = {"joint": joint} if any(f.name == "joint" for f in fields(cls)) else {}
+        return cls(**place, **cls.example.given)
 
     @property
     @abstractmethod
@@ -210,6 +155,19 @@ class Effect(ABC):
         return tuple(getattr(self, s.name) for s in self.shapes)
 
     @property
+    def identity(self) -> tuple[str, tuple[int, ...]]:
+        """Name and places (joint, source joint): effects with the same are the same effect, with
+        other shapes or options perhaps."""
+        return self.name, tuple(getattr(self, p) for p in PLACES if hasattr(self, p))
+
+    def at_estimate(self, values: Sequence[float]) -> Self:
+        """The effect with its secant taken at the estimated coefficient; itself where it is not
+        `linearised`, or the estimate is zero."""
+        if not self.linearised or not abs(float(values[0])) > 0:
+            return self
+        return replace(self, at=float(values[0]))  # type: ignore[call-arg]
+
+    @property
     def becomes(self) -> str | None:
         """Name of the simpler effect that this one has become, its shape near an end of its range;
         None elsewhere."""
@@ -221,6 +179,20 @@ class Effect(ABC):
         """Torque of all joints (..., n) [N m; N] for the given coefficients."""
         columns = self.torque_columns(motion, robot)
         return columns @ torch.as_tensor(values, dtype=columns.dtype, device=columns.device)
+
+    def c_code(self, values: Sequence[float]) -> list[str] | None:
+        """C statements that add its torque (see `c_text`); None where the torque is no closed form
+        of the present motion."""
+        return None
+
+    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+        """What it adds to its joint's damping, friction, armature, stiffness and offset in a URDF,
+        or in an MJCF; None where the format has no attribute for it.
+
+        A negative damping, friction or armature, which physics forbids and simulators refuse or
+        destabilise on, is none.
+        """
+        return None
 
     def record(self, values: Sequence[float]) -> dict[str, Any]:
         """As in a robot's yaml: {effect, joint or joints, coefficients, shape parameters}."""
@@ -257,6 +229,36 @@ class JointEffect(Effect):
         Returns:
             (..., n, C), the shapes' leading axes in front.
         """
+
+    @classmethod
+    def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S P"]:
+        """Shapes that a search begins with on a joint, one combination a row; no row where these
+        motions cannot show the effect.
+
+        Args:
+            motions: with torque, where a shape is relative to it.
+            joint: from 0.
+            cutoff: of the torque's band [Hz].
+        """
+        sizes = [s.size(motions, joint) for s in cls.shapes]
+        values = [[v * size for v in s.grid] for s, size in zip(cls.shapes, sizes, strict=True)]
+        return torch.tensor(list(product(*values)), dtype=torch.float64)
+
+    def finer(
+        self, motions: Sequence[Motion], level: int, cutoff: float
+    ) -> Float[Tensor, "S P"] | None:
+        """Shapes around its own, one combination a row, ever closer with `level`: within the grid's
+        step at 0, a third of it at 1, ...; None where it has no shape.
+
+        Args:
+            motions, cutoff: as for `grid`.
+            level: from 0.
+        """
+        if not self.shapes:
+            return None
+        values = zip(self.shapes, self.shape_values, strict=True)
+        axes = [s.around(v, level, s.size(motions, self.joint)) for s, v in values]
+        return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
     @classmethod
     def initial(cls, motion: Motion, *shapes: Tensor) -> Tensor | None:

@@ -1,12 +1,15 @@
 """Wrist gears whose motor turns with two joints."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, ModelEffect, Motion, Shape
+from torchid.digits import number
+from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion, Shape
+from torchid.effects.c_text import add
 from torchid.effects.variation import JointPairEffect
 from torchid.robot.model import Robot
 from torchid.typing import Float
@@ -54,6 +57,12 @@ class GearCoupling(JointPairEffect):
     meaning: ClassVar[str] = (
         "A wrist motor drives its joint through another, so it turns with both."
     )
+    equation: ClassVar[str] = (
+        "on j: Iam ratio ddq_i + Fvm ratio dq_i + Fcm (sgn(w) - sgn(dq_j));  "
+        "on i: Iam ratio ddq_j + Fvm ratio dq_j + Fcm ratio sgn(w);  w = dq_j + ratio dq_i"
+    )
+    signature: ClassVar[str] = "friction of one joint that follows another joint's speed"
+    experiment: ClassVar[str] = "move the joint alone, then its neighbour alone"
     remedy: ClassVar[str] = (
         "Put friction and rotor inertia on the motor's speed dq_j + ratio dq_i in the simulator "
         "(a joint equality or a tendon), not on the joint's."
@@ -63,6 +72,7 @@ class GearCoupling(JointPairEffect):
         "identification of robot dynamics, IEEE Trans. Control Systems Technology 21(2): joints 5 "
         "and 6 of the TX40"
     )
+    example: ClassVar[Example] = Example((1.0, 0.0, 0.6), "speed", {"source_joint": 2})
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -93,3 +103,12 @@ class GearCoupling(JointPairEffect):
         on_i = (r * dq[..., j], r * ddq[..., j], r * motor)
         out[..., j, :], out[..., i, :] = torch.stack(on_j, -1), torch.stack(on_i, -1)
         return out
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        j, i, r = self.joint, self.source_joint, number(self.ratio)
+        fvm, iam, fcm = (number(x) for x in values)
+        motor = f"sign(dq[{j}] + {r} * dq[{i}])"
+        on_j = f"{r} * ({fvm} * dq[{i}] + {iam} * ddq[{i}]) + {fcm} * ({motor} - sign(dq[{j}]))"
+        on_i = f"{r} * ({fvm} * dq[{j}] + {iam} * ddq[{j}] + {fcm} * {motor})"
+        return add(j, on_j) + add(i, on_i)

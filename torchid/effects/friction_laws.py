@@ -4,13 +4,16 @@ Each law is one term that is added to `viscous_friction` and `coulomb_friction`,
 coefficient is zero where the plain model suffices.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.digits import number
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
+from torchid.effects.c_text import add
 from torchid.typing import Float
 
 RESTING = 0.02
@@ -41,6 +44,9 @@ class PowerLawFriction(JointEffect):
     meaning: ClassVar[str] = (
         "Lubricant is churned (F2 > 0) or thinned (F2 < 0) at speed, so friction is curved."
     )
+    equation: ClassVar[str] = "F2 |dq|^a sgn(dq)"
+    signature: ClassVar[str] = "a friction curve that bends at speed"
+    experiment: ClassVar[str] = "run the joint at speeds from slow to its limit"
     remedy: ClassVar[str] = (
         "Use a friction curve of speed, or set the joint's damping for the speeds of the task."
     )
@@ -50,6 +56,7 @@ class PowerLawFriction(JointEffect):
         "2018, Extending a dynamic friction model with nonlinear viscous and thermal dependency "
         "for a motor and harmonic drive gear (ICRA)"
     )
+    example: ClassVar[Example] = Example((2.0,), "speed")
 
     def __post_init__(self) -> None:
         if not self.a > 0:
@@ -60,6 +67,12 @@ class PowerLawFriction(JointEffect):
         """|dq|^a sgn dq; shapes: a."""
         (a,) = shapes
         return (torch.sign(motion.dq) * motion.dq.abs() ** a).unsqueeze(-1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        speed = f"dq[{self.joint}]"
+        power = f"pow(fabs({speed}), {number(self.a)})"
+        return add(self.joint, f"{number(values[0])} * sign({speed}) * {power}")
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,9 @@ class StribeckFriction(JointEffect):
     meaning: ClassVar[str] = (
         "At low speed the lubricant film breaks down, so friction is higher than at speed."
     )
+    equation: ClassVar[str] = "Fs exp(-|dq/vs|^d) sgn(dq)"
+    signature: ClassVar[str] = "friction in excess at low speed, gone at a few vs"
+    experiment: ClassVar[str] = "run from a fifth of the Stribeck speed to five times it"
     remedy: ClassVar[str] = (
         "Add the Stribeck term to the simulator's friction, or keep clear of speeds below vs."
     )
@@ -97,6 +113,7 @@ class StribeckFriction(JointEffect):
         "and compensation methods for the control of machines with friction (Automatica 30), "
         "section 2.1; Bo and Pavelescu 1982"
     )
+    example: ClassVar[Example] = Example((1.0,), "speed")
 
     def __post_init__(self) -> None:
         if not (self.vs > 0 and self.d > 0):
@@ -113,6 +130,12 @@ class StribeckFriction(JointEffect):
         """Column (..., 1) of the joint, with its own exponent."""
         shapes = (torch.as_tensor(v).to(motion.dq) for v in (self.vs, self.d))
         return self.formula(motion, *shapes)[..., self.joint, :]
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        speed = f"dq[{self.joint}]"
+        decay = f"exp(-pow(fabs({speed} / {number(self.vs)}), {number(self.d)}))"
+        return add(self.joint, f"{number(values[0])} * {decay} * sign({speed})")
 
 
 @dataclass(frozen=True)
@@ -131,6 +154,9 @@ class LoadDependentFriction(JointEffect):
         Coefficient("mu", "1", True, "friction as a fraction of the transmitted torque", 1.0),
     )
     meaning: ClassVar[str] = "Tooth and bearing forces press harder under load, so friction rises."
+    equation: ClassVar[str] = "mu |tau| sgn(dq)"
+    signature: ClassVar[str] = "a step at reversals that is higher where the joint carries more"
+    experiment: ClassVar[str] = "repeat the same motion with two payloads, or in two postures"
     remedy: ClassVar[str] = (
         "Scale the joint's dry friction with its torque (a gear efficiency of about 1 - mu)."
     )
@@ -138,11 +164,17 @@ class LoadDependentFriction(JointEffect):
         "Bittencourt and Gunnarsson 2012, Static friction in a robot joint: modeling and "
         "identification of load and temperature effects (J. Dyn. Sys., Meas., Control 134)"
     )
+    example: ClassVar[Example] = Example((0.05,), "speed")
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
         """|torque of the model| times the direction."""
         return (motion.require("torque", cls.name).abs() * motion.sign).unsqueeze(-1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        load, direction = f"fabs(loaded[{self.joint}])", f"sign(dq[{self.joint}])"
+        return add(self.joint, f"{number(values[0])} * {load} * {direction}")
 
 
 @dataclass(frozen=True)
@@ -165,6 +197,9 @@ class AsymmetricFriction(JointEffect):
     meaning: ClassVar[str] = (
         "Worm or preloaded gears and seals resist one direction of motion more than the other."
     )
+    equation: ClassVar[str] = "dF |sgn(dq)| + dFv |dq|"
+    signature: ClassVar[str] = "an offset while the joint moves, none while it dwells"
+    experiment: ClassVar[str] = "run the mirrored motion, and let the joint dwell"
     remedy: ClassVar[str] = (
         "Give the simulator one friction curve a direction: Fc + dF, Fv + dFv forwards and "
         "Fc - dF, Fv - dFv backwards."
@@ -173,6 +208,7 @@ class AsymmetricFriction(JointEffect):
         "Armstrong-Helouvry 1991, Control of Machines with Friction (direction-dependent friction "
         "of the PUMA 560)"
     )
+    example: ClassVar[Example] = Example((1.0, 0.5), "speed")
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
@@ -180,3 +216,9 @@ class AsymmetricFriction(JointEffect):
         speed = motion.dq.abs()
         moves = motion.sign.abs() * (speed >= RESTING).to(speed)
         return torch.stack((moves, speed), -1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        speed = f"fabs(dq[{self.joint}])"
+        moves = f"({speed} >= {number(RESTING)} ? 1.0 : 0.0)"
+        return add(self.joint, f"{number(values[0])} * {moves} + {number(values[1])} * {speed}")

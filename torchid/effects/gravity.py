@@ -8,8 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchid.digits import number
 from torchid.dynamics.forward import gravity_torque
-from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
+from torchid.effects.c_text import JOINTS, RIGID, add
 from torchid.effects.variation import (
     ArmCoefficient,
     JointPairEffect,
@@ -24,6 +26,9 @@ from torchid.effects.variation import (
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, rotation_x, rotation_y
 from torchid.typing import Float
+
+CALIBRATED = "measure the pose with an external instrument (tracker, gauge, level): calibration"
+"""What settles errors of geometry."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +50,17 @@ class BaseTilt(ModelEffect):
         ),
     )
     meaning: ClassVar[str] = "The base is not level, so gravity pulls in another direction."
+    equation: ClassVar[str] = (
+        "tau(q; turned gravity) - tau(q; gravity) at rest, turned by tilt_x and tilt_y, linearised"
+    )
+    signature: ClassVar[str] = "gravity-shaped on all joints at once, from one vector"
+    experiment: ClassVar[str] = "repeat the motion with joint 1 turned by 90 degrees"
+    beyond: ClassVar[str | None] = CALIBRATED
     remedy: ClassVar[str] = "Turn the simulator's gravity vector by the tilt, or level the base."
     source: ClassVar[str] = (
         "eq. 2.11, linear in gravity; Featherstone 2008, Rigid Body Dynamics Algorithms, 5.3"
     )
+    example: ClassVar[Example] = Example((0.03, 0.03), "position")
 
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
@@ -88,6 +100,13 @@ class TorqueGain(OneJointEffect):
         Coefficient("gain", "1", False, "relative error of the torque's scale", 0.9),
     )
     meaning: ClassVar[str] = "The torque sensor's scale, or the drive's torque constant, is off."
+    equation: ClassVar[str] = "gain tau_j"
+    signature: ClassVar[str] = (
+        "grows with the joint's own torque; a gain that all joints share is invisible without a "
+        "known payload"
+    )
+    experiment: ClassVar[str] = "repeat the motion with a known payload"
+    beyond: ClassVar[str | None] = experiment
     remedy: ClassVar[str] = (
         "Divide the measured torque (or the torque constant) by 1 + gain; a known payload tells a "
         "gain that all joints share."
@@ -96,6 +115,9 @@ class TorqueGain(OneJointEffect):
         "Gautier and Briot 2014, Global identification of joint drive gains and dynamic "
         "parameters of robots, J. Dyn. Sys. Meas. Control 136(5)"
     )
+    example: ClassVar[Example] = Example((0.05,), "position")
+    on_all: ClassVar[bool] = True
+    shared: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -110,6 +132,10 @@ class TorqueGain(OneJointEffect):
         gain = values[0] * torque[:, self.joint]
         return motion._replace(torque=with_joint(torque, self.joint, gain))
 
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"{number(values[0])} * loaded[{self.joint}]")
+
 
 @dataclass(frozen=True)
 class TorqueCrosstalk(JointPairEffect):
@@ -122,6 +148,10 @@ class TorqueCrosstalk(JointPairEffect):
         Coefficient("C", "1", False, "share of the source joint's torque that is read", 0.9),
     )
     meaning: ClassVar[str] = "Load on one joint deforms the torque sensor of another."
+    equation: ClassVar[str] = "C tau_i with i the source_joint"
+    signature: ClassVar[str] = "follows another joint's torque"
+    experiment: ClassVar[str] = "move one joint at a time"
+    beyond: ClassVar[str | None] = "load one joint alone with a known weight"
     remedy: ClassVar[str] = (
         "Subtract C times the source joint's torque from the measured one, or calibrate the "
         "sensors together."
@@ -130,6 +160,7 @@ class TorqueCrosstalk(JointPairEffect):
         "off-diagonal terms of a calibration matrix: Siciliano et al. 2009, Robotics: Modelling, "
         "Planning and Control, section 5.4.1"
     )
+    example: ClassVar[Example] = Example((0.2,), "position", {"source_joint": 3})
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -143,6 +174,10 @@ class TorqueCrosstalk(JointPairEffect):
         torque = motion.require("torque", self.name)
         leak = values[0] * torque[:, self.source_joint]
         return motion._replace(torque=with_joint(torque, self.joint, leak))
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"{number(values[0])} * loaded[{self.source_joint}]")
 
 
 @dataclass(frozen=True)
@@ -164,11 +199,19 @@ class EncoderOffset(OneJointEffect):
         Coefficient("offset", "rad", False, "true position minus the measured one", 0.35),
     )
     meaning: ClassVar[str] = "The joint's zero is not where the encoder says it is."
+    equation: ClassVar[str] = "tau(q + offset e_j, dq, ddq) - tau(q, dq, ddq)"
+    signature: ClassVar[str] = (
+        "gravity-shaped and on several joints; unobservable on a vertical first joint"
+    )
+    experiment: ClassVar[str] = "move all joints through postures with different gravity loads"
+    beyond: ClassVar[str | None] = CALIBRATED
     remedy: ClassVar[str] = "Add the offset to the joint's position, or calibrate its zero."
     source: ClassVar[str] = (
         "first variation of eq. 2.15 in q; Mooring, Roth and Driels 1991, Fundamentals of "
         "Manipulator Calibration, chapter 2"
     )
+    example: ClassVar[Example] = Example((0.03,), "position")
+    linearised: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -183,6 +226,18 @@ class EncoderOffset(OneJointEffect):
     def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
         """The joint's position as its encoder says."""
         return motion._replace(q=with_joint(motion.q, self.joint, -values[0]))
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        at = secant_at(self.at, 1e-6)
+        change = f"{number(values[0] / at)} * (there[i] - here[i])"
+        return [
+            f"for (i = 0; i < {JOINTS}; i++) moved[i] = q[i];",
+            f"moved[{self.joint}] += {number(at)};",
+            f"{RIGID}(moved, dq, ddq, there);",
+            f"{RIGID}(q, dq, ddq, here);",
+            f"for (i = 0; i < {JOINTS}; i++) tau[i] += {change};",
+        ]
 
 
 @dataclass(frozen=True)
@@ -211,11 +266,19 @@ class KinematicError(OneJointEffect):
         ArmCoefficient("ry", "rad", False, "joint frame turned about its y", 0.1),
     )
     meaning: ClassVar[str] = "Link lengths or the joint axes' directions differ from the model's."
+    equation: ClassVar[str] = (
+        "the change of tau(q, dq, ddq) with joint j's frame moved by dx, dy, dz and turned by rx, "
+        "ry, linearised"
+    )
+    signature: ClassVar[str] = "follows the posture, on the joint and those before it"
+    experiment: ClassVar[str] = "cover many postures, also stretched out and folded"
+    beyond: ClassVar[str | None] = CALIBRATED
     remedy: ClassVar[str] = "Calibrate the kinematics, and move the joint's frame in the model."
     source: ClassVar[str] = (
         "first variation of eq. 2.15 in the pose of a joint; Hayati and Mirmirani 1985, Improving "
         "the absolute positioning accuracy of robot manipulators, J. Robotic Systems 2(4)"
     )
+    example: ClassVar[Example] = Example((0.02, 0.0, 0.0, 0.0, 0.0), "position")
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None

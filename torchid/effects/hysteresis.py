@@ -6,7 +6,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
 from torchid.effects.scan import affine_scan
 from torchid.typing import Float
 
@@ -45,6 +45,9 @@ class PreslidingHysteresis(JointEffect):
         "Contacts in gear and bearings, and cables, deflect before they slide: a loop in the "
         "torque over position after each reversal."
     )
+    equation: ClassVar[str] = "Fh z with dz/dt = (dq - |dq| z)/length"
+    signature: ClassVar[str] = "a loop over position after each reversal"
+    experiment: ClassVar[str] = "make many small reversals, smaller than the bristle's length"
     remedy: ClassVar[str] = (
         "Replace dry friction by a Dahl or LuGre model with stiffness Fh/length in the simulator."
     )
@@ -52,6 +55,7 @@ class PreslidingHysteresis(JointEffect):
         "Dahl 1968, A Solid Friction Model (TOR-0158); Canudas de Wit, Olsson, Astrom and "
         "Lischinsky 1995, A New Model for Control of Systems with Friction (IEEE TAC 40), eq. 1"
     )
+    example: ClassVar[Example] = Example((1.0,), "position", {"length": 0.1})
 
     def __post_init__(self) -> None:
         if not self.length > 0:

@@ -8,11 +8,17 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float
+
+WEIGHED = "weigh the load, or compare the link's parameters with CAD"
+"""What settles errors of bodies."""
+
+_DRAWN = (1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.02, 0.0, 0.01)
+"""A body of a size to be seen."""
 
 _ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
@@ -57,11 +63,19 @@ class Payload(ModelEffect):
     family: ClassVar[Family] = "inertia"
     coefficients: ClassVar = _body("of the payload", positive_mass=True)
     meaning: ClassVar[str] = "The arm carries a tool or load that the model does not know."
+    equation: ClassVar[str] = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature: ClassVar[str] = (
+        "on all joints that carry the tool; exactly an error of the last link"
+    )
+    experiment: ClassVar[str] = "repeat the motion with and without a known payload"
+    beyond: ClassVar[str | None] = WEIGHED
     remedy: ClassVar[str] = "Add the body to the last link, or `torchid payload` on logs with it."
     source: ClassVar[str] = (
         "eq. 2.18; Khalil, Gautier and Lemoine 2007, Identification of the payload inertial "
         "parameters of industrial manipulators, ICRA"
     )
+    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
+    inertial: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -87,8 +101,16 @@ class LinkInertia(OneJointEffect):
     family: ClassVar[Family] = "inertia"
     coefficients: ClassVar = _body("missing in the link", positive_mass=False)
     meaning: ClassVar[str] = "The link's mass, centre of mass or inertia is not the model's."
+    equation: ClassVar[str] = "Y_j (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature: ClassVar[str] = (
+        "on the link's joint and those before it, with gravity and with acceleration"
+    )
+    experiment: ClassVar[str] = "compare the link's parameters with CAD, or weigh it"
+    beyond: ClassVar[str | None] = WEIGHED
     remedy: ClassVar[str] = "Correct the link's inertial parameters: `torchid identify`, `extract`."
     source: ClassVar[str] = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
+    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
+    inertial: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None

@@ -1,30 +1,87 @@
 """Torque that repeats along the joint's travel."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.digits import number
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.c_text import add
+from torchid.effects.parameters import Shape, travel
 from torchid.typing import Float
 
 
 @dataclass(frozen=True)
-class Cogging(JointEffect):
+class Wave(JointEffect):
+    """An effect with one wave number k along the joint's own position, in sine and cosine.
+
+    Over a travel L two waves are alike to sinc((k - k') L/2). So wave numbers half a period apart
+    over the travel, pi/L, leave no wave further than pi/(2 L) from the grid, where it still has
+    90 % of the wave there; a period apart they would leave it 64 %, and the search would go past
+    it. The spacing does not depend on k: a shorter grid is one that ends at a lower wave number.
+
+    Class attributes:
+        first: wave number the grid begins at, in half periods over the travel.
+        most: wave numbers of the grid.
+
+    Attributes:
+        k: wave number [1/rad; 1/m], periods of the wave times 2 pi a unit of travel.
+    """
+
+    k: float = 12.0
+
+    first: ClassVar[int]
+    most: ClassVar[int]
+
+    @classmethod
+    def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S 1"]:
+        """Wave numbers that the motions resolve: half a period apart over the joint's travel, up to
+        where the wave leaves the band at half the usual speed; none on a joint that rests."""
+        along = travel(motions, joint)
+        if along < 1e-3:
+            return torch.empty(0, 1, dtype=torch.float64)
+        step = math.pi / along
+        speed = torch.cat([m.dq[:, joint] for m in motions]).abs().median()
+        highest = 2 * math.pi * cutoff / max(1e-6, 0.5 * float(speed))
+        count = max(0, min(cls.most, int(highest / step) - cls.first + 1))
+        return (step * (cls.first + torch.arange(count, dtype=torch.float64))).unsqueeze(-1)
+
+    def finer(
+        self, motions: Sequence[Motion], level: int, cutoff: float
+    ) -> Float[Tensor, "S 1"] | None:
+        """Wave numbers around its own, within half a period over the travel, a third of it, ..."""
+        grid = self.grid(motions, self.joint, cutoff).flatten()
+        step = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0
+        return self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
+
+    @classmethod
+    def wave(cls, motion: Motion, k: Tensor) -> Float[Tensor, "*batch n 2"]:
+        """sin kq and cos kq of every joint."""
+        phase = k * motion.q
+        return torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+
+    def wave_code(self, values: Sequence[float]) -> str:
+        """C expression of its first two coefficients times sine and cosine."""
+        phase = f"{number(self.k)} * q[{self.joint}]"
+        return f"{number(values[0])} * sin({phase}) + {number(values[1])} * cos({phase})"
+
+
+@dataclass(frozen=True)
+class Cogging(Wave):
     """A ripple along the position: a_s sin kq + a_c cos kq.
 
     k is a count of poles, teeth or slots a turn of the joint: gear ratio times pole pairs, twice
     the gear ratio for a harmonic drive's wave generator, and their multiples. Two wave numbers
-    closer than 2 pi / travel cannot be told apart, so k is refined in differences; where to look
-    comes from the residual's spectrum over the angle, since a grid fine enough would be long. At
-    k = 1 it equals `joint_spring` of a counterbalance.
+    closer than 2 pi / travel cannot be told apart, so k is refined in differences. At k = 1 it
+    equals `joint_spring` of a counterbalance; so its grid begins at one and a half periods.
 
     Attributes:
         k: wave number [1/rad; 1/m], periods of the ripple times 2 pi a unit of travel.
     """
-
-    k: float = 12.0
 
     name: ClassVar[str] = "cogging"
     family: ClassVar[Family] = "periodic"
@@ -43,9 +100,14 @@ class Cogging(JointEffect):
             logarithmic=False,
         ),
     )
+    first: ClassVar[int] = 3
+    most: ClassVar[int] = 120
     meaning: ClassVar[str] = (
         "Magnets pull towards slots, and gear teeth mesh unevenly: torque ripples with position."
     )
+    equation: ClassVar[str] = "a_s sin(k q) + a_c cos(k q)"
+    signature: ClassVar[str] = "a line in the residual's spectrum over the angle"
+    experiment: ClassVar[str] = "run the joint at two constant slow speeds"
     remedy: ClassVar[str] = (
         "Add the ripple as a table over position, or cancel it by the drive's cogging compensation."
     )
@@ -53,10 +115,143 @@ class Cogging(JointEffect):
         "Holtz and Springob 1996, Identification and compensation of torque ripple in "
         "high-precision permanent magnet motor drives (IEEE Trans. Ind. Electron. 43)"
     )
+    example: ClassVar[Example] = Example((0.6, 0.3), "position")
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
         """sin kq and cos kq; shapes: k."""
         (k,) = shapes
-        phase = k * motion.q
-        return torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+        return cls.wave(motion, k)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, self.wave_code(values))
+
+
+@dataclass(frozen=True)
+class MotorRipple(Wave):
+    """A ripple of the motor's torque constant: tau (a_s sin kq + a_c cos kq).
+
+    The motor gives a little more torque at some angles of its rotor than at others, in proportion
+    to the torque asked of it, so the ripple is large where the joint carries much and nothing where
+    it carries nothing. k is the gear ratio times a harmonic of the motor's turn: the first of a
+    current sensor's offset or an eccentric rotor, twice the pole pairs of unequal phase gains, six
+    times the pole pairs of harmonics in the flux.
+
+    The grid ends 20 periods over the travel: a motor of a higher ratio shows on a short travel, or
+    is to be given by its wave number.
+
+    Attributes:
+        k: wave number [1/rad; 1/m], gear ratio times harmonic.
+    """
+
+    name: ClassVar[str] = "motor_ripple"
+    family: ClassVar[Family] = "periodic"
+    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
+    coefficients: ClassVar = (
+        Coefficient("a_s", "1", False, "ripple's sine, as a share of the torque", 0.5),
+        Coefficient("a_c", "1", False, "ripple's cosine, as a share of the torque", 0.5),
+    )
+    shapes: ClassVar = (
+        Shape(
+            "k",
+            "1/rad",
+            0.5,
+            1000.0,
+            (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0),
+            "gear ratio times harmonic",
+            logarithmic=False,
+        ),
+    )
+    first: ClassVar[int] = 3
+    most: ClassVar[int] = 40
+    meaning: ClassVar[str] = (
+        "The motor's torque constant varies along its turn, so torque ripples in proportion to the "
+        "load."
+    )
+    equation: ClassVar[str] = "tau (a_s sin(k q) + a_c cos(k q))"
+    signature: ClassVar[str] = (
+        "a line in the residual's spectrum over the angle, as high as the joint's torque"
+    )
+    experiment: ClassVar[str] = "run the joint at a constant slow speed with and without a load"
+    remedy: ClassVar[str] = (
+        "Scale the simulator's torque by 1 plus the ripple over the angle, or calibrate the "
+        "drive's current sensors and commutation."
+    )
+    source: ClassVar[str] = (
+        "Jahns and Soong 1996, Pulsating torque minimization techniques for permanent magnet AC "
+        "motor drives: a review (IEEE Trans. Ind. Electron. 43)"
+    )
+    example: ClassVar[Example] = Example((0.05, 0.02), "position", {"k": 30.0})
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """The model's torque times sin kq and cos kq; shapes: k."""
+        (k,) = shapes
+        return motion.require("torque", cls.name).unsqueeze(-1) * cls.wave(motion, k)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"loaded[{self.joint}] * ({self.wave_code(values)})")
+
+
+@dataclass(frozen=True)
+class PositionDependentFriction(Wave):
+    """Dry friction that is uneven along the turn: sgn(dq) (a_s sin kq + a_c cos kq).
+
+    An eccentric gear or a bent shaft presses harder at some angles than at others, once or a few
+    times a turn of the joint or of a stage of its gear. Added to `coulomb_friction`, which is its
+    mean. Unlike a ripple it turns with the direction of motion, so low wave numbers are not
+    mistaken for gravity or a spring, and the grid begins at half a period over the travel.
+
+    Attributes:
+        k: wave number [1/rad; 1/m]; 1 is once a turn of the joint.
+    """
+
+    k: float = 1.0
+
+    name: ClassVar[str] = "position_dependent_friction"
+    family: ClassVar[Family] = "sign"
+    jumps: ClassVar[bool] = True
+    coefficients: ClassVar = (
+        Coefficient("a_s", "N m", False, "unevenness of the friction, sine"),
+        Coefficient("a_c", "N m", False, "unevenness of the friction, cosine"),
+    )
+    shapes: ClassVar = (
+        Shape(
+            "k",
+            "1/rad",
+            0.1,
+            100.0,
+            (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
+            "wave number along the position",
+            logarithmic=False,
+        ),
+    )
+    first: ClassVar[int] = 1
+    most: ClassVar[int] = 12
+    meaning: ClassVar[str] = (
+        "Eccentric gears and bent shafts press harder at some angles, so friction is uneven along "
+        "the turn."
+    )
+    equation: ClassVar[str] = "sgn(dq) (a_s sin(k q) + a_c cos(k q))"
+    signature: ClassVar[str] = "a step at reversals whose height depends on where the joint turns"
+    experiment: ClassVar[str] = "run the joint slowly along its whole travel, there and back"
+    remedy: ClassVar[str] = (
+        "Make the simulator's dry friction a table over position, or align and regrease the gear."
+    )
+    source: ClassVar[str] = (
+        "Armstrong-Helouvry 1991, Control of Machines with Friction (position-dependent friction "
+        "of the PUMA 560's gears)"
+    )
+    example: ClassVar[Example] = Example((0.8, 0.5), "position", {"k": 3.0})
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+        """The direction of motion times sin kq and cos kq; shapes: k."""
+        (k,) = shapes
+        return motion.sign.unsqueeze(-1) * cls.wave(motion, k)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"sign(dq[{self.joint}]) * ({self.wave_code(values)})")

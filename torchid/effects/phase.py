@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
 from torchid.effects.instants import derivative, interval, shifted
 from torchid.effects.variation import (
     OneJointEffect,
@@ -40,11 +40,19 @@ class TimeDelay(OneJointEffect):
     needs: ClassVar[frozenset[str]] = frozenset({"torque", "t"})
     coefficients: ClassVar = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
     meaning: ClassVar[str] = "The torque is filtered or stamped later than the position."
+    equation: ClassVar[str] = "tau_j(t - delay) - tau_j(t)"
+    signature: ClassVar[str] = "a phase that grows with frequency"
+    experiment: ClassVar[str] = "repeat the motion at half the speed"
+    beyond: ClassVar[str | None] = "stamp both signals with one clock"
     remedy: ClassVar[str] = "Shift the torque's stamps back by the delay, or filter both alike."
     source: ClassVar[str] = (
         "Taylor series of tau(t - d); Swevers, Verdonck and De Schutter 2007, Dynamic model "
         "identification for industrial robots, IEEE Control Systems Magazine 27(5)"
     )
+    example: ClassVar[Example] = Example((0.01,), "time")
+    shared: ClassVar[bool] = True
+    smooth: ClassVar[bool] = True
+    linearised: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -83,11 +91,20 @@ class FilterLag(ModelEffect):
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
     )
     meaning: ClassVar[str] = "The controller's velocity filter delays dq and what follows from it."
+    equation: ClassVar[str] = "tau(q, dq(t + lag), ddq(t + lag)) - tau(q, dq, ddq)"
+    signature: ClassVar[str] = (
+        "a phase of velocity and acceleration alone, on all joints; moves with the cut-off"
+    )
+    experiment: ClassVar[str] = "repeat the diagnosis at two cut-offs, and the motion at two speeds"
+    beyond: ClassVar[str | None] = "record the unfiltered signals"
     remedy: ClassVar[str] = "Differentiate q with a zero-phase filter, or advance dq by the lag."
     source: ClassVar[str] = (
         "group delay of a causal low-pass; Gautier 1997, Dynamic identification of robots with "
         "power model, ICRA, on zero-phase filtering of dq and ddq"
     )
+    example: ClassVar[Example] = Example((0.01,), "time")
+    smooth: ClassVar[bool] = True
+    linearised: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -136,6 +153,15 @@ class JointElasticity(OneJointEffect):
     meaning: ClassVar[str] = (
         "Gears and torque sensors twist under load, so the link lags the motor."
     )
+    equation: ClassVar[str] = (
+        "tau(q - compliance tau_j e_j, ..) - tau(q, ..), likewise dq and ddq with the derivatives "
+        "of tau_j"
+    )
+    signature: ClassVar[str] = (
+        "gravity-shaped like an offset that follows the load, and strong at high frequency"
+    )
+    experiment: ClassVar[str] = "excite the joint with a chirp, or measure on the link's side"
+    beyond: ClassVar[str | None] = "measure on the link's side, or excite the joint with a chirp"
     remedy: ClassVar[str] = (
         "Give the joint a spring of stiffness 1/compliance between motor and link in the "
         "simulator, or measure the link's position."
@@ -144,6 +170,9 @@ class JointElasticity(OneJointEffect):
         "Spong 1987, Modeling and control of elastic joint robots, J. Dyn. Sys. Meas. Control "
         "109(4)"
     )
+    example: ClassVar[Example] = Example((1e-4,), "time")
+    smooth: ClassVar[bool] = True
+    linearised: ClassVar[bool] = True
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None

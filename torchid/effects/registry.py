@@ -25,7 +25,7 @@ from torchid.effects.gravity import (
 )
 from torchid.effects.hysteresis import PreslidingHysteresis
 from torchid.effects.inertia import LinkInertia, Payload
-from torchid.effects.periodic import Cogging
+from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.rotor_inertia import RotorInertia
 from torchid.effects.spring import JointSpring
@@ -49,6 +49,8 @@ KINDS: dict[str, type[Effect]] = {
         RotorInertia,
         PreslidingHysteresis,
         Cogging,
+        MotorRipple,
+        PositionDependentFriction,
         ThermalFrictionDrift,
         GearCoupling,
         BaseTilt,
@@ -77,6 +79,9 @@ COLUMN_KINDS: dict[str, type[JointEffect]] = {
 }
 """Effects whose columns depend on the present motion alone: those that identification fits."""
 
+EVENTS = tuple(name for name, kind in KINDS.items() if kind.event)
+"""Effects that happened once in one log, and are no property of the arm."""
+
 Valued = tuple[Effect, list[float]]
 """An effect and its coefficients."""
 
@@ -98,6 +103,14 @@ def column_kind(name: str) -> type[JointEffect]:
         )
     effect_kind(name)
     return COLUMN_KINDS[name]
+
+
+def experiment(one: str, two: str) -> str:
+    """What to do on the arm to tell two effects apart, in one sentence: each shows itself in its
+    own experiment. A name that is no effect's (all base parameters) has none."""
+    told = dict.fromkeys(KINDS[name].experiment for name in (one, two) if name in KINDS)
+    both = "; and ".join(told)
+    return both[:1].upper() + both[1:] + "."
 
 
 def on_every_joint(names: Iterable[str], n: int) -> list[JointEffect]:
@@ -218,7 +231,3 @@ def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
     except (TypeError, ValueError) as error:
         raise RobotError(f"{where} cannot be made: {error}", got=dict(record)) from error
     return effect, [float(record[name]) for name in names]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,11 +1,14 @@
 """Inertia of the drive, reflected through the gear (Corke 2017, section 9.1.3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion
+from torchid.digits import number
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.c_text import add
 from torchid.typing import Float
 
 
@@ -21,10 +24,27 @@ class RotorInertia(JointEffect):
     family: ClassVar[Family] = "inertia"
     coefficients: ClassVar = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
     meaning: ClassVar[str] = "The motor's rotor, seen through the gear, resists acceleration."
+    equation: ClassVar[str] = "Ia ddq"
+    signature: ClassVar[str] = (
+        "follows the joint's own acceleration; for the first joints exactly as J_zz does"
+    )
+    experiment: ClassVar[str] = (
+        "accelerate the joint hard in postures with a large and a small link inertia"
+    )
     remedy: ClassVar[str] = "Set the joint's armature to Ia in the simulator."
     source: ClassVar[str] = "Corke 2017, Robotics, Vision and Control, section 9.1.3"
+    example: ClassVar[Example] = Example((0.5,), "acceleration")
+    on_all: ClassVar[bool] = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
         """ddq."""
         return motion.ddq.unsqueeze(-1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"{number(values[0])} * ddq[{self.joint}]")
+
+    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+        """Armature, of an MJCF."""
+        return {"armature": values[0]} if mjcf and values[0] >= 0 else None

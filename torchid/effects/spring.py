@@ -1,12 +1,15 @@
 """Torque of springs between the links: return springs, cables and hoses, counterbalances."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.digits import number
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
+from torchid.effects.c_text import add
 from torchid.typing import Float
 
 _SERIES = 1e-3
@@ -60,6 +63,14 @@ class JointSpring(JointEffect):
     meaning: ClassVar[str] = (
         "A spring, cable, hose or counterbalance pulls the joint towards a position."
     )
+    equation: ClassVar[str] = (
+        "k sin(w q)/w + c0 cos(w q) with w^2 = curvature; sinh and cosh where it is negative, "
+        "k q + c0 where it is 0"
+    )
+    signature: ClassVar[str] = "torque over the joint's own position, whatever the others do"
+    experiment: ClassVar[str] = (
+        "cover the joint's full range, also with the arm's gravity load reversed"
+    )
     remedy: ClassVar[str] = (
         "Set the joint's stiffness to k and its rest position to q0 = -c0/k in the simulator, or "
         "reroute the cable; model a counterbalance as a torque over position."
@@ -68,6 +79,7 @@ class JointSpring(JointEffect):
         "Arakelian 2016, Gravity compensation in robotics (Advanced Robotics 30), for "
         "counterbalances; Duffing's equation for k3"
     )
+    example: ClassVar[Example] = Example((2.0, 0.0), "position")
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
@@ -75,6 +87,20 @@ class JointSpring(JointEffect):
         (curvature,) = shapes
         c, s = stumpff(curvature * motion.q**2)
         return torch.stack((motion.q * s, c), -1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        q, k, c0 = f"q[{self.joint}]", number(values[0]), number(values[1])
+        if self.curvature == 0:
+            return add(self.joint, f"{k} * {q} + {c0}")
+        w = number(abs(self.curvature) ** 0.5)
+        sine, cosine = ("sin", "cos") if self.curvature > 0 else ("sinh", "cosh")
+        return add(self.joint, f"{k} / {w} * {sine}({w} * {q}) + {c0} * {cosine}({w} * {q})")
+
+    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+        """Stiffness of a straight spring that pulls back, of an MJCF."""
+        known = mjcf and self.curvature == 0 and values[0] > 0
+        return {"stiffness": values[0], "offset": values[1]} if known else None
 
 
 def stumpff(x: Tensor) -> tuple[Tensor, Tensor]:

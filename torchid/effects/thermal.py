@@ -6,7 +6,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Family, JointEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
 from torchid.typing import Float
 
 
@@ -39,6 +39,10 @@ class ThermalFrictionDrift(JointEffect):
     meaning: ClassVar[str] = (
         "Grease thins as the gear warms up, so friction drifts (mostly falls) along the log."
     )
+    equation: ClassVar[str] = "(dFv dq + dFc sgn(dq)) (1 - exp(-t/T))"
+    signature: ClassVar[str] = "a slow trend with the shape of friction"
+    experiment: ClassVar[str] = "repeat one motion cold, warm and cold again"
+    beyond: ClassVar[str | None] = experiment
     remedy: ClassVar[str] = (
         "Warm the arm up before it is used or measured, or use the friction of its working "
         "temperature: Fv + dFv, Fc + dFc."
@@ -47,6 +51,8 @@ class ThermalFrictionDrift(JointEffect):
         "Bittencourt and Gunnarsson 2012, Static friction in a robot joint: modeling and "
         "identification of load and temperature effects (J. Dyn. Sys., Meas., Control 134)"
     )
+    example: ClassVar[Example] = Example((-0.5, -0.5), "time")
+    by_motion: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not self.T > 0:

@@ -2,13 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from torchid.digits import number
 from torchid.dynamics.forward import gravity_torque
-from torchid.effects.base import Coefficient, Family, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.base import (
+    Coefficient,
+    Example,
+    Family,
+    JointEffect,
+    ModelEffect,
+    Motion,
+    Shape,
+)
+from torchid.effects.c_text import add
 from torchid.effects.instants import interval, shifted
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed, on_joint, with_joint
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -49,8 +60,14 @@ class Saturation(JointEffect):
         ),
     )
     meaning: ClassVar[str] = "The torque sensor, or the drive's current reading, ends at a limit."
+    equation: ClassVar[str] = "-clip max(|tau| - limit, 0) sgn(tau)"
+    signature: ClassVar[str] = "peaks of the torque are missing"
+    experiment: ClassVar[str] = "repeat the motion at half the torque"
+    beyond: ClassVar[str | None] = experiment
     remedy: ClassVar[str] = "Leave out samples at the limit, or keep the torque below it."
     source: ClassVar[str] = "Khalil 2002, Nonlinear Systems, section 1.2.7 (saturation)"
+    example: ClassVar[Example] = Example((1.0,), "time", {"limit": 40.0})
+    by_motion: ClassVar[bool] = False
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
@@ -64,6 +81,12 @@ class Saturation(JointEffect):
         """The joint's torque, clipped."""
         torque = motion.require("torque", self.name)
         return motion._replace(torque=torque + self.torque_columns(motion)[..., 0] * values[0])
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        torque = f"loaded[{self.joint}]"
+        excess = f"fmax(fabs({torque}) - {number(self.limit)}, 0.0)"
+        return add(self.joint, f"{number(-values[0])} * {excess} * sign({torque})")
 
 
 @dataclass(frozen=True)
@@ -90,11 +113,20 @@ class Contact(ModelEffect):
         for a in "xyz"
     )
     meaning: ClassVar[str] = "The tool touches or drags something, or a cable pulls at it."
+    equation: ClassVar[str] = "J(q)' (fx, fy, fz) between start and stop"
+    signature: ClassVar[str] = (
+        "on all joints at once, in a window of time, in proportion to the tool's lever arms"
+    )
+    experiment: ClassVar[str] = "repeat the motion away from obstacles"
+    beyond: ClassVar[str | None] = experiment
     remedy: ClassVar[str] = "Leave the window out of the identification, and clear the path."
     source: ClassVar[str] = (
         "Haddadin, De Luca and Albu-Schaeffer 2017, Robot collisions: a survey on detection, "
         "isolation, and identification, IEEE Trans. Robotics 33(6), eq. 5"
     )
+    example: ClassVar[Example] = Example((0.0, 0.0, -30.0), "time", {"start": 4.0, "stop": 5.0})
+    event: ClassVar[bool] = True
+    by_motion: ClassVar[bool] = False
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None
@@ -104,6 +136,30 @@ class Contact(ModelEffect):
         if self.start is None and self.stop is None:
             return columns
         return columns * self.window(motion.require("t", self.name))[:, None, None].to(columns)
+
+    @property
+    def identity(self) -> tuple[str, tuple[int, ...]]:
+        """Name and second of its start: contacts at different times are different."""
+        return self.name, () if self.start is None else (round(self.start),)
+
+    def around(self, level: int, interval: float) -> "list[Contact]":
+        """Contacts whose window begins and ends a little earlier or later, ever less so with
+        `level`: a fifth of the window at 0, but at least an interval, half of that at 1, ...
+
+        Args:
+            level: from 0.
+            interval: between rows [s].
+
+        Raises:
+            ValueError: a contact without both ends.
+        """
+        if self.start is None or self.stop is None:
+            raise ValueError("a contact that lasts has no ends to move.")
+        step = max(interval, 0.2 * (self.stop - self.start)) / 2**level
+        ends = (
+            (self.start + a * step, self.stop + b * step) for a, b in product((-1, 0, 1), repeat=2)
+        )
+        return [Contact(start, stop) for start, stop in ends if stop > start]
 
     def window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
         """1 inside, 0 outside, smooth (3 u^2 - 2 u^3) within."""
@@ -155,11 +211,18 @@ class DroppedSamples(OneJointEffect):
         Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1", 1.2),
     )
     meaning: ClassVar[str] = "The logger repeats old torques while new ones are lost."
+    equation: ClassVar[str] = "hold (tau_j(t - age) - tau_j(t))"
+    signature: ClassVar[str] = "short windows in which the torque stands still"
+    experiment: ClassVar[str] = "repeat the motion and compare the two logs"
+    beyond: ClassVar[str | None] = experiment
     remedy: ClassVar[str] = "Leave the repeated samples out, and repair the logger's link."
     source: ClassVar[str] = (
         "Schenato 2009, To zero or to hold control inputs with lossy links?, IEEE Trans. Automatic "
         "Control 54(5)"
     )
+    example: ClassVar[Example] = Example((1.0,), "time", {"rate": 2.0, "length": 0.3})
+    event: ClassVar[bool] = True
+    by_motion: ClassVar[bool] = False
 
     def torque_columns(
         self, motion: Motion, robot: Robot | None = None

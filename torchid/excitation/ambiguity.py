@@ -20,11 +20,8 @@ from torchid.robot.record import recorded_robot
 SCHEMA = "torchid.gap/1"
 
 LINK = "link_inertia"
-INERTIAL = (LINK, "payload", "all_base")
+INERTIAL = (*(name for name, kind in KINDS.items() if kind.inertial), "all_base")
 """Names that refitted base parameters contain."""
-
-EVENTS = ("contact", "dropped_samples", "saturation", "thermal_friction_drift")
-"""Effects that a motion of some seconds does not bring about."""
 
 SAME_FRAMES = 1e-3
 """Difference of joint frames [m; 1] that is rounding in a file."""
@@ -123,7 +120,7 @@ def _ambiguities(data: Mapping[str, Any], robot: Robot) -> tuple[list[Question],
     for entry in data["which"]:
         effect = str(entry["effect"])
         for other in map(str, entry["ambiguous_with"]):
-            event = next((n for n in (effect, other) if n in EVENTS or n not in KINDS), None)
+            event = next((n for n in (effect, other) if not _by_motion(n)), None)
             if event is None and effect in INERTIAL and other in INERTIAL:
                 event = effect
             if event is None:
@@ -134,6 +131,11 @@ def _ambiguities(data: Mapping[str, Any], robot: Robot) -> tuple[list[Question],
         f"{event} or {', '.join(dict.fromkeys(others))} is no matter of motion; {beyond([event])}"
         for event, others in events.items()
     ]
+
+
+def _by_motion(name: str) -> bool:
+    """Whether a name is of an effect that a motion of some seconds brings about."""
+    return name in KINDS and KINDS[name].by_motion
 
 
 def _truth(entry: Mapping[str, Any], data: Mapping[str, Any], robot: Robot) -> Explanation:
@@ -169,7 +171,7 @@ def _untestable(data: Mapping[str, Any], robot: Robot) -> list[Question]:
     out: list[Question] = []
     for entry in data["not_testable"]:
         kind, joint = KINDS[str(entry["effect"])], entry["joint"]
-        if kind.name in (*EVENTS, *INERTIAL) or kind.needs & {"age", "velocity"}:
+        if not kind.by_motion or kind.inertial or kind.needs & {"age", "velocity"}:
             continue
         for effect in _places(kind, None if joint is None else int(joint) - 1, robot):
             question = Question(Explanation((effect,), (1.0,) * len(effect.coefficients)), "")
@@ -201,7 +203,7 @@ def _setting(data: Mapping[str, Any], robot: Robot) -> Setting:
         (COLUMN_KINDS[name](j),) for name in background for j in range(robot.n) if free
     ]
     for entry in data["which"]:
-        if entry["effect"] not in (LINK, *EVENTS) and entry["effect"] in KINDS:
+        if entry["effect"] != LINK and _by_motion(entry["effect"]):
             fitted.append(_truth(entry, data, robot).effects)
     return Setting(
         robot,

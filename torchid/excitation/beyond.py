@@ -2,33 +2,18 @@
 
 from collections.abc import Iterable
 
-from torchid.effects.experiments import APART
+from torchid.effects.inertia import WEIGHED
+from torchid.effects.registry import KINDS
 
-_LOAD = "weigh the load, or compare the link's parameters with CAD"
-_ZERO = "measure the pose with an external instrument (tracker, gauge, level): calibration"
 _FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
-
-_REPEATED = ("torque_gain", "thermal_friction_drift", "saturation", "contact", "dropped_samples")
-"""What shows these is no other motion, but the same one under other conditions."""
-
-BEYOND = {
-    "payload": _LOAD,
-    "link_inertia": _LOAD,
-    "all_base": _LOAD,
-    "encoder_offset": _ZERO,
-    "kinematic_error": _ZERO,
-    "base_tilt": _ZERO,
-    "torque_crosstalk": "load one joint alone with a known weight",
-    "joint_elasticity": "measure on the link's side, or excite the joint with a chirp",
-    "time_delay": "stamp both signals with one clock",
-    "filter_lag": "record the unfiltered signals",
-} | {name: APART[name] for name in _REPEATED}
 
 
 def beyond(names: Iterable[str]) -> str:
-    """What else would tell these effects, in one sentence."""
-    asked = dict.fromkeys(names)
+    """What else would tell these effects, in one sentence; refitted base parameters (`all_base`)
+    are bodies too."""
     advice: dict[str, list[str]] = {}
-    for name in asked:
-        advice.setdefault(BEYOND.get(name, _FITTED), []).append(name)
+    for name in dict.fromkeys(names):
+        kind = KINDS.get(name)
+        own = kind.beyond if kind is not None else WEIGHED if name == "all_base" else None
+        advice.setdefault(own or _FITTED, []).append(name)
     return "; ".join(f"{', '.join(own)}: {text}" for text, own in advice.items())

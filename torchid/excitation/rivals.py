@@ -6,7 +6,7 @@ from itertools import product
 
 import torch
 
-from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion, Shape
+from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.registry import KINDS
 from torchid.excitation.ambiguity import INERTIAL, LINK, Open, Question
 from torchid.excitation.fourier import FourierTrajectory
@@ -17,9 +17,6 @@ from torchid.robot.model import Robot
 PLAUSIBLE = 0.1
 """Torque of an effect that a log could not show, as a share of its joints' own: what is asked to be
 seen."""
-
-SHARED = ("time_delay", "torque_gain")
-"""Effects of one joint that may be common to all."""
 
 
 def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
@@ -81,7 +78,7 @@ def instances(name: str, like: Group, robot: Robot, rows: Rows) -> tuple[Group, 
     if issubclass(kind, ModelEffect):
         every = tuple(kind.candidates(robot))
         near = [(e,) for e in every if place is None or _place(rows, (e,)) in (None, place)]
-        return (*near, every) if name in SHARED else tuple(near)
+        return (*near, every) if kind.shared else tuple(near)
     assert issubclass(kind, JointEffect)
     joints = range(robot.n) if place is None else (place,)
     return tuple((e,) for j in joints for e in _shapes(kind, j, rows))
@@ -96,21 +93,7 @@ def _place(rows: Rows, group: Group) -> int | None:
 
 
 def _shapes(kind: type[JointEffect], joint: int, rows: Rows) -> Sequence[Effect]:
-    grids = [_grid(s, rows.motion(), joint) for s in kind.shapes]
+    motion = rows.motion()
+    grids = [[v * s.size([motion], joint) for v in s.grid] for s in kind.shapes]
     names = [s.name for s in kind.shapes]
     return [kind(joint, **dict(zip(names, v, strict=True))) for v in product(*grids)]
-
-
-def _grid(shape: Shape, motion: Motion, joint: int) -> list[float]:
-    q, dq = motion.q[:, joint], motion.dq[:, joint].abs()
-    travel = max(1e-9, float(q.max() - q.min()))
-    if not shape.grid:  # wave numbers, half a period apart over the travel
-        return [math.pi / travel * k for k in range(3, 40)]
-    torque = motion.require("torque", "a grid")[:, joint].abs()
-    size = {
-        "one": 1.0,
-        "travel": travel,
-        "speed": float(torch.quantile(dq, 0.99)),
-        "torque": float(torch.quantile(torque, 0.99)),
-    }[shape.scale]
-    return [v * max(1e-9, size) for v in shape.grid]

@@ -11,7 +11,7 @@ from torchid.effects.registry import nominal_effects
 from torchid.export.c_effects import EffectCode, effect_code
 from torchid.export.c_rigid import HELPERS, RECURSION
 from torchid.export.dynamics import Dynamics
-from torchid.export.exact_text import number
+from torchid.digits import number
 from torchid.robot.model import JointType, Robot
 
 _SIGN = """\

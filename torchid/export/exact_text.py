@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
+from torchid.digits import number
 from torchid.robot.inertia import InertialParameters, symmetric
 from torchid.robot.placement import exact
 from torchid.typing import Float
@@ -13,11 +14,6 @@ from torchid.typing import Float
 def text(values: Iterable[float] | Tensor) -> str:
     """Numbers separated by blanks, each with the digits that give the same float64."""
     return " ".join(number(v) for v in values)
-
-
-def number(value: float | Tensor) -> str:
-    """One number, with the digits that give the same float64; no minus before a zero."""
-    return repr(float(value) + 0.0)
 
 
 def roll_pitch_yaw_of(rotation: Float[Tensor, "3 3"]) -> list[float]:

@@ -1,12 +1,8 @@
 """Which effects a format knows: joint attributes of URDF and MJCF, and what is left beside them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import Valued, nominal_effects
-from torchid.effects.rotor_inertia import RotorInertia
-from torchid.effects.spring import JointSpring
 from torchid.robot.model import Robot
 
 
@@ -35,16 +31,11 @@ class JointDynamics:
 
 
 def split(robot: Robot, *, mjcf: bool) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
-    """Attributes of the n joints, and the effects that are not among them.
-
-    Negative damping, friction and armature, which physics forbids and simulators refuse or
-    destabilise on, are left to the rest, as are smoothed friction and springs that are not
-    straight or push away.
-    """
+    """Attributes of the n joints, and the effects that are not among them."""
     joints = [JointDynamics() for _ in range(robot.n)]
     rest: list[Valued] = []
     for effect, values in nominal_effects(robot):
-        added = _attributes(effect, values, mjcf)
+        added = effect.attributes(values, mjcf)
         if added is None:
             rest.append((effect, values))
             continue
@@ -52,19 +43,3 @@ def split(robot: Robot, *, mjcf: bool) -> tuple[tuple[JointDynamics, ...], tuple
         own = joints[j]
         joints[j] = replace(own, **{key: getattr(own, key) + v for key, v in added.items()})
     return tuple(joints), tuple(rest)
-
-
-def _attributes(effect: object, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
-    """What an effect adds to its joint's attributes; None where it has none."""
-    if isinstance(effect, JointSpring):
-        known = mjcf and effect.curvature == 0 and values[0] > 0
-        return {"stiffness": values[0], "offset": values[1]} if known else None
-    if not values[0] >= 0:
-        return None
-    if isinstance(effect, ViscousFriction):
-        return {"damping": values[0]}
-    if isinstance(effect, CoulombFriction) and effect.smoothing == 0:
-        return {"friction": values[0]}
-    if isinstance(effect, RotorInertia) and mjcf:
-        return {"armature": values[0]}
-    return None

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from torchid.errors import TorchidError
-from torchid.export.exact_text import number, principal, text
+from torchid.digits import number
+from torchid.export.exact_text import principal, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import refuse_moment_without_mass
 from torchid.export.xml_tree import (

@@ -7,7 +7,8 @@ import torch
 from lxml import etree
 from torch import Tensor
 
-from torchid.export.exact_text import number, principal, quaternion_of, text
+from torchid.digits import number
+from torchid.export.exact_text import principal, quaternion_of, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import refuse_moment_without_mass
 from torchid.export.urdf_new import DECLARATION

@@ -11,7 +11,7 @@ import torch
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
-from torchid.export.exact_text import number
+from torchid.digits import number
 from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot

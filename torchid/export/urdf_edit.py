@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from torchid.errors import TorchidError
-from torchid.export.exact_text import number, text
+from torchid.digits import number
+from torchid.export.exact_text import text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.xml_tree import (
     XmlFile,

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.registry import Valued
-from torchid.export.exact_text import number, roll_pitch_yaw_of, text
+from torchid.digits import number
+from torchid.export.exact_text import roll_pitch_yaw_of, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import TENSOR, refuse_moment_without_mass
 from torchid.export.xml_tree import XmlFile

@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 from torchid.errors import LogError
 from torchid.gap.candidates import Evaluator
 from torchid.gap.case import (
-    EVENTS,
     Case,
     FoldModels,
     Progress,
@@ -175,7 +174,7 @@ def _answer(
         far = closing(shown, floor, settings.seed, left.unpredicted).or_as(far)
     # A held-out log takes part in no choice, this one neither.
     if folds is not None and not far.improves:
-        lasting = [t for t in whole.terms if t.name in EVENTS]
+        lasting = [t for t in whole.terms if t.effects and t.effects[0].event]
         doubts += [f"{w}: not accepted" for w in unconfirmed(whole)]
         whole = settled(case.plain, whole.problem, lasting, case.task)
         found = findings(whole)
@@ -257,7 +256,7 @@ def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bo
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
     # What happened once cannot be foretold elsewhere.
-    once = not found.parametric and all(f.effect.name in EVENTS for f in found.effects)
+    once = not found.parametric and all(f.effect.event for f in found.effects)
     least = far.closed_ci95 is not None and far.closed_ci95[1] < EXPLAINED
     if unexplained or not (once or (far.improves and not least)):
         return "detected_unexplained"
@@ -286,7 +285,7 @@ def _described(model: Model) -> Robot:
 
 def _as_robot(whole: Solution, case: Case) -> Robot:
     """The corrected model as a robot description, without what happened in this log only."""
-    lasting = tuple(pair for pair in whole.effects if pair[0].name not in EVENTS)
+    lasting = tuple(pair for pair in whole.effects if not pair[0].event)
     return _described(Model(whole.robot, lasting))
 
 

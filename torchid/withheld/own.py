@@ -14,10 +14,10 @@ from typing import Any
 import torch
 
 from torchid import __version__
-from torchid.effects.registry import nominal_effects
+from torchid.effects.registry import EVENTS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.closing import closing
-from torchid.gap.diagnose import EVENTS, diagnose
+from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare

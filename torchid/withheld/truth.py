@@ -15,7 +15,7 @@ import torch
 
 from torchid.effects.registry import effect_from_record, nominal_effects
 from torchid.errors import TorchidError
-from torchid.gap.case import EVENTS
+from torchid.effects.registry import EVENTS
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
 from torchid.json_data import read_json
