@@ -93,6 +93,7 @@ class Effect(ABC):
         jumps: whether its columns are discontinuous in the motion.
         essential: numbers of the coefficients without which it would be another, simpler effect.
         event: whether it happened once in one log, and is no property of the arm.
+        windowed: whether it is there in a window of time only, which must be found first.
         by_motion: whether a motion of some seconds brings it about.
         on_all: whether nearly all joints of an arm have it.
         shared: whether one coefficient may be common to all joints.
@@ -118,6 +119,7 @@ class Effect(ABC):
     jumps: ClassVar[bool] = False
     essential: ClassVar[tuple[int, ...]] = ()
     event: ClassVar[bool] = False
+    windowed: ClassVar[bool] = False
     by_motion: ClassVar[bool] = True
     on_all: ClassVar[bool] = False
     shared: ClassVar[bool] = False

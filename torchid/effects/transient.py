@@ -126,6 +126,7 @@ class Contact(ModelEffect):
     )
     example: ClassVar[Example] = Example((0.0, 0.0, -30.0), "time", {"start": 4.0, "stop": 5.0})
     event: ClassVar[bool] = True
+    windowed: ClassVar[bool] = True
     by_motion: ClassVar[bool] = False
 
     def torque_columns(

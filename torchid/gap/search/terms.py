@@ -154,6 +154,7 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
 
 def candidates_of(
     columns: Columns,
+    gap: Float[Tensor, "n N"],
     data: Data,
     wanted: Wanted,
     parts: Int[Tensor, " N"],
@@ -164,6 +165,7 @@ def candidates_of(
 
     Args:
         columns: at the model.
+        gap: what is to be explained.
         data: which samples count, and what the log holds.
         wanted: what is looked for.
         parts: (N,) fold of every sample; the last number is of those between folds.
@@ -214,16 +216,15 @@ def candidates_of(
     terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
     terms = _standing_in(terms, given)
     gram = Gram(filled, own, int(parts.max()) + 1)
-    y = columns.gap()
     for j in range(n):
-        gram.add(j, [*(x[:, j] for x in common), *local[j]], y[j], data.keep[j], parts)
+        gram.add(j, [*(x[:, j] for x in common), *local[j]], gap[j], data.keep[j], parts)
         local[j] = []
     fixed = _fixed(terms, wanted, n)
     chosen = [t for t in terms if wanted.allows(t) and t not in fixed]
     if wanted.free:
         chosen = [t for t in chosen if not t.inertial]
     return Candidates(
-        columns, y, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
+        columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
     )
 
 

@@ -1,0 +1,94 @@
+"""Events, sought before any law: windows of time in which a force at the tool explains what stands
+out from all the rest of the log.
+
+A contact is no law: in its window the torque is otherwise, elsewhere it is as ever. So the gap is
+first freed from whatever laws might explain of it (bodies, friction, offsets on every joint), well or
+badly; windows are then compared with each other. What a wrong law leaves at reversals or at speed
+happens again and again, and sets the scale: a contact must stand out from that, by chance corrected
+for all windows that were looked at.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from scipy.stats import chi2
+
+from torchid.effects.transient import Contact
+from torchid.gap.search.evidence import Question, fit_terms, residual
+from torchid.gap.search.terms import BASE
+from torchid.typing import Float, Tensor
+
+LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
+"""What is taken out of the gap on every joint before windows are compared."""
+
+LENGTHS = (3, 6, 12, 24, 48, 96, 192)
+"""Lengths of windows [samples], up to a quarter of a trajectory."""
+
+MOST = 3
+"""Contacts at most; the search decides which of them stay."""
+
+
+def contacts(question: Question, alpha: float) -> list[Contact]:
+    """Contacts that stand out from the rest of a log, the clearest first; they do not overlap."""
+    candidates = question.candidates
+    columns, samples = candidates.columns, candidates.columns.samples
+    ones = torch.ones(columns.n, dtype=torch.float64)
+    laws = [t for t in candidates.terms if t.name in LAWS and len(t.effects) == 1]
+    base = [t for t in (*candidates.terms, *candidates.fixed) if t.name == BASE]
+    fixed = {id(t) for t in candidates.fixed}
+    fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
+    left = residual(question, fit.terms, fit.x)
+    size = 1.4826 * torch.where(left == 0, torch.nan, left.abs()).nanmedian(1).values
+    unit = torch.nan_to_num(size, nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+    r = left / unit
+    pull = columns.on_all_joints(Contact()) * candidates.keep / unit
+    found = _windows(pull, r, samples.bounds, alpha)
+    half = 0.5 * samples.interval
+    out: list[Contact] = []
+    for first, last in found:
+        contact = Contact(float(samples.t[first]) - half, float(samples.t[last - 1]) + half)
+        apart = all(
+            contact.start >= c.stop or contact.stop <= c.start  # type: ignore[operator]
+            for c in out
+        )
+        if apart and len(out) < MOST:
+            out.append(contact)
+    return out
+
+
+def _windows(
+    columns: Float[Tensor, "C n N"], r: Float[Tensor, "n N"], bounds: Sequence[slice], alpha: float
+) -> list[tuple[int, int]]:
+    """Samples (first, last + 1) of windows whose gain stands out, the clearest first. Sums over
+    windows are differences of running sums."""
+    c = len(columns)
+    products = (columns.unsqueeze(0) * columns.unsqueeze(1)).sum(2)
+    pulls = (columns * r).sum(1)
+    running = [torch.nn.functional.pad(x.cumsum(-1), (1, 0)) for x in (products, pulls)]
+    looked: list[tuple[Tensor, Tensor, int]] = []
+    for length in LENGTHS:
+        starts = [
+            torch.arange(b.start, b.stop - length + 1, max(1, length // 2))
+            for b in bounds
+            if length <= max(LENGTHS[0], (b.stop - b.start) // 4)
+        ]
+        if not starts:
+            continue
+        start = torch.cat(starts)
+        gram = (running[0][..., start + length] - running[0][..., start]).permute(2, 0, 1)
+        pull = (running[1][:, start + length] - running[1][:, start]).T.unsqueeze(-1)
+        inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
+        looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
+    total = sum(len(gain) for gain, _, _ in looked)
+    found: list[tuple[float, int, int]] = []
+    for gain, start, length in looked:
+        # The scale of chance is that of the log's own windows, heavy tails included: chi^2 through
+        # their 95 % quantile.
+        usual = float(gain.quantile(0.95)) / float(chi2.ppf(0.95, c))
+        p = total * chi2.sf(gain.numpy() / max(usual, 1.0), c)
+        for k in (p < alpha).nonzero()[0].tolist():
+            score = float(gain[k]) / max(usual, 1.0) - c * math.log(length)
+            found.append((score, int(start[k]), int(start[k]) + length))
+    found.sort(reverse=True)
+    return [(a, b) for _, a, b in found]

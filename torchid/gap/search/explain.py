@@ -1,0 +1,293 @@
+"""The whole search: events, laws from several starts, shapes refined, columns taken anew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.design.columns import Columns, Model
+from torchid.design.gram import Normal
+from torchid.effects.base import Effect, JointEffect
+from torchid.effects.transient import Contact
+from torchid.gap.data.prepare import Data
+from torchid.gap.search.climb import Worth, climbed, empty_fit, worthy
+from torchid.gap.search.evidence import Fitted, Question, fit_terms, residual, rows_of
+from torchid.gap.search.events import contacts
+from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
+from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
+from torchid.typing import Float, Int, Tensor
+
+PASSES = 2
+"""Times the columns are taken at the model found and the search goes on."""
+
+CHANGED = 0.02
+"""Relative change of a joint's model torque from which columns are taken anew; at half of it more
+diagnoses take a second pass, at double load-dependent friction is 1 % off."""
+
+FINEST = 5
+"""Times a shape is searched around the best one, each time three times more closely."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What a search has found.
+
+    Attributes:
+        question: candidates at the last model, and what they explain.
+        empty: the model as given, with what is always fitted.
+        fit: what is told; its terms beside the fixed ones.
+        unworthy: terms that the evidence has, which are not worth a name.
+        solution: the corrected model.
+    """
+
+    question: Question
+    empty: Fitted
+    fit: Fitted
+    unworthy: tuple[Term, ...]
+    solution: Solution
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What is told."""
+        return self.fit.terms[len(self.question.fixed) :]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How a search decides.
+
+    Attributes:
+        alpha: family-wise level.
+        worth: least size that is worth a name.
+        most: causes at most.
+    """
+
+    alpha: float
+    worth: Worth
+    most: int
+
+
+def explained(
+    model: Model,
+    data: Data,
+    wanted: Wanted,
+    rules: Rules,
+    parts: Int[Tensor, " N"],
+    block: Int[Tensor, " N"],
+) -> Explanation:
+    """Which effects explain the gap between a log and a model.
+
+    Args:
+        model: as given, with parameters.
+        data: of the log.
+        wanted: what is looked for.
+        rules: how it is decided.
+        parts: (N,) fold of every sample; the last number is of those between folds.
+        block: (N,) block of every sample.
+    """
+    torque = torch.cat([s.tau for s in data.segments]).square().mean(0).sqrt()
+    at, extra = model, list[Effect]()
+    start: tuple[Term, ...] = ()
+    gap = Columns(model, data.samples).gap()
+
+    def asked(columns: Columns) -> Question:
+        """Candidates at a model, for the gap of the model as given."""
+        candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
+        return Question(candidates, candidates.gram.over(), rules.alpha)
+
+    for attempt in range(PASSES):
+        columns = Columns(at, data.samples)
+        question = asked(columns)
+        if attempt == 0 and Contact.name in wanted.names:
+            found = contacts(question, rules.alpha)
+            if found:
+                extra += found
+                question = asked(columns)
+        start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
+        fit = best_explanation(question, start, rules)
+        finer = refined(question, fit)
+        if finer:
+            # Shapes between those of the grid, and the search once more with them.
+            extra += finer
+            again = fit.terms[len(question.fixed) :]
+            question = asked(columns)
+            again = tuple(_finest(question.candidates, t, finer) or t for t in again)
+            fit = climbed(question, again, rules.most)
+        folds = folds_of(question.candidates)
+        fit, left = worthy(question, folds, fit, torque, rules.worth)
+        fit = with_bodies(question, folds, fit, torque, rules)
+        latest = corrected(model, fit.terms, fit.values(), wanted)
+        if attempt + 1 == PASSES or not _changed(at, latest, data):
+            break
+        at = latest
+        # Secants at the estimate stand beside those at the usual place.
+        pairs = zip(fit.terms, fit.values(), strict=True)
+        moved = [at_estimate(t, v) for t, v in pairs]
+        start = tuple(moved[len(question.fixed) :])
+        extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
+    columns = Columns(model, data.samples)
+    solution = solved(columns, fit.terms, fit.values(), data, wanted, block)
+    return Explanation(question, empty_fit(question), fit, tuple(left), solution)
+
+
+def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
+    """(Fitted on, judged on) of every fold; samples between folds are in neither."""
+    count = candidates.gram.parts - 1
+    every = range(count)
+    return [
+        (candidates.gram.over([p for p in every if p != k]), candidates.gram.over([k]))
+        for k in every
+    ]
+
+
+def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
+    """The best of what is found from several starts: nothing, dry and viscous friction on all joints,
+    and, where more than one body was blamed, all base parameters in their place."""
+    if start:
+        return climbed(question, start, rules.most)
+    friction = [
+        t
+        for t in question.candidates.terms
+        if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
+    ]
+    found = [climbed(question, (), rules.most)]
+    if friction:
+        found.append(climbed(question, friction, rules.most))
+    best = max(found, key=lambda f: f.evidence)
+    own = best.terms[len(question.fixed) :]
+    bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
+    base = [t for t in question.candidates.terms if t.name == BASE]
+    if len(bodies) > 1 and base:
+        others = [t for t in own if all(t is not b for b in bodies)]
+        found.append(climbed(question, [*base, *others], rules.most))
+    return max(found, key=lambda f: f.evidence)
+
+
+def with_bodies(
+    question: Question,
+    folds: Sequence[tuple[Normal, Normal]],
+    fit: Fitted,
+    torque: Float[Tensor, " n"],
+    rules: Rules,
+) -> Fitted:
+    """All base parameters beside what was found, if they are worth it: last, for they hold a share of
+    every cause, and without displacing any."""
+    own = fit.terms[len(question.fixed) :]
+    base = [t for t in question.candidates.terms if t.name == BASE]
+    if not base or any(t.name == BASE for t in own):
+        return fit
+    others = [t for t in own if not t.inertial]
+    more = fit_terms(question, [*others, *base], fit.effective, fit.weight)
+    if more.evidence <= fit.evidence:
+        return fit
+    kept, left = worthy(question, folds, more, torque, rules.worth)
+    return fit if any(t in base for t in left) else kept if not left else more
+
+
+def refined(question: Question, fit: Fitted) -> list[Effect]:
+    """Shapes of the terms between those of the grid, where they explain more."""
+    columns = question.candidates.columns
+    out: list[Effect] = []
+    for term in fit.terms[len(question.fixed) :]:
+        effect = term.effects[0] if len(term.effects) == 1 else None
+        if effect is None or term.place is None and not isinstance(effect, Contact):
+            continue
+        others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
+        best = _closest(question, fit, others, effect, columns)
+        if best is not None and best != effect:
+            out.append(best)
+    return out
+
+
+def _closest(
+    question: Question, fit: Fitted, others: Sequence[Term], effect: Effect, columns: Columns
+) -> Effect | None:
+    """The shape of an effect that leaves least beside the others."""
+    keep = question.candidates.keep
+    rest = fit_terms(question, others, fit.effective, fit.weight)
+    weight = fit.weight.sqrt().unsqueeze(1) * keep
+    joints = slice(None)
+    if isinstance(effect, JointEffect):
+        joints = slice(effect.joint, effect.joint + 1)
+    y = (residual(question, rest.terms, rest.x) * weight)[joints]
+    beside = [rows_of(question, t) for t in rest.terms if t.place in (None, *_one(joints))]
+    wide = [b if b.shape[1] == len(y) else b[:, joints] for b in beside]
+    z = torch.cat([(b * weight[joints]).flatten(1) for b in wide]) if wide else None
+    target = y.flatten() if z is None else y.flatten() - least_squares(z, y.flatten()) @ z
+    basis = None if z is None else _orthonormal(z)
+
+    def left(x: Tensor) -> float:
+        """What columns (C, m, N) leave of the target."""
+        flat = (x * weight[joints]).flatten(1)
+        flat = flat if basis is None else flat - (flat @ basis.T) @ basis
+        return float((target - least_squares(flat, target) @ flat).square().sum())
+
+    best, least = effect, left(_rows(columns, effect, joints))
+    for level in range(FINEST):
+        tried: Sequence[Effect]
+        if isinstance(best, JointEffect):
+            shapes = best.finer(columns.motions, level, columns.samples.cutoff)
+            if shapes is None:
+                return None
+            names = [s.name for s in best.shapes]
+            tried = [replace(best, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
+            rows = columns.of_shapes(type(best), best.joint, shapes).unsqueeze(2)
+        else:
+            assert isinstance(best, Contact)
+            tried = best.around(level, columns.samples.interval)
+            rows = torch.stack([columns.on_all_joints(e) for e in tried])
+        losses = [left(x) for x in rows]
+        k = min(range(len(losses)), key=losses.__getitem__)
+        if losses[k] < least:
+            best, least = tried[k], losses[k]
+    return best
+
+
+def _one(joints: slice) -> tuple[int, ...]:
+    return () if joints.start is None else (joints.start,)
+
+
+def _rows(columns: Columns, effect: Effect, joints: slice) -> Tensor:
+    return columns.on_all_joints(effect)[:, joints]
+
+
+def _orthonormal(z: Float[Tensor, "K R"]) -> Float[Tensor, "k R"]:
+    size = z.norm(dim=1, keepdim=True)
+    q, r = torch.linalg.qr((z / size.clamp(min=1e-300)).T)
+    return q[:, r.diagonal().abs() > 1e-7].T
+
+
+def _again(candidates: Candidates, term: Term) -> Term | None:
+    """The same term among other candidates."""
+    for other in candidates.terms:
+        if other.name == term.name and other.effects == term.effects:
+            return other
+    return None
+
+
+def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term | None:
+    """The term with its refined shape, where it has one."""
+    alone = term.effects[0] if len(term.effects) == 1 else None
+    for effect in finer:
+        if alone is not None and type(effect) is type(alone) and _near(effect, alone):
+            return _again(candidates, replace(term, effects=(effect,)))
+    return _again(candidates, term)
+
+
+def _near(one: Effect, two: Effect) -> bool:
+    if isinstance(one, Contact) and isinstance(two, Contact):
+        assert one.start is not None and one.stop is not None and two.start is not None
+        return two.stop is not None and one.start < two.stop and two.start < one.stop
+    return one.identity == two.identity
+
+
+def _changed(old: Model, new: Model, data: Data) -> bool:
+    """Whether columns are others at the new model: its torque has changed, or a secant has."""
+    if any(e.linearised for e, _ in new.effects if (e, _) not in old.effects):
+        return True
+    for segment in data.segments:
+        a, b = old.load(segment.motion), new.load(segment.motion)
+        if bool(((a - b).square().mean(0) > CHANGED**2 * b.square().mean(0) + 1e-300).any()):
+            return True
+    return False
+

@@ -1,0 +1,185 @@
+"""From terms to a corrected model: all coefficients together, columns taken anew at what was found.
+
+Some columns depend on the model (friction that grows with load, compliance, delay), and some are
+secants of something nonlinear (an encoder's offset). Gauss-Newton steps on the residual of the
+corrected model itself settle both, and what is nonlinear in several coefficients at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.design.columns import Columns, Model
+from torchid.effects.base import Effect
+from torchid.effects.registry import Valued
+from torchid.gap.data.prepare import Data
+from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
+from torchid.robot.inertia import InertialParameters
+from torchid.statistics.jackknife import fit_statistics
+from torchid.typing import Bool, Float, Int, Tensor
+
+STEPS = 4
+SETTLED = 1e-4
+"""Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
+another."""
+
+DETERMINED = 1e-7
+"""Eigenvalue of normal equations with a unit diagonal below which a direction is left at zero."""
+
+HUBER = 1.345
+"""Robust standard deviations beyond which a sample counts less (Huber 1981, section 7.8)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A corrected model.
+
+    Attributes:
+        start: the model that is corrected.
+        wanted: what was looked for.
+        terms: fixed ones first, secants at the estimate.
+        values, std: per term (C,): coefficients, and standard deviations by a block jackknife.
+        quantile: half a 95 % interval in standard deviations.
+        model: corrected.
+        a: (K, n, N) columns at the corrected model; zero where no sample counts.
+        left: (n, N) what the corrected model leaves; likewise.
+    """
+
+    start: Model
+    wanted: Wanted
+    terms: tuple[Term, ...]
+    values: tuple[Float[Tensor, " _"], ...]
+    std: tuple[Float[Tensor, " _"], ...]
+    quantile: float
+    model: Model
+    a: Float[Tensor, "K n N"]
+    left: Float[Tensor, "n N"]
+
+    def without(self, fitted: Bool[Tensor, " N"]) -> Model:
+        """The same terms, fitted on some of the samples only. What these do not determine is zero: a
+        contact that was elsewhere."""
+        x = torch.cat(self.values) if self.values else torch.zeros(0, dtype=torch.float64)
+        size = self.left.square().sum(1).clamp(min=1e-300)
+        weight = (self.left.shape[1] / size).sqrt().unsqueeze(1) * fitted
+        y = self.left + torch.tensordot(x, self.a, 1)
+        again = least_squares((self.a * weight).flatten(1), (y * weight).flatten())
+        parts = again.split([len(v) for v in self.values])
+        return corrected(self.start, self.terms, parts, self.wanted)
+
+
+def solved(
+    columns: Columns,
+    terms: Sequence[Term],
+    x: Sequence[Float[Tensor, " _"]],
+    data: Data,
+    wanted: Wanted,
+    block: Int[Tensor, " N"],
+) -> Solution:
+    """Fit terms together, from coefficients near the solution.
+
+    Args:
+        columns: at the model as given.
+        terms: fixed ones first.
+        x: per term (C,).
+        data: which samples count.
+        wanted: what was looked for.
+        block: (N,) block of every sample, for the standard deviations.
+    """
+    start, samples = columns.model, columns.samples
+    taken, values = list(terms), list(x)
+    best: Solution | None = None
+    weight = torch.ones_like(data.keep, dtype=torch.float64)
+    last = torch.inf
+    for step in range(STEPS + 1):
+        taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
+        model = corrected(start, taken, values, wanted)
+        at = Columns(model, samples)
+        left = at.gap() * data.keep
+        # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
+        if step < 2:
+            weight = huber(left) / left.square().mean(1, keepdim=True).clamp(min=1e-300).sqrt()
+        loss = float((weight * left).square().sum())
+        if best is not None and not loss < last:
+            break
+        a = _stacked(at, taken, data.keep)
+        best = Solution(
+            start, wanted, tuple(taken), tuple(values), (), 1.96, model, a, left
+        )
+        if step > 1 and last - loss < SETTLED * last or step == STEPS or not len(a):
+            break
+        last = loss if step > 0 else torch.inf
+        dx = least_squares((a * weight).flatten(1), (left * weight).flatten())
+        values = [v + d for v, d in zip(values, dx.split([len(v) for v in values]), strict=True)]
+    assert best is not None
+    return _with_std(best, weight, block)
+
+
+def _stacked(columns: Columns, terms: Sequence[Term], keep: Tensor) -> Float[Tensor, "K n N"]:
+    parts = [term_columns(columns, t) for t in terms]
+    n, count = keep.shape
+    return torch.cat(parts) * keep if parts else torch.zeros(0, n, count, dtype=torch.float64)
+
+
+def _with_std(found: Solution, weight: Tensor, block: Int[Tensor, " N"]) -> Solution:
+    """Standard deviations from the spread of whole blocks of samples, all joints together."""
+    n = len(found.left)
+    if not len(found.a):
+        return found
+    spread = fit_statistics(
+        (found.a * weight).flatten(1).T, (found.left * weight).flatten(), block.repeat(n)
+    )
+    std = spread.std.split([len(v) for v in found.values])
+    return replace(found, std=tuple(std), quantile=spread.quantile(0.95))
+
+
+def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
+    """Coefficients; directions that the rows do not determine stay at zero."""
+    gram, right = a @ a.T, a @ y
+    size = torch.where(gram.diagonal() > 0, gram.diagonal().sqrt(), torch.inf)
+    values, vectors = torch.linalg.eigh(gram / size / size.unsqueeze(1))
+    kept = values > DETERMINED * values[-1:]
+    inner = vectors[:, kept] / values[kept] @ vectors[:, kept].T
+    return inner @ (right / size) / size
+
+
+def huber(r: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+    """Square roots of Huber's weights."""
+    size = torch.where(r == 0, torch.nan, r.abs()).nanmedian(1, keepdim=True).values
+    limit = HUBER * 1.4826 * torch.nan_to_num(size, nan=1.0).clamp(min=1e-12)
+    return (limit / r.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
+
+
+def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
+    """The term with secants at the estimate."""
+    return replace(term, effects=tuple(e.at_estimate(values.tolist()) for e in term.effects))
+
+
+def corrected(
+    start: Model, terms: Sequence[Term], values: Sequence[Float[Tensor, " _"]], wanted: Wanted
+) -> Model:
+    """The model with the fitted terms: other inertial parameters, further effects. An effect that it
+    has already grows by the coefficients; another shape of it stands in its place."""
+    pi = start.robot.require_parameters("a diagnosis").pi.double().clone()
+    effects: list[Valued] = list(start.effects)
+    for term, v in zip(terms, values, strict=True):
+        if term.name == BASE:
+            pi.view(-1)[wanted.independent] += v
+        elif term.name == LINK:
+            pi[term.effects[0].joints[0]] += v
+        else:
+            for _, own, _ in term.instead:
+                effects = [p for p in effects if p[0] != own.effects[0]]
+            for effect in term.effects:
+                effects = _grown(effects, effect, v.tolist())
+    return Model(start.robot.with_parameters(InertialParameters(pi)), tuple(effects))
+
+
+def _grown(effects: list[Valued], effect: Effect, values: list[float]) -> list[Valued]:
+    """Effects with one more; the same one, already there, grows by the values."""
+    for k, (other, old) in enumerate(effects):
+        same = other.identity == effect.identity and other.shape_values == effect.shape_values
+        if other == effect or (same and effect.linearised):
+            sums = [a + b for a, b in zip(old, values, strict=True)]
+            return [*effects[:k], (effect.at_estimate(sums), sums), *effects[k + 1 :]]
+    return [*effects, (effect, values)]

@@ -1,0 +1,279 @@
+"""An explanation as a person and a file can use it: effects, joints, alternatives, shares."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import chi2
+
+from torchid.design.segments import when
+from torchid.effects.base import Effect
+from torchid.effects.registry import KINDS
+from torchid.effects.transient import Contact
+from torchid.gap.diagnosis import Finding, NotTestable, Parametric
+from torchid.gap.search.climb import moves
+from torchid.gap.search.evidence import (
+    VISIBLE,
+    Fitted,
+    Question,
+    directions,
+    effective_samples,
+    fit_terms,
+    residual,
+    rows_of,
+)
+from torchid.gap.search.explain import Explanation
+from torchid.gap.search.terms import BASE, LINK, Term
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Float, Int, Tensor
+
+ODDS = 20.0
+"""Odds against an alternative from which it is no longer told: exp of half the difference of the
+evidence. Half and double of it change the mean set size by less than 0.1."""
+
+FELT = 0.05
+"""Share of a joint's own torque gap that a global effect must hold to be felt there [1]."""
+
+LARGE = 0.5
+"""Torque, as a share of the joint's own, below which a testable effect must be detectable."""
+
+HOPELESS = 3600.0
+"""Seconds of the same motion beyond which only another motion can help."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What is told of an explanation.
+
+    Attributes:
+        findings: effects, the largest share first.
+        parametric: corrections of inertial parameters.
+        open: (term, best alternative that other data could separate from it).
+    """
+
+    findings: tuple[Finding, ...]
+    parametric: tuple[Parametric, ...]
+    open: tuple[tuple[Term, Term], ...]
+
+
+def told(found: Explanation) -> Told:
+    """Findings of an explanation, each with what it cannot be told from."""
+    question, fit = found.question, found.fit
+    weight = question.normal.rows / fit.losses.clamp(min=1e-300)
+    start = float((weight * found.empty.losses).sum())
+    last = float((weight * fit.losses).sum())
+    closable = max(start - last, 1e-12)
+    findings, parametric, undecided = [], [], []
+    fixed = len(question.fixed)
+    for k, term in enumerate(found.terms):
+        rest = [t for t in found.terms if t is not term]
+        without = fit_terms(question, rest, fit.effective, fit.weight)
+        alone = fit_terms(question, [term], fit.effective, fit.weight)
+        share = (float((weight * without.losses).sum()) - last) / closable
+        first = (start - float((weight * alone.losses).sum())) / closable
+        p = p_value(question, fit, without, term)
+        others = alternatives(question, fit, without, term)
+        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for t in others))
+        apart = [t for t in others if t.name != BASE and not _same(question, fit, term, t)]
+        if term.inertial:
+            links = term.effects[0].joints if term.name == LINK else ()
+            parametric.append(Parametric(links, share, p, names))
+            continue
+        if apart:
+            undecided.append((term, apart[0]))
+        values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
+        own = found.solution.terms[fixed + k].effects
+        findings.append(
+            Finding(
+                effect=own[0],
+                values=tuple(values.tolist()),
+                joints=_felt(found, fixed + k, own),
+                ambiguous_with=names,
+                std=tuple(std.tolist()),
+                p_value=p,
+                share=share,
+                first=first,
+                notes=_notes(found, term, own[0], values, std),
+                common=len(own) > 1,
+            )
+        )
+    return Told(
+        tuple(sorted(findings, key=lambda f: -f.share)), tuple(parametric), tuple(undecided)
+    )
+
+
+def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
+    """Family-wise p-value of a term beside the others: of the likelihood ratio with the effective
+    number of samples (Wilks 1938), times all candidates."""
+    ratio = fit.effective * (without.losses / fit.losses.clamp(min=1e-300)).log()
+    df = directions(question, term) + term.shapes
+    return min(1.0, question.looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
+
+
+def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Term]:
+    """Terms that explain as much in a term's place, the best first, one a name: those whose evidence
+    is within the odds; and base parameters that do as well, whatever they cost, for then the effect
+    stands only if the parameters are trusted."""
+    limit = fit.evidence - 2 * math.log(ODDS)
+    others = without.terms[len(question.fixed) :]
+    found: list[tuple[float, Term]] = []
+    for _, move in moves(question, without):
+        if len(move) > 1 or move[0].name == BASE or move[0].key == term.key:
+            continue
+        if term.place is not None and move[0].place not in (None, term.place):
+            continue
+        again = fit_terms(question, (*others, *move), fit.effective, fit.weight)
+        if again.evidence > limit:
+            found.append((again.evidence, move[0]))
+        elif len(found) + 1 < again.evidence - limit:
+            break
+    found.sort(key=lambda pair: -pair[0])
+    names: dict[str, Term] = {}
+    for _, other in found:
+        if other.name != term.name:
+            names.setdefault(other.name, other)
+    for base in question.candidates.terms:
+        if base.name == BASE and not term.inertial and LINK not in names:
+            again = fit_terms(question, (*others, base), fit.effective, fit.weight)
+            lost = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
+            if float(lost.sum()) < 2 * math.log(ODDS):
+                names[LINK] = base
+    return list(names.values())
+
+
+def _same(question: Question, fit: Fitted, term: Term, other: Term) -> bool:
+    """Whether no data of this kind tell two terms apart: they leave the same."""
+    rest = [t for t in fit.terms[len(question.fixed) :] if t is not term]
+    again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
+    differs = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
+    return bool(differs.abs().sum() < 0.1)
+
+
+def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
+    """The effect's joints; of a global one those whose torque it changes beyond what is left."""
+    if len(effects) == 1 and effects[0].joints:
+        return effects[0].joints
+    solution = found.solution
+    first = sum(len(v) for v in solution.values[:k])
+    values = solution.values[k]
+    share = torch.tensordot(values, solution.a[first : first + len(values)], 1).square().sum(1)
+    rows = found.question.normal.rows.clamp(min=1)
+    chance = solution.left.square().sum(1) * len(values) / rows
+    empty = found.empty.losses
+    return tuple(((share > FELT * empty) & (share > chance)).nonzero().flatten().tolist())
+
+
+def _notes(
+    found: Explanation, term: Term, effect: Effect, values: Tensor, std: Tensor
+) -> tuple[str, ...]:
+    """Coefficients that the data leave open, those that correct one of the model's own, and when a
+    contact was."""
+    out = []
+    pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
+    for c, v, s, own in pairs:
+        if s > abs(v):
+            out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
+        if own:
+            out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")
+    if term.instead:
+        out.append("it stands in the place of the model's own, whose shape is another")
+    if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
+        segments = found.question.candidates.columns.samples.segments
+        name, start = when(segments, effect.start)
+        out.append(f"from {start:.2f} to {start + effect.stop - effect.start:.2f} s of '{name}'")
+    return tuple(out)
+
+
+def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) -> dict | None:
+    """What would separate the largest ambiguity: in words, and where this log comes closest."""
+    if not said.open:
+        return None
+    question, fit = found.question, found.fit
+    samples = question.candidates.columns.samples
+    term, other = max(said.open, key=lambda pair: float(_contribution(found, pair[0]).sum()))
+    rest = [t for t in found.terms if t is not term]
+    again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
+    mine = residual(question, fit.terms, fit.x) - residual(question, again.terms, again.x)
+    left = torch.zeros(int(block.max()) + 1, dtype=torch.float64)
+    left.index_add_(0, block, (fit.weight.unsqueeze(1) * mine.square()).sum(0))
+    best = int(left.argmax())
+    instants = (block == best).nonzero().flatten()
+    t = samples.t
+    name, start = when(samples.segments, float(t[instants[0]]))
+    total = float(left.sum())
+    seconds = len(block) * samples.interval * 2 * math.log(ODDS) / max(1e-12, total)
+    joints = next((e.joints for e in (*term.effects, *other.effects) if e.joints), ())
+    advice = dict.fromkeys(KINDS[n].experiment for n in (term.name, other.name))
+    both = "; and ".join(advice)
+    return {
+        "separates": [term.name, other.name],
+        "joint": joints[0] + 1 if joints else None,
+        "do": both[:1].upper() + both[1:] + ".",
+        "most_informative": {
+            "trajectory": name,
+            "from_s": start,
+            "to_s": start + float(t[instants[-1]] - t[instants[0]]),
+            "share": float(left[best]) / max(1e-12, total),
+        },
+        "seconds_of_the_same_motion": seconds if seconds < HOPELESS else None,
+    }
+
+
+def _contribution(found: Explanation, term: Term) -> Float[Tensor, " n"]:
+    rest = [t for t in found.terms if t is not term]
+    fit = found.fit
+    return fit.weight * (fit_terms(found.question, rest, fit.effective, fit.weight).losses - fit.losses)
+
+
+def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
+    """Effects that these data cannot show, one entry an effect and place: with the smallest first
+    coefficient whose evidence would be positive on average."""
+    question, fit = found.question, found.fit
+    normal = question.normal
+    torque = torch.cat([s.tau for s in question.candidates.columns.samples.segments])
+    rms = torch.nn.functional.pad(torque.square().mean(0).sqrt(), (0, 0))
+    accepted = {t.key for t in found.terms}
+    best: dict[tuple[object, ...], tuple[float, float, float, Term]] = {}
+    for term in question.candidates.terms:
+        if term.name in (BASE, LINK) or term.key in accepted:
+            continue
+        joints = range(len(normal.g)) if term.place is None else (term.place,)
+        size = left = 0.0
+        for j in joints:
+            g, s = normal.g[j], fit.subset.joints[j]
+            w = float(fit.weight[j])
+            row = int(term.at[0])
+            size += w * float(g[row, row])
+            held = w * (g[row, s.at] @ fit.root[s.of])
+            left += w * float(g[row, row])
+            held_all = held if term.place is not None or j == 0 else held_all + held
+        left -= float(held_all @ held_all)
+        rows = float(normal.rows[list(joints)].sum())
+        share = left / size if size > 0 else 0.0
+        if term.key not in best or left > best[term.key][1]:
+            best[term.key] = size, left, share, term
+    out = []
+    for size, left, share, term in best.values():
+        effect = term.effects[0]
+        n = float(fit.effective.sum() if term.place is None else fit.effective[term.place])
+        needed = question.price() + (1 + term.shapes) * math.log(max(n, 2.0))
+        smallest: float | None = math.sqrt(needed / max(left, 1e-300))
+        reason = ""
+        if size <= 1e-9:
+            smallest, reason = None, "the motion does not excite it"
+        elif share < 1e-6:
+            smallest, reason = None, "exactly a combination of parameters that are fitted"
+        elif share < VISIBLE:
+            reason = f"only {100 * share:.2g} % of it is not a combination of what is fitted"
+        elif term.place is not None and smallest is not None:
+            own = smallest * math.sqrt(size / float(fit.weight[term.place]) / max(1.0, float(normal.rows[term.place])))
+            if own > LARGE * float(rms[term.place]):
+                reason = "noise hides it up to half of the joint's torque"
+        if reason:
+            joint = effect.joints[:1]
+            prismatic = bool(joint) and robot.joint_types[joint[0]] is JointType.PRISMATIC
+            unit = effect.coefficients[0].unit_for(prismatic)
+            joints_of = () if len(term.effects) > 1 else effect.joints
+            out.append(NotTestable(effect.name, joints_of, smallest, unit, reason))
+    return out
