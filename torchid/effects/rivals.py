@@ -77,7 +77,8 @@ def rivals(
     kinds: Mapping[str, type[Effect]] = KINDS,
     alike: float = ALIKE,
 ) -> dict[str, tuple[Rival, ...]]:
-    """For every effect those that it is confused with, the most alike first.
+    """For every effect those that it is confused with, the most alike first; the nearest one where
+    none is that much alike.
 
     Args:
         robot: with parameters.
@@ -100,12 +101,14 @@ def rivals(
             size = _correlation(a, b, robot.n)
             for one, other in ((a.name, b.name), (b.name, a.name)):
                 last = best.get((one, other))
-                if size >= alike and (last is None or size > last.correlation):
+                if last is None or size > last.correlation:
                     best[one, other] = Rival(other, size, joint)
-    return {
-        name: tuple(sorted((r for (a, _), r in best.items() if a == name), key=_order))
-        for name in kinds
-    }
+    out = {}
+    for name in kinds:
+        found = sorted((r for (one, _), r in best.items() if one == name), key=_order)
+        near = [r for r in found if r.correlation >= alike]
+        out[name] = tuple(near or found[:1])
+    return out
 
 
 def aged(effect: Effect, motion: Motion, values: Sequence[float] = (1.0,)) -> Motion:

@@ -58,9 +58,9 @@ no alternative. The pictures show the torque on the second joint of a KUKA LWR I
 
 What an effect is *confused with* is computed on that arm along {seconds:g} s of exciting motion, on
 its first, second and last joint: the largest correlation of any torque of the one effect with any
-of the other at the same place, all shapes tried, from {alike:g}; *exactly* means that at a place
-some torque of the one is one of the other. `torchid gap` computes it for your log, beside all else
-that is fitted.
+of the other at the same place, all shapes tried, from {alike:g}, or the nearest where none is as
+near; *exactly* means that at a place some torque of the one is one of the other. `torchid gap`
+computes it for your log, beside all else that is fitted.
 """
 
 
@@ -130,7 +130,7 @@ def _rivals_text(kind: type[Effect]) -> str:
         f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
         for r in known_rivals(kind)
     )
-    return ", ".join(told) or f"nothing to {ALIKE:g}"
+    return ", ".join(told)
 
 
 def effects_table() -> Table:
