@@ -6,14 +6,13 @@ import torch
 from tests.gap.motions import ROBOT, motion_at, passage_of, times
 from tests.gap.problems import random
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.base import Effect, Motion
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS, model_torque
 from torchid.effects.transient import Contact
 from torchid.gap.bank import composite, rescaled
 from torchid.gap.candidates import Evaluator, all_banks, best_windows
 from torchid.gap.passages import Rows
-from torchid.gap.prediction import DIFFERENTIATING
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.typing import Tensor
 
@@ -45,8 +44,7 @@ def by_hand(evaluator: Evaluator, effect: Effect) -> Tensor:
     for p in rows.passages:
         motion = p.motion._replace(torque=model_torque(ROBOT, MODEL, p.motion))
         low = ZeroPhaseFilter(p.rate, CUTOFF)
-        timed = effect.needs & {"t", "age"} and not isinstance(effect, JointEffect)
-        if timed and effect.family in DIFFERENTIATING:
+        if effect.smooth:
             smooth = {k: low.apply(getattr(motion, k).T).T for k in ("q", "dq", "ddq", "torque")}
             motion = motion._replace(**smooth)
         signals.append(effect.torque_columns(motion, ROBOT).permute(2, 1, 0).contiguous())

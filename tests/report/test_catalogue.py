@@ -8,7 +8,6 @@ import torch
 
 from tests.documents import ROOT
 from torchid.effects.base import Family, JointEffect, Motion
-from torchid.effects.catalogue import ENTRIES
 from torchid.effects.registry import KINDS
 from torchid.report.catalogue import catalogue_page, effect_record, picture_name
 from torchid.report.catalogue_figures import example_motion, examples, shown_torque
@@ -29,21 +28,12 @@ def test_committed_page_is_what_the_program_writes() -> None:
         assert (ROOT / f"docs/img/{picture_name(family)}.png").stat().st_size > 0
 
 
-def test_every_effect_has_an_entry_and_rivalry_is_mutual() -> None:
-    assert set(ENTRIES) == set(KINDS)
-    for name, entry in ENTRIES.items():
-        assert entry.rivals
-        assert len(set(entry.rivals)) == len(entry.rivals)
-        for rival in entry.rivals:
-            assert name in ENTRIES[rival].rivals, f"{name} names {rival}, not the other way round"
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_equation_holds_all_coefficients_and_shapes(name: str) -> None:
-    words = set(re.findall(r"\w+", ENTRIES[name].equation))
+    words = set(re.findall(r"\w+", KINDS[name].equation))
     kind = KINDS[name]
     assert {c.name for c in kind.coefficients} | {s.name for s in kind.shapes} <= words
-    assert effect_record(kind)["equation"] == ENTRIES[name].equation
+    assert effect_record(kind)["equation"] == KINDS[name].equation
 
 
 @pytest.mark.parametrize("name", CLOSED_FORM)
@@ -60,7 +50,7 @@ def test_equation_is_what_the_effect_computes(name: str) -> None:
     motion = Motion(q, dq, ddq, t=t, torque=tau)
     got = kind(0, **shapes).torque(motion, list(values.values()))
 
-    text = re.sub(r"\|([^|]+)\|", r"abs(\1)", ENTRIES[name].equation)
+    text = re.sub(r"\|([^|]+)\|", r"abs(\1)", KINDS[name].equation)
     symbols = {x: sympy.Symbol(x) for x in re.findall(r"[A-Za-z_]\w*", text)}
     known = {"sgn": sympy.sign, "max": sympy.Max, "abs": sympy.Abs}
     known |= {f: getattr(sympy, f) for f in ("sin", "cos", "exp")}
@@ -79,9 +69,9 @@ def test_pictures_show_every_effect_with_torque_to_be_seen() -> None:
     motion, robot = example_motion(8.0)
     drawn = {}
     for family in get_args(Family):
-        for effect, values, _ in examples(family):
+        for effect in examples(family):
             assert effect.family == family
-            drawn[effect.name] = shown_torque(effect, values, motion, robot)
+            drawn[effect.name] = shown_torque(effect, motion, robot)
     assert set(drawn) == set(KINDS)
     for name, torque in drawn.items():
         assert torch.isfinite(torque).all(), name

@@ -108,5 +108,6 @@ def _torques(
     links = kinematics(geometry, q.unbind(-1), dq, ddq)
     components = [link.unbind(-1) for link in pi.unbind(-2)]
     values, _ = forces(geometry, links, components)
-    like = q.new_zeros(torch.broadcast_shapes(q.shape[:-1], pi.shape[:-2]))
+    # Not torch.broadcast_shapes, whose first call imports sympy: more than a second.
+    like = q.new_zeros(torch.broadcast_tensors(q[..., 0], pi[..., 0, 0])[0].shape)
     return torch.stack([v + like for v in values], -1)

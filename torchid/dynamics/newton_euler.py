@@ -102,7 +102,8 @@ def _components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:
 
 
 def _broadcast_like(q: Tensor, pi: Tensor) -> Tensor:
-    return q.new_zeros(torch.broadcast_shapes(q.shape[:-1], pi.shape[:-2]))
+    # Not torch.broadcast_shapes, whose first call imports sympy: more than a second.
+    return q.new_zeros(torch.broadcast_tensors(q[..., 0], pi[..., 0, 0])[0].shape)
 
 
 def _stack(values: Sequence[Scalar], like: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -128,7 +128,7 @@ class Effect(ABC):
     linearised: ClassVar[bool] = False
 
     @classmethod
-    def exemplar(cls, joint: int) -> Self:
+    def exemplar(cls, joint: int) -> "Effect":
         """The effect of the example, on a joint where it is located at one."""
         place = {"joint": joint} if any(f.name == "joint" for f in fields(cls)) else {}
         return cls(**place, **cls.example.given)
@@ -162,7 +162,7 @@ class Effect(ABC):
         other shapes or options perhaps."""
         return self.name, tuple(getattr(self, p) for p in PLACES if hasattr(self, p))
 
-    def at_estimate(self, values: Sequence[float]) -> Self:
+    def at_estimate(self, values: Sequence[float]) -> "Effect":
         """The effect with its secant taken at the estimated coefficient; itself where it is not
         `linearised`, or the estimate is zero."""
         if not self.linearised or not abs(float(values[0])) > 0:

@@ -20,8 +20,8 @@ from torchid.effects.registry import KINDS
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
-ALIKE = 0.9
-"""Correlation from which an effect is a rival: 10 % of the amplitude is 19 % of its energy."""
+ALIKE = 0.8
+"""Correlation from which an effect is a rival: the other has two thirds of its energy."""
 
 SAME = 1e-6
 """Correlation short of 1 up to which two effects are the same, whatever their coefficients."""
@@ -77,11 +77,12 @@ def rivals(
     kinds: Mapping[str, type[Effect]] = KINDS,
     alike: float = ALIKE,
 ) -> dict[str, tuple[Rival, ...]]:
-    """For every effect those that it is confused with, the most alike first.
+    """For every effect those that it is confused with, the most alike first; the nearest one where
+    none is that much alike.
 
     Args:
         robot: with parameters.
-        motions: with t, torque, and age where samples were held; each on a uniform grid.
+        motions: with t and torque, each on a uniform grid.
         cutoff: of the band that waves along the position must lie in [Hz].
         joints: where effects of one joint are compared, from 0; all if None.
         kinds: effects by name.
@@ -100,12 +101,21 @@ def rivals(
             size = _correlation(a, b, robot.n)
             for one, other in ((a.name, b.name), (b.name, a.name)):
                 last = best.get((one, other))
-                if size >= alike and (last is None or size > last.correlation):
+                if last is None or size > last.correlation:
                     best[one, other] = Rival(other, size, joint)
-    return {
-        name: tuple(sorted((r for (a, _), r in best.items() if a == name), key=_order))
-        for name in kinds
-    }
+    out = {}
+    for name in kinds:
+        found = sorted((r for (one, _), r in best.items() if one == name), key=_order)
+        near = [r for r in found if r.correlation >= alike]
+        out[name] = tuple(near or found[:1])
+    return out
+
+
+def aged(effect: Effect, motion: Motion, values: Sequence[float] = (1.0,)) -> Motion:
+    """The motion with the age of its samples, which comes with the effect that holds samples."""
+    if "age" not in effect.needs or not isinstance(effect, ModelEffect):
+        return motion
+    return motion._replace(age=effect.measured(motion, values).age)
 
 
 def _order(rival: Rival) -> tuple[float, str]:
@@ -138,14 +148,24 @@ def _spans(
             out.append(_Span(kind.name, joint, None, basis, own=True))
     elif issubclass(kind, ModelEffect):
         for effect in kind.candidates(robot):
-            joint = effect.joints[0] if effect.joints else None
-            if joint is not None and joint not in places:
+            at = effect.joints[0] if effect.joints else None
+            if at is not None and at not in places:
                 continue
-            parts = [effect.torque_columns(m, robot).movedim(1, 0) for m in motions]
-            basis = _basis(torch.cat(parts, 1).flatten(0, 1).unsqueeze(0))
+            basis = _basis_of_all([effect.torque_columns(aged(effect, m), robot) for m in motions])
             source = getattr(effect, "source_joint", None)
-            out.append(_Span(kind.name, joint, source, basis, own=False))
+            out.append(_Span(kind.name, at, source, basis, own=False))
+        if kind.shared:
+            everywhere = [
+                torch.stack([e.torque_columns(m, robot) for e in kind.candidates(robot)]).sum(0)
+                for m in motions
+            ]
+            out.append(_Span(kind.name, None, None, _basis_of_all(everywhere), own=False))
     return [span for span in out if span.basis.shape[0]]
+
+
+def _basis_of_all(parts: Sequence[Float[Tensor, "_ n C"]]) -> Float[Tensor, "1 R C"]:
+    """Basis of torque on all joints, joint after joint."""
+    return _basis(torch.cat(list(parts)).movedim(1, 0).flatten(0, 1).unsqueeze(0))
 
 
 def _basis(columns: Float[Tensor, "S R C"]) -> Float[Tensor, "S R C"]:

@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import product
 
-import torch
-
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.registry import KINDS
 from torchid.excitation.ambiguity import INERTIAL, LINK, Open, Question

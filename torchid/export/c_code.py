@@ -7,11 +7,11 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchid import __version__
+from torchid.digits import number
 from torchid.effects.registry import nominal_effects
 from torchid.export.c_effects import EffectCode, effect_code
 from torchid.export.c_rigid import HELPERS, RECURSION
 from torchid.export.dynamics import Dynamics
-from torchid.digits import number
 from torchid.robot.model import JointType, Robot
 
 _SIGN = """\

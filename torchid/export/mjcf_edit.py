@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchid.errors import TorchidError
 from torchid.digits import number
+from torchid.errors import TorchidError
 from torchid.export.exact_text import principal, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import refuse_moment_without_mass

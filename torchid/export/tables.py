@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
+from torchid.digits import number
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
-from torchid.digits import number
 from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchid.errors import TorchidError
 from torchid.digits import number
+from torchid.errors import TorchidError
 from torchid.export.exact_text import text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.xml_tree import (

@@ -8,9 +8,9 @@ import torch
 from lxml import etree
 from torch import Tensor
 
+from torchid.digits import number
 from torchid.effects.inertia import LinkInertia, Payload
 from torchid.effects.registry import Valued
-from torchid.digits import number
 from torchid.export.exact_text import roll_pitch_yaw_of, text
 from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import TENSOR, refuse_moment_without_mass

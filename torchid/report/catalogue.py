@@ -1,18 +1,22 @@
 """The catalogue of effects as a page, from the registry."""
 
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
 from rich.table import Table
 
-from torchid.effects.base import Effect, Family, ModelEffect, Scale, Shape
-from torchid.effects.catalogue import ENTRIES
-from torchid.effects.experiments import APART
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.base import Effect, Family, ModelEffect, Motion
+from torchid.effects.parameters import Scale, Shape
 from torchid.effects.registry import COLUMN_KINDS, KINDS
+from torchid.effects.rivals import ALIKE, Rival, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
+from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
 from torchid.report.identification import compact
+from torchid.robot.library import load_robot
 
 FAMILY_WORDS: dict[Family, str] = {
     "speed": "Torque that follows speed.",
@@ -32,6 +36,12 @@ _SCALES: dict[Scale, str] = {
     "torque": " times the joint's 99 % torque",
     "travel": " times the joint's travel",
 }
+SEED = 1
+SECONDS = 20.0
+RATE = 25.0
+CUTOFF = 8.0
+"""The motion that effects are compared along: its seed, duration [s], samples [Hz], band [Hz]."""
+
 _HEAD = """# The effects
 
 What besides the rigid body can make an arm's torque differ from a simulator's: {count} effects in
@@ -44,8 +54,13 @@ revolute joint (a prismatic one has N for N m and m for rad). `torchid identify 
 those that need nothing but the joint's own motion, `torchid gap` searches over all of them, and
 `torchid simulate --effect NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of
 one family look alike in a log: believe the family first, and the member where the diagnosis names
-no alternative. What an effect is confused with is told in general here; `torchid gap` computes it
-for your log. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
+no alternative. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
+
+What an effect is *confused with* is computed on that arm along {seconds:g} s of exciting motion, on
+its first, second and last joint: the largest correlation of any torque of the one effect with any
+of the other at the same place, all shapes tried, from {alike:g}, or the nearest where none is as
+near; *exactly* means that at a place some torque of the one is one of the other. `torchid gap`
+computes it for your log, beside all else that is fitted.
 """
 
 
@@ -56,7 +71,8 @@ def catalogue_page(images: str = "img") -> str:
         images: folder of the families' pictures, relative to the page.
     """
     families = list(get_args(Family))
-    parts = [_HEAD.format(count=len(KINDS), families=len(families)), _contents(families)]
+    head = _HEAD.format(count=len(KINDS), families=len(families), seconds=SECONDS, alike=ALIKE)
+    parts = [head, _contents(families)]
     for family in families:
         parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
         parts += [f"![Effects of the family {family}]({images}/{picture_name(family)}.png)\n"]
@@ -71,27 +87,50 @@ def picture_name(family: Family) -> str:
 
 def effect_text(kind: type[Effect]) -> str:
     """One effect in Markdown."""
-    entry = ENTRIES[kind.name]
-    rivals = ", ".join(f"[{name}](#{name})" for name in entry.rivals)
     lines = [
         f"### {kind.name}",
         "",
         kind.meaning,
         "",
-        f"    {entry.equation}",
+        f"    {kind.equation}",
         "",
         *_coefficients(kind),
         "",
         *(_shape(shape) for shape in kind.shapes),
         f"- place: {_place(kind)}; fitted by: {_fitted(kind)}",
-        f"- signature: {entry.signature}",
-        f"- confused with: {rivals}",
-        f"- to tell them apart: {APART[kind.name]}",
+        f"- signature: {kind.signature}",
+        f"- confused with: {_rivals_text(kind)}",
+        f"- to tell them apart: {kind.experiment}",
         f"- remedy: {kind.remedy}",
         f"- source: {kind.source}",
         "",
     ]
     return "\n".join(lines)
+
+
+def known_rivals(kind: type[Effect]) -> tuple[Rival, ...]:
+    """What an effect is confused with on a KUKA LWR IV+, computed once a process."""
+    return _all_rivals(tuple(KINDS.items()))[kind.name]
+
+
+@cache
+def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[Rival, ...]]:
+    robot = load_robot("kuka_lwr4")
+    trajectory = random_trajectory(robot, SEED, fill=True, duration=SECONDS)
+    sampled = trajectory.sample(RATE)
+    state = sampled.motion.state
+    motion = Motion(*state, t=sampled.t, torque=inverse_dynamics(robot, *state))
+    joints = (0, 1, robot.n - 1)  # a vertical axis, the one that carries all, the tool's
+    return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
+
+
+def _rivals_text(kind: type[Effect]) -> str:
+    """Links to the rivals, each with its correlation."""
+    told = (
+        f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
+        for r in known_rivals(kind)
+    )
+    return ", ".join(told)
 
 
 def effects_table() -> Table:
@@ -108,20 +147,19 @@ def effects_table() -> Table:
 
 def effect_record(kind: type[Effect]) -> dict[str, Any]:
     """One effect as plain data."""
-    entry = ENTRIES[kind.name]
     return {
         "effect": kind.name,
         "family": kind.family,
         "meaning": kind.meaning,
-        "equation": entry.equation,
+        "equation": kind.equation,
         "coefficients": [
             {"name": c.name, "unit": c.unit, "non_negative": c.non_negative, "meaning": c.meaning}
             for c in kind.coefficients
         ],
         "shapes": [{"name": s.name, "unit": s.unit, "meaning": s.meaning} for s in kind.shapes],
-        "signature": entry.signature,
-        "confused_with": list(entry.rivals),
-        "experiment": APART[kind.name],
+        "signature": kind.signature,
+        "confused_with": [r.name for r in known_rivals(kind)],
+        "experiment": kind.experiment,
         "remedy": kind.remedy,
         "source": kind.source,
     }

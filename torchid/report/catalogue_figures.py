@@ -1,36 +1,15 @@
 """Pictures of the effects' families, drawn from the effects' own columns."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.backlash import Backlash
-from torchid.effects.base import Effect, Family, Motion
-from torchid.effects.coupling import GearCoupling
-from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.effects.friction_laws import (
-    AsymmetricFriction,
-    LoadDependentFriction,
-    PowerLawFriction,
-    StribeckFriction,
-)
-from torchid.effects.gravity import (
-    BaseTilt,
-    EncoderOffset,
-    KinematicError,
-    TorqueCrosstalk,
-    TorqueGain,
-)
-from torchid.effects.hysteresis import PreslidingHysteresis
-from torchid.effects.inertia import LinkInertia, Payload
-from torchid.effects.periodic import Cogging
-from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
-from torchid.effects.rotor_inertia import RotorInertia
-from torchid.effects.spring import JointSpring
-from torchid.effects.thermal import ThermalFrictionDrift
-from torchid.effects.transient import Contact, DroppedSamples, Saturation
+from torchid.effects.base import Abscissa, Effect, Family, Motion
+from torchid.effects.registry import KINDS
+from torchid.effects.rivals import aged
 from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, styled
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -41,58 +20,8 @@ if TYPE_CHECKING:
 
 JOINT = 1
 """The joint that is drawn, from 0: the shoulder, which carries the arm."""
-_BODY = (1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.0, 0.02, 0.0, 0.01)
 _COLOURS = (BLUE, ORANGE, GREEN, RED, INK, GREY)
 
-Abscissa = Literal["speed", "position", "acceleration", "time"]
-Drawn = Sequence[tuple[Effect, Sequence[float], Abscissa]]
-"""Effects with coefficients of a size to be seen, and what their torque is drawn over."""
-
-_EXAMPLES: Mapping[Family, Drawn] = {
-    "speed": (
-        (ViscousFriction(JOINT), (2.0,), "speed"),
-        (PowerLawFriction(JOINT, a=2.0), (2.0,), "speed"),
-        (GearCoupling(JOINT, 2), (1.0, 0.0, 0.6), "speed"),
-    ),
-    "sign": (
-        (CoulombFriction(JOINT), (1.0,), "speed"),
-        (StribeckFriction(JOINT, vs=0.1), (1.0,), "speed"),
-        (LoadDependentFriction(JOINT), (0.05,), "speed"),
-    ),
-    "constant": (
-        (TorqueOffset(JOINT), (1.0,), "speed"),
-        (AsymmetricFriction(JOINT), (1.0, 0.5), "speed"),
-    ),
-    "gravity": (
-        (BaseTilt(), (0.03, 0.03), "position"),
-        (TorqueGain(JOINT), (0.05,), "position"),
-        (EncoderOffset(JOINT), (0.03,), "position"),
-        (KinematicError(JOINT), (0.02, 0.0, 0.0, 0.0, 0.0), "position"),
-        (TorqueCrosstalk(JOINT, 3), (0.2,), "position"),
-        (JointSpring(JOINT), (2.0, 0.0), "position"),
-    ),
-    "inertia": (
-        (RotorInertia(JOINT), (0.5,), "acceleration"),
-        (Payload(), _BODY, "acceleration"),
-        (LinkInertia(JOINT), _BODY, "acceleration"),
-    ),
-    "phase": (
-        (TimeDelay(JOINT), (0.01,), "time"),
-        (FilterLag(), (0.01,), "time"),
-        (JointElasticity(JOINT), (1e-4,), "time"),
-    ),
-    "hysteresis": (
-        (PreslidingHysteresis(JOINT, length=0.1), (1.0,), "position"),
-        (Backlash(JOINT), (2e-3,), "time"),
-    ),
-    "periodic": ((Cogging(JOINT, k=12.0), (0.6, 0.3), "position"),),
-    "time": ((ThermalFrictionDrift(JOINT, T=60.0), (-0.5, -0.5), "time"),),
-    "transient": (
-        (Saturation(JOINT, limit=40.0), (1.0,), "time"),
-        (Contact(start=4.0, stop=5.0), (0.0, 0.0, -30.0), "time"),
-        (DroppedSamples(JOINT, rate=2.0, length=0.3), (1.0,), "time"),
-    ),
-}
 _AXES: Mapping[Abscissa, str] = {
     "speed": "speed [rad/s]",
     "position": "position [rad]",
@@ -101,9 +30,9 @@ _AXES: Mapping[Abscissa, str] = {
 }
 
 
-def examples(family: Family) -> Drawn:
-    """The effects of a family, with the coefficients that are drawn."""
-    return _EXAMPLES[family]
+def examples(family: Family) -> list[Effect]:
+    """The effects of a family that are drawn."""
+    return [kind.exemplar(JOINT) for kind in KINDS.values() if kind.family == family]
 
 
 def family_figure(family: Family) -> "Figure":
@@ -114,9 +43,9 @@ def family_figure(family: Family) -> "Figure":
     rows = -(-len(drawn) // columns)
     figure = new_figure(3.2 * columns, 2.3 * rows + 0.1)
     panels = figure.subplots(rows, columns, squeeze=False).flat
-    for (effect, values, over), axes, colour in zip(drawn, panels, _COLOURS, strict=False):
-        torque = shown_torque(effect, values, motion, robot)
-        _panel(axes, effect.name, over, motion, torque, colour)
+    for effect, axes, colour in zip(drawn, panels, cycle(_COLOURS), strict=False):
+        torque = shown_torque(effect, motion, robot)
+        _panel(axes, effect.name, effect.example.over, motion, torque, colour)
     return figure
 
 
@@ -139,11 +68,10 @@ def example_motion(duration: float) -> tuple[Motion, Robot]:
     return Motion(q, dq, ddq, t=t, torque=inverse_dynamics(robot, q, dq, ddq)), robot
 
 
-def shown_torque(effect: Effect, values: Sequence[float], motion: Motion, robot: Robot) -> Tensor:
-    """Torque (T,) of an effect on the joint that is drawn."""
-    if isinstance(effect, DroppedSamples):  # the age of samples comes with the samples themselves
-        motion = motion._replace(age=effect.measured(motion, values).age)
-    return effect.all_torques(motion, values, robot)[:, JOINT]
+def shown_torque(effect: Effect, motion: Motion, robot: Robot) -> Tensor:
+    """Torque (T,) of an example on the joint that is drawn."""
+    values = effect.example.values
+    return effect.all_torques(aged(effect, motion, values), values, robot)[:, JOINT]
 
 
 def _panel(

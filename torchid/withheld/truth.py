@@ -13,9 +13,8 @@ from typing import Any
 
 import torch
 
-from torchid.effects.registry import effect_from_record, nominal_effects
+from torchid.effects.registry import EVENTS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
-from torchid.effects.registry import EVENTS
 from torchid.gap.folds import Model, traces
 from torchid.gap.prepare import prepare
 from torchid.json_data import read_json

@@ -59,8 +59,9 @@ def shown(bench, spec, scale):
 
 
 def test_names_and_families_are_torchids():
-    assert set(LIBRARY) == set(FAMILIES)
-    assert {name: KINDS[name].family for name in LIBRARY} == FAMILIES
+    """The plant is written on its own: effects that torchid learns later need not be in it."""
+    assert set(LIBRARY) <= set(FAMILIES)
+    assert all(KINDS[name].family == FAMILIES[name] for name in LIBRARY)
     assert not set(FOREIGN) & set(FAMILIES)
 
 
