@@ -7,19 +7,22 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real lint format docs bench clean
+.PHONY: demo test test-all test-real calibration lint format docs bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m "not slow and not real"
+	$(BIN)/python -m pytest -n 2 -m "not slow and not real and not calibration"
 
 test-all: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "not calibration"
 
 test-real: $(VENV)/.dev
 	$(BIN)/python -m pytest -m real
+
+calibration: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 -m calibration
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -15,15 +15,13 @@ from torchid.identification.least_squares import Fit, fit
 from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import RowSource
 from torchid.identification.statistics import (
-    CORRELATION_TIMES,
-    FEWEST_BLOCKS,
-    MOST_BLOCKS,
     Uncertainty,
-    block_numbers,
     correlation_instants,
     jackknife,
 )
 from torchid.robot.library import load_robot
+from torchid.statistics.blocks import FEWEST_BLOCKS, block_length, block_numbers
+from torchid.statistics.jackknife import fit_statistics
 
 ROBOT = load_robot("3r_friction")
 LAYOUT = layout_of(ROBOT)
@@ -135,33 +133,21 @@ def test_coefficients_that_are_not_free_have_no_spread():
 
 @pytest.mark.parametrize("covariance", ["diagonal", "full"])
 @pytest.mark.parametrize("moving_only", [False, True])
-def test_the_jackknife_is_that_of_fits_without_a_block(covariance, moving_only):
-    """For fixed weights: a Newton step is the exact solution without the block."""
+def test_normal_equations_are_those_of_the_rows(covariance, moving_only):
+    """The streamed sums, in the factor's coordinates, against one dense matrix of all rows."""
     source = RowSource(noisy_source("ar1", 1).measured, LAYOUT, moving_only=moving_only)
     found = fit(source, method="wls", covariance=covariance)
     uncertainty = jackknife(source, found)
-    correlation = correlation_instants(found.residual * found.kept)
-    block, count, _ = block_numbers(source, correlation)
-    assert count == uncertainty.blocks
+    bounds = [slice(a, b) for a, b in itertools.pairwise(source.boundaries)]
+    correlation = correlation_instants(found.residual * found.kept, bounds)
+    block = block_numbers(bounds, block_length(source.instants, correlation))
     a, tau, keep, _ = collected(source)
     stack = torch.cat([a, tau.unsqueeze(-1)], -1) * keep.unsqueeze(-1)
     rows = torch.einsum("ij,mjb->mib", found.whitening, stack) * keep.unsqueeze(-1)
-    solutions = []
-    for k in range(count):
-        rest = rows[block != k].flatten(0, 1)
-        solutions.append(torch.linalg.lstsq(rest[:, :-1], rest[:, -1]).solution)
-    x = torch.stack(solutions)
-    x = x - x.mean(0)
-    expected = (count - 1) / count * x.T @ x
-    assert torch.allclose(uncertainty.covariance, expected, rtol=1e-6, atol=1e-12)
-
-
-@pytest.mark.parametrize("keep", [-0.5, 0.0, 0.5, 0.9, 0.98])
-def test_correlation_time_of_ar1_noise(keep):
-    generator = torch.Generator().manual_seed(0)
-    white = torch.randn(200_000, 2, generator=generator, dtype=torch.float64)
-    expected = max(1.0, (1 + keep) / (1 - keep))
-    assert correlation_instants(ar1(white, keep) + 5.0) == pytest.approx(expected, rel=0.15)
+    columns, residual = rows[..., :-1].flatten(0, 1), (rows[..., -1] - rows[..., :-1] @ found.x)
+    dense = fit_statistics(columns, residual.flatten(), block.repeat_interleave(rows.shape[1]))
+    assert dense.blocks == uncertainty.blocks
+    assert torch.allclose(uncertainty.covariance, dense.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_the_largest_correlation_time_counts():
@@ -169,31 +155,7 @@ def test_the_largest_correlation_time_counts():
     white = torch.randn(100_000, 2, generator=generator, dtype=torch.float64)
     mixed = torch.stack([white[:, 0], ar1(white, 0.9)[:, 1], torch.zeros(100_000)], 1)
     assert correlation_instants(mixed) == pytest.approx(19, rel=0.15)
-    assert correlation_instants(torch.zeros(50, 3, dtype=torch.float64)) == 1.0
     assert correlation_instants(torch.ones(1, 3, dtype=torch.float64)) == 1.0
-
-
-@pytest.mark.parametrize("correlation", [1.0, 7.3, 60.0, 1e5])
-@pytest.mark.parametrize("lengths", [(2000,), (1500, 400, 90), (30, 30, 30), (5, 4000), (7,)])
-def test_blocks_are_contiguous_and_never_cross_trajectories(lengths, correlation):
-    class Source(RowSource):
-        instants = sum(lengths)
-        boundaries = [0, *itertools.accumulate(lengths)]  # noqa: RUF012
-
-        def __init__(self):
-            """No rows: their blocks depend on the instants alone."""
-
-    block, count, length = block_numbers(Source(), correlation)
-    assert len(block) == Source.instants
-    assert torch.equal(block.unique(), torch.arange(count))
-    assert bool((block.diff() >= 0).all())
-    for first, last in itertools.pairwise(Source.boundaries):
-        own = set(block[first:last].tolist())
-        assert not own & set(torch.cat([block[:first], block[last:]]).tolist())
-    sizes = block.bincount()
-    assert int(sizes.max()) <= 2 * length
-    wanted = max(CORRELATION_TIMES * correlation, Source.instants / MOST_BLOCKS)
-    assert length == pytest.approx(min(math.ceil(wanted), max(1, Source.instants // FEWEST_BLOCKS)))
 
 
 def test_few_correlation_times_are_said():

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
+from torchid.statistics.proportion import wilson
 from torchid.withheld.measures import (
     added,
     coefficient_coverage,
@@ -20,7 +21,6 @@ from torchid.withheld.measures import (
     verdict,
 )
 from torchid.withheld.rows import Claim, Planted, Row, row_of
-from torchid.withheld.shares import wilson
 
 FAMILIES = {
     "coulomb_friction": "sign",

@@ -2,10 +2,10 @@
 
 import pytest
 
+from torchid.statistics.proportion import wilson
 from torchid.withheld.case_set import keys_beside, read_answers, read_keys
 from torchid.withheld.make import make
 from torchid.withheld.run import default_settings, jobs_of, run
-from torchid.withheld.shares import wilson
 from torchid.withheld.summary import summary
 
 SEED, CASES = 101, 12

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import torch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
-from scipy.stats import t as student
 
+from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Float, Tensor
 
 _ROUNDING = 1e-9
@@ -71,7 +71,7 @@ def scatter(
         between2**0.5,
         consensus,
         spread,
-        float(student.ppf(0.975, max(1.0, dof))),
+        float(student_quantile(0.95, torch.tensor([float(dof)]))),
     )
 
 

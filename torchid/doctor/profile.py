@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+import torch
 
 from torchid.doctor.cone import Normal, fit, relative
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.samples import BLOCKS
+from torchid.statistics.jackknife import from_left_out
 
 Family = Callable[[float], Hypothesis]
 
@@ -80,10 +81,9 @@ def _jackknife(judge: Judge, family: Family, best: float, step: float) -> tuple[
     for b in range(BLOCKS):
         losses = [_loss(normal.without(b), judge, weights) for normal in normals]
         estimates.append(_vertex(values, losses))
-    centre = np.mean(estimates)
-    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((np.array(estimates) - centre) ** 2)))
-    half = float(student.ppf(0.975, BLOCKS - 1)) * spread
-    return best - half, best + half
+    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
+    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
+    return low, high
 
 
 def _loss(normal: Normal, judge: Judge, weights: np.ndarray) -> float:

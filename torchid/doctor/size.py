@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.stats import t as student
 
 from torchid.doctor.check import Check, Choice, Verdict, among, fix_text, joint_list
 from torchid.doctor.cone import reach_of
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
-from torchid.doctor.samples import BLOCKS
 from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
 from torchid.robot.model import JointType, Robot
+from torchid.statistics.jackknife import fit_statistics
 
 WRONG, ODD = 5.0, 2.2
 """Factors beyond which a torque is in another unit, or odd; CAD models err by up to 1.7."""
@@ -73,22 +72,17 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
 def _slope(
     x: np.ndarray, y: np.ndarray, block: np.ndarray, use: np.ndarray
 ) -> tuple[float, float, float] | None:
-    def solved(rows: np.ndarray) -> float:
-        return float(np.linalg.lstsq(x[rows], y[rows], rcond=1e-9)[0][0])
-
-    size = x[use].std(0)
-    if size[0] == 0.0:
+    """Slope of y on the first column over the rows in use, with its 95 % interval; None where that
+    column is constant or the rows fall into fewer than three blocks of time."""
+    columns, owner = x[use], np.unique(block[use], return_inverse=True)[1]
+    if columns[:, 0].std() == 0.0 or owner.max() < 2:
         return None
-    value = solved(use)
-    others = [solved(use & (block != b)) for b in range(BLOCKS) if (use & (block == b)).any()]
-    count = len(others)
-    if count < 3:
-        return None
-    spread = math.sqrt(
-        (count - 1) / count * float(((np.array(others) - np.mean(others)) ** 2).sum())
+    values = np.linalg.lstsq(columns, y[use], rcond=1e-9)[0]
+    found = fit_statistics(
+        *(torch.from_numpy(a) for a in (columns, y[use] - columns @ values, owner))
     )
-    half = float(student.ppf(0.975, count - 1)) * spread
-    return value, value - half, value + half
+    low, high = found.interval(torch.from_numpy(values))[0].tolist()
+    return float(values[0]), low, high
 
 
 def check_size(

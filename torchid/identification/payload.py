@@ -12,7 +12,6 @@ from typing import get_args
 import torch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
@@ -37,6 +36,7 @@ from torchid.identification.payload_result import (
 from torchid.identification.result import Identification
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
+from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Bool, Float, Tensor
 
 __all__ = [
@@ -187,7 +187,7 @@ def _require_same(unloaded: Identification, loaded: Identification) -> None:
 
 
 def _quantile(level: float, degrees: float) -> float:
-    return float(student.ppf(0.5 + level / 2, degrees))
+    return float(student_quantile(level, torch.tensor([degrees])))
 
 
 def _changes(

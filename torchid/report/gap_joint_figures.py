@@ -9,6 +9,7 @@ import torch
 from torchid.gap.diagnosis import Diagnosis, Trace
 from torchid.report.figures import GREY, INK, new_figure, styled
 from torchid.robot.model import JointType
+from torchid.statistics.jackknife import student_quantile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,7 +165,7 @@ def binned(
     low, high = np.quantile(x, [0.002, 0.998])
     edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
     where = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
-    centre, mean, half = [], [], []
+    centre, mean, half, spare = [], [], [], []
     for b in range(bins):
         inside = where == b
         names, owner = np.unique(block[inside], return_inverse=True)
@@ -178,8 +179,10 @@ def binned(
         error = np.sqrt(k / (k - 1) * np.square(left).sum()) / count.sum()
         centre.append(0.5 * (edges[b] + edges[b + 1]))
         mean.append(value)
-        half.append(1.96 * error)
-    return np.array(centre), np.array(mean), np.array(half)
+        half.append(error)
+        spare.append(k - 1.0)
+    wide = student_quantile(0.95, torch.tensor(spare)).numpy()
+    return np.array(centre), np.array(mean), wide * np.array(half)
 
 
 def _spectrum(axes: Any, diagnosis: Diagnosis, joint: int, unit: str) -> None:

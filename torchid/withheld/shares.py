@@ -1,24 +1,15 @@
 """Shares, F1 and medians with 95 % intervals, as data; of nothing they are None."""
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from torchid.statistics.proportion import wilson
+from torchid.statistics.resampling import bootstrap, percentile_interval
 from torchid.withheld.measures import Counts, added, f1
 
 DRAWS = 1000
-
-
-def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
-    """Interval of a share (Wilson 1927); (0, 1) where nothing was tried."""
-    if total == 0:
-        return 0.0, 1.0
-    p, zz = hits / total, z * z
-    middle = (p + zz / (2 * total)) / (1 + zz / total)
-    half = z / (1 + zz / total) * math.sqrt(p * (1 - p) / total + zz / (4 * total**2))
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def rate(flags: Iterable[bool]) -> dict[str, Any]:
@@ -39,7 +30,7 @@ def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
     hits, extra, missed = added(counts)
     return {
         "f1": f1((hits, extra, missed)),
-        "ci95": [float(v) for v in np.quantile(values, (0.025, 0.975))],
+        "ci95": list(percentile_interval(np.array(values))),
         "hits": hits,
         "extra": extra,
         "missed": missed,
@@ -52,9 +43,10 @@ def median(values: Sequence[float]) -> dict[str, Any]:
     if not values:
         return {"median": None, "ci95": None, "cases": 0}
     drawn = np.median(np.array(values)[_draws(len(values))], axis=1)
-    interval = [float(v) for v in np.quantile(drawn, (0.025, 0.975))]
+    interval = list(percentile_interval(drawn))
     return {"median": float(np.median(values)), "ci95": interval, "cases": len(values)}
 
 
 def _draws(count: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
+    """Cases of each draw, the same in every score of as many cases."""
+    return bootstrap(count, DRAWS, np.random.default_rng(0))

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-Array = np.ndarray
+from torchid.statistics.resampling import Array, bootstrap, percentile_interval
+
 Statistic = Callable[[Array], float]
 """Of the chosen samples' indices, repeats included; nan where it is not defined."""
 
-LEVEL = 0.95
 _PAIRS_AT_ONCE = 20_000
-_LEAST_DEFINED = 0.9
-"""Share of the resamples in which a statistic must be defined for its interval to be given."""
 
 
 @dataclass(frozen=True)
@@ -69,21 +67,12 @@ def estimate(
     by_cluster = np.split(chosen[order], np.cumsum(np.bincount(which))[:-1])
     drawn = np.array(
         [
-            statistic(np.concatenate([by_cluster[c] for c in rng.integers(0, count, count)]))
-            for _ in range(resamples)
+            statistic(np.concatenate([by_cluster[c] for c in draw]))
+            for draw in bootstrap(count, resamples, rng)
         ]
     )
-    low, high = _interval(drawn)
+    low, high = percentile_interval(drawn)
     return Estimate(value, low, high, count)
-
-
-def _interval(drawn: Array) -> tuple[float, float]:
-    defined = drawn[np.isfinite(drawn)]
-    if len(defined) < max(1, _LEAST_DEFINED * len(drawn)):
-        return float("nan"), float("nan")
-    tail = 50 * (1 - LEVEL)
-    low, high = np.percentile(defined, [tail, 100 - tail])
-    return float(low), float(high)
 
 
 def spearman(x: Array, y: Array) -> float:

@@ -1,0 +1,24 @@
+"""Coverage of identify's 95 % intervals on many logs with noise of several kinds."""
+
+import pytest
+import torch
+
+from tests.identification.test_statistics import noisy_source, truth
+from torchid.identification.least_squares import fit
+from torchid.identification.statistics import jackknife
+
+pytestmark = pytest.mark.calibration
+RUNS = 100
+
+
+@pytest.mark.parametrize("method", ["wls", "huber"])
+@pytest.mark.parametrize("kind", ["white", "ar1", "heteroscedastic", "heavy tails"])
+def test_intervals_of_base_parameters(kind, method):
+    inside = []
+    for seed in range(RUNS):
+        source = noisy_source(kind, seed)
+        found = fit(source, method=method)
+        uncertainty = jackknife(source, found)
+        half = uncertainty.quantile() * uncertainty.std
+        inside.append(((found.x - truth()).abs() <= half).double())
+    assert 93 < 100 * float(torch.stack(inside).mean()) < 97

@@ -1,0 +1,190 @@
+"""The leverage-corrected block jackknife: what it is, what leaves it as it is, what it covers."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import t as student
+
+from tests.statistics.noise import ar1, coverage, fitted
+from torchid.statistics import jackknife as module
+from torchid.statistics.jackknife import (
+    Jackknife,
+    fit_statistics,
+    from_left_out,
+    jackknife,
+    student_quantile,
+)
+
+BLOCKS, LONG, C = 12, 60, 5
+BLOCK = torch.arange(BLOCKS).repeat_interleave(LONG)
+
+
+def problem(seed: int = 0):
+    columns = ar1(C, BLOCKS * LONG, keep=0.8, seed=seed).T.contiguous()
+    y = ar1(BLOCKS * LONG, keep=0.8, seed=seed + 1000)
+    x = torch.linalg.lstsq(columns, y.unsqueeze(1)).solution[:, 0]
+    return columns, y, x
+
+
+def statistics(columns, y, block=BLOCK) -> Jackknife:
+    x = torch.linalg.lstsq(columns, y.unsqueeze(1)).solution[:, 0]
+    return fit_statistics(columns, y - columns @ x, block)
+
+
+@pytest.mark.parametrize("kind", ["as the noise", "smooth"])
+def test_intervals_hold_the_truth_in_95_percent(kind):
+    """Twice as many columns as blocks, AR(1) noise: standard deviations from block scores, with a
+    normal quantile, hold it in less than 90 %."""
+    assert 93 < coverage(200, 0.9, 20, kind=kind) < 97.3
+
+
+def test_the_whole_leverage_is_the_solution_without_the_block(monkeypatch):
+    monkeypatch.setattr(module, "LEVERAGE", 1.0)
+    columns, y, x = problem()
+    without = []
+    for k in range(BLOCKS):
+        rest = k != BLOCK
+        without.append(torch.linalg.lstsq(columns[rest], y[rest].unsqueeze(1)).solution[:, 0] - x)
+    expected = torch.stack(without).T @ torch.stack(without)
+    assert torch.allclose(statistics(columns, y).covariance, expected, rtol=1e-8)
+
+
+def test_half_the_leverage_is_unbiased_for_white_noise(monkeypatch):
+    """Bell and McCaffrey 2002; the mean over many fits of the same columns, unequal blocks."""
+    monkeypatch.setattr(module, "LEVERAGE", 0.5)
+    monkeypatch.setattr(module, "ALONE", 1e-9)
+    columns = problem()[0] * torch.linspace(0.1, 3, BLOCKS).repeat_interleave(LONG).unsqueeze(1)
+    noise = torch.randn(400, len(columns), generator=torch.Generator().manual_seed(1))
+    mean = torch.stack([statistics(columns, y).std.square() for y in noise]).mean(0)
+    assert torch.allclose(mean, torch.linalg.inv(columns.T @ columns).diagonal(), rtol=0.15)
+
+
+def test_degrees_of_freedom_of_equal_blocks_of_one_column():
+    """The mean: K blocks alike have K - 1."""
+    y = ar1(BLOCKS * LONG, keep=0.0, seed=3)
+    found = statistics(torch.ones(len(y), 1), y)
+    assert found.freedom.tolist() == pytest.approx([BLOCKS - 1])
+    assert found.quantile().tolist() == pytest.approx([student.ppf(0.975, BLOCKS - 1)])
+
+
+def test_what_few_blocks_hold_has_few_degrees_of_freedom():
+    columns, y, _ = problem()
+    columns[:, 0] *= (BLOCK < 3).double()
+    found = statistics(columns, y)
+    assert float(found.freedom[0]) < 3.0
+    assert float(found.freedom[1:].min()) > 6.0
+
+
+def test_what_one_block_holds_has_at_least_the_white_standard_deviation():
+    columns, y, _ = problem()
+    columns[:, 0] *= (BLOCK == 4).double()
+    found = statistics(columns, y)
+    assert found.by_one_block.tolist() == [True] + 4 * [False]
+    x = torch.linalg.lstsq(columns, y.unsqueeze(1)).solution[:, 0]
+    variance = (y - columns @ x).square().sum() / (len(y) - C)
+    white = (variance * torch.linalg.inv(columns.T @ columns)[0, 0]).sqrt()
+    assert float(found.std[0]) >= float(white) * (1 - 1e-9)
+
+
+def test_dependent_columns_share_what_is_determined():
+    """A column twice: the same fit, its coefficient in two halves of no more spread."""
+    columns, y, _ = problem()
+    once = statistics(columns, y)
+    twice = torch.cat([columns, columns[:, :1], torch.zeros(len(y), 1)], 1)
+    x = torch.linalg.lstsq(columns, y.unsqueeze(1)).solution[:, 0]
+    found = fit_statistics(twice, y - columns @ x, BLOCK)
+    assert torch.allclose(found.covariance[1:C, 1:C], once.covariance[1:, 1:], rtol=1e-7)
+    assert float(2 * found.std[0]) == pytest.approx(float(once.std[0]), rel=1e-6)
+    assert float(found.std[-1]) == 0.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 50), powers=st.lists(st.integers(-12, 12), min_size=C, max_size=C))
+def test_units_scale_standard_deviations(seed, powers):
+    columns, y, x = problem(seed)
+    units = torch.tensor([2.0**p for p in powers], dtype=torch.float64)
+    plain = fit_statistics(columns, y - columns @ x, BLOCK)
+    found = fit_statistics(columns * units, 8 * (y - columns @ x), BLOCK)
+    assert torch.allclose(found.std * units, 8 * plain.std, rtol=1e-9)
+    assert torch.allclose(found.freedom, plain.freedom, rtol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(order=st.permutations(range(BLOCKS)), seed=st.integers(0, 50))
+def test_the_order_of_blocks_does_not_matter(order, seed):
+    columns, y, x = problem(seed)
+    r = y - columns @ x
+    plain = fit_statistics(columns, r, BLOCK)
+    rows = torch.cat([torch.arange(LONG) + k * LONG for k in order])
+    for block in (BLOCK, BLOCK[rows]):
+        found = fit_statistics(columns[rows], r[rows], block)
+        assert torch.allclose(found.covariance, plain.covariance, rtol=1e-8, atol=1e-15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 50), copies=st.integers(2, 4))
+def test_repeated_rows_tell_nothing_new(seed, copies):
+    columns, y, x = problem(seed)
+    r = y - columns @ x
+    plain = fit_statistics(columns, r, BLOCK)
+    found = fit_statistics(columns.repeat(copies, 1), r.repeat(copies), BLOCK.repeat(copies))
+    assert torch.allclose(found.covariance, plain.covariance, rtol=1e-8, atol=1e-15)
+
+
+def test_rows_beyond_hubers_limit_pull_but_inform_not():
+    columns, y, _ = problem()
+    robust = torch.ones(len(y))
+    plain = fit_statistics(columns, y, BLOCK)
+    assert torch.equal(fit_statistics(columns, y, BLOCK, robust).covariance, plain.covariance)
+    robust[::7] = 0.5
+    hessians = torch.stack(
+        [columns[own].T @ columns[own] for own in ((k == BLOCK) & (robust == 1) for k in range(12))]
+    )
+    pulls = columns * (robust.square() * y).unsqueeze(1)
+    gradients = torch.stack([pulls[k == BLOCK].sum(0) for k in range(BLOCKS)])
+    found = fit_statistics(columns, y, BLOCK, robust)
+    assert torch.allclose(found.covariance, jackknife(hessians, gradients).covariance, rtol=1e-9)
+
+
+def test_combinations_are_those_of_the_covariance():
+    columns, y, x = problem()
+    hessians = torch.stack([columns[k == BLOCK].T @ columns[k == BLOCK] for k in range(BLOCKS)])
+    pulls = columns * (y - columns @ x).unsqueeze(1)
+    gradients = torch.stack([pulls[k == BLOCK].sum(0) for k in range(BLOCKS)])
+    c = torch.randn(3, C, generator=torch.Generator().manual_seed(0))
+    whole = jackknife(hessians, gradients).covariance
+    found = jackknife(hessians, gradients, combinations=c)
+    assert torch.allclose(found.covariance, c @ whole @ c.T, rtol=1e-9)
+    assert found.freedom.shape == (3,)
+
+
+def test_one_block_and_no_column_are_no_error():
+    columns, y, _ = problem()
+    alone = fit_statistics(columns, y, torch.zeros(len(y), dtype=torch.long))
+    assert bool(alone.by_one_block.all())
+    assert bool((alone.std > 0).all())
+    assert bool(alone.quantile().isfinite().all())
+    assert fit_statistics(columns[:, :0], y, BLOCK).std.shape == (0,)
+
+
+def test_left_out_estimates_of_a_mean():
+    """The delete-one jackknife of a mean of K numbers is their standard error."""
+    y = torch.randn(15, generator=torch.Generator().manual_seed(0))
+    found = from_left_out(((y.sum() - y) / 14).unsqueeze(1))
+    assert float(found.std[0]) == pytest.approx(float(y.std() / 15**0.5))
+    low, high = found.interval(y.mean().unsqueeze(0), 0.9)[0].tolist()
+    assert high - low == pytest.approx(2 * student.ppf(0.95, 14) * float(found.std[0]))
+
+
+def test_quantiles_tend_to_the_normal_one():
+    freedom = torch.tensor([0.0, 1.0, 4.0, torch.inf])
+    expected = [student.ppf(0.975, d) for d in (1, 1, 4)] + [1.959964]
+    assert student_quantile(0.95, freedom).tolist() == pytest.approx(expected)
+
+
+def test_more_columns_than_a_block_has_rows():
+    x, found = fitted(0.5, 20, seed=0)
+    assert found.blocks == 20
+    assert bool((found.std > 0).all())
+    assert x.shape == found.std.shape

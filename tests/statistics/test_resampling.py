@@ -1,0 +1,54 @@
+"""Draws of units, and intervals of shares and of draws."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from torchid.statistics.proportion import clopper_pearson, wilson
+from torchid.statistics.resampling import (
+    bootstrap,
+    bootstrap_weights,
+    percentile_interval,
+    permutations,
+    random_signs,
+)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+def test_weights_count_the_draws_of_the_same_seed():
+    chosen, weights = bootstrap(7, 50, rng()), bootstrap_weights(7, 50, rng())
+    x = np.arange(7) ** 2
+    assert weights @ x == pytest.approx(x[chosen].sum(1))
+    assert set(weights.sum(1)) == {7.0}
+
+
+def test_signs_and_orders():
+    signs = random_signs(40, 500, rng())
+    assert set(np.unique(signs)) == {-1.0, 1.0}
+    assert abs(signs.mean()) < 0.03
+    orders = permutations(9, 400, rng())
+    assert np.array_equal(np.sort(orders, 1), np.tile(np.arange(9), (400, 1)))
+    assert orders.mean(0) == pytest.approx(4, abs=0.6)
+
+
+def test_percentiles_of_what_is_defined():
+    x = np.linspace(0, 1, 1001)
+    assert percentile_interval(x) == pytest.approx((0.025, 0.975))
+    assert percentile_interval(x, 0.5) == pytest.approx((0.25, 0.75))
+    x[:90] = np.nan
+    assert np.isfinite(percentile_interval(x)).all()
+    x[:110] = np.nan
+    assert np.isnan(percentile_interval(x)).all()
+    assert np.isnan(percentile_interval(np.array([]))).all()
+
+
+@pytest.mark.parametrize(("hits", "total"), [(0, 5), (5, 5), (3, 20), (97, 100)])
+def test_shares_against_scipy(hits, total):
+    test = binomtest(hits, total)
+    for ours, name in ((wilson, "wilson"), (clopper_pearson, "exact")):
+        expected = test.proportion_ci(0.9, name)
+        assert ours(hits, total, 0.9) == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert wilson(0, 0) == clopper_pearson(0, 0) == (0.0, 1.0)

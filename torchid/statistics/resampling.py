@@ -1,0 +1,50 @@
+"""Resampling of independent units (blocks, chains, cases): which units each draw holds.
+
+Draws are indices, one row a draw, so that a statistic of many draws is one product of arrays.
+Intervals are percentiles (Davison and Hinkley 1997, section 5.3).
+"""
+
+import numpy as np
+
+Array = np.ndarray
+
+LEVEL = 0.95
+"""Of an interval, if nothing else is said."""
+
+LEAST_DEFINED = 0.9
+"""Share of the draws in which a statistic must be defined for its interval to be given."""
+
+
+def bootstrap(units: int, draws: int, rng: np.random.Generator) -> Array:
+    """Units (draws, units) of samples drawn with replacement, from 0."""
+    return rng.integers(0, units, (draws, units))
+
+
+def bootstrap_weights(units: int, draws: int, rng: np.random.Generator) -> Array:
+    """How often (draws, units) each unit is in a sample drawn with replacement, as floats: a
+    statistic that is a sum over units is this times the units' parts."""
+    chosen = bootstrap(units, draws, rng) + units * np.arange(draws)[:, None]
+    counts = np.bincount(chosen.ravel(), minlength=draws * units)
+    return counts.reshape(draws, units).astype(float)
+
+
+def random_signs(units: int, draws: int, rng: np.random.Generator) -> Array:
+    """+1 or -1 (draws, units): units whose parts vanish on average may take either sign (Winkler et
+    al. 2014)."""
+    return 2.0 * rng.integers(0, 2, (draws, units)) - 1.0
+
+
+def permutations(units: int, draws: int, rng: np.random.Generator) -> Array:
+    """Orders (draws, units) in which units without any connection may stand."""
+    return rng.permuted(np.tile(np.arange(units), (draws, 1)), axis=1)
+
+
+def percentile_interval(values: Array, level: float = LEVEL) -> tuple[float, float]:
+    """Two-sided percentile interval of a statistic's draws (D,); nan where fewer than nine in ten
+    of the draws are finite."""
+    defined = values[np.isfinite(values)]
+    if len(defined) < max(1, LEAST_DEFINED * len(values)):
+        return float("nan"), float("nan")
+    tail = 0.5 * (1 - level)
+    low, high = np.quantile(defined, [tail, 1 - tail])
+    return float(low), float(high)
