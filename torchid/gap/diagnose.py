@@ -1,58 +1,77 @@
 """From a simulator and logs of the real arm to a diagnosis: the whole procedure as one call.
 
-The model as given is the simulator. The gap is the measured torque minus the model's. Effects are
-sought on all rows; what they close is judged on trajectories (or stretches) left out of the search,
-which is run again for every one of them.
+    prepare -> Data | search -> Explanation | validate -> traces | noise -> Noise | localise | judge
+
+The model as given is the simulator; the gap is the measured torque minus the model's. Everything
+that is reported belongs to one model, the answered one: its coefficients are fitted on all data,
+and how far it closes the gap is judged by its terms fitted without each fold, on that fold.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 
-from torchid.errors import LogError
-from torchid.gap.candidates import Evaluator
-from torchid.gap.case import (
-    Case,
-    FoldModels,
-    Progress,
-    make_case,
-    noise_at,
-    refitted_model,
-    with_noise,
-)
-from torchid.gap.closing import Closing, budget, closing
-from torchid.gap.detectable import not_testable
-from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, NoiseFloor, Parametric, Status
-from torchid.gap.findings import Findings, dated, findings, next_experiment
-from torchid.gap.folds import Folds, Model, make_folds, traces, with_after
-from torchid.gap.noise import STRUCTURE, Noise, dry_friction
-from torchid.gap.passages import Rows, reach, sliding
-from torchid.gap.prepare import report_band
-from torchid.gap.remarks import remarks, unrelated
-from torchid.gap.select import Search
+import torch
+
+from torchid.design.columns import Columns, Model
+from torchid.design.segments import moving_samples
+from torchid.effects.registry import EVENTS, KINDS, nominal_effects
+from torchid.errors import LogError, TorchidError
+from torchid.gap.data.prepare import SAME_RATE, Data, prepare, report_band
+from torchid.gap.data.repeats import Repeats, find_repeats
+from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
+from torchid.gap.localise.where import where
+from torchid.gap.noise.floor import Noise, noise_of
+from torchid.gap.search.climb import Worth
+from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.explain import Explanation, Rules, explained
+from torchid.gap.search.solve import Solution, solved
+from torchid.gap.search.terms import BASE, Wanted, fixed_terms
+from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
-from torchid.gap.solve import Solution, fitted_on, settled, solve
-from torchid.gap.stability import stable, unconfirmed
-from torchid.gap.where import where
+from torchid.gap.validate.closing import Closing, budget, closing
+from torchid.gap.validate.folds import Folds, make_folds, traces, with_after
+from torchid.identification.base_parameters import base_parameters
+from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Tensor
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.blocks import block_length, block_numbers
+from torchid.typing import Float, Int, Tensor
+
+Progress = Callable[[str, int, int], None]
 
 EXCESS = 1.35
-"""Held-out variance of a joint, relative to its noise, above which something is unexplained if a
-flexible predictor agrees,"""
+"""Held-out variance of a joint, relative to its noise, from which something is unexplained where a
+flexible predictor agrees [1]: noise is known to a few ten per cent."""
+
 CLEAR_EXCESS = 2.0
-"""and above which it is, whatever that says: the noise is known to a few ten per cent."""
+"""The same from which it is, whatever a predictor says [1]."""
 
-EXPLAINED = 0.9
-"""Share of the gap that what explains it may close: the interval's upper end, at least."""
-
-ROUNDS = 3
-SETTLED = 0.9
-"""Without repeats: searches after the first at most, each with the noise that the last one left,
-and the ratio of two of them from which it has settled."""
+STRUCTURE = 0.25
+"""Predictable share of a joint's noise variance from which structure is worth saying [1]."""
 
 SHORTEST = 8.0
-"""Seconds of rows below which `no gap` cannot be said."""
+"""Length of all samples below which `no gap` cannot be said [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What the answered model does on data it was not fitted on.
+
+    Attributes:
+        shown: torque before and after.
+        refitted: torque before, and of the model with base parameters refitted.
+        noise: beside the answered model.
+        far: closed share.
+        refitted_far: of base parameters alone.
+    """
+
+    shown: list[Trace]
+    refitted: list[Trace]
+    noise: Noise
+    far: Closing
+    refitted_far: Closing
 
 
 def diagnose(
@@ -99,203 +118,314 @@ def diagnose(
             "both a held-out log and a held-out fraction are given.", expected="one of them"
         )
     say = progress or (lambda stage, done, total: None)
-    case = make_case(robot, log, held_out, settings, say)
-    keep = case.keep
+
+    say("reading", 0, 1)
+    data, judged = read(robot, log, held_out, settings)
+    repeats = find_repeats(data.segments)
+    folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
+    wanted = wanted_of(robot, settings)
+    start = start_of(robot, data, wanted)
+
     say("searching for effects", 0, 1)
-    whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
-    for _ in range(0 if case.noise.repeated else ROUNDS):
-        # Without repeats the noise is what a predictor leaves of the gap; of a smaller one, less.
-        better = with_noise(case, whole, settings, say)
-        ratio = better.noise.size / case.noise.size
-        if not whole.terms or bool((ratio > SETTLED).all()):
-            break
-        case = better
-        whole = solve(case.evaluator, case.plain, keep, case.task, case.banks)
-    folds, models = _held_out_models(case, whole, settings, say)
+    rules = Rules(settings.alpha, Worth(settings.worthwhile), settings.max_effects)
+    block = _blocks(data, start)
+    found = explained(start, data, wanted, rules, folds.parts, block)
+
     say("judging", 0, 1)
-    found = _answer(case, whole, folds, models, settings)
-    if settings.rollout:
-        say("simulating forwards", 0, 1)
-        found = _with_rollout(found, case, settings)
-    say("done", 1, 1)
-    return found
+    checked = check(found, data, judged, folds, repeats, settings, robot.parameters is None)
+    said = told(found)
+    if wanted.free and robot.parameters is not None:
+        # With parameters always refitted: whether that alone closes a part of the gap.
+        far = checked.refitted_far
+        if far.closed is not None and far.closed_ci95 is not None and far.closed_ci95[0] > 0:
+            refit = Parametric((), far.closed, None)
+            said = replace(said, parametric=(*said.parametric, refit))
 
-
-def _held_out_models(
-    case: Case, whole: Solution, settings: GapSettings, say: Progress
-) -> tuple[Folds | None, FoldModels]:
-    """Models before, with refitted parameters and after, for data they were not fitted on."""
-    keep = case.keep
-    if case.checked is not None:
-        refitted = refitted_model(case.plain, keep, case.task)
-        before = refitted if case.fitted else case.start
-        return None, FoldModels([before], [refitted], [Model(whole.robot, whole.effects)], [])
-    folds = make_folds(case.given.rows, settings.folds, case.noise.groups)
-    out = FoldModels([], [], [], [])
-    for k in range(folds.count):
-        say("leaving data out", k, folds.count)
-        rows = folds.fitted(k)
-        refitted = refitted_model(case.plain, keep, case.task, rows)
-        found = solve(case.evaluator, case.plain, keep, case.task, case.banks, rows)
-        out.before.append(refitted if case.fitted else case.start)
-        out.refitted.append(refitted)
-        out.after.append(Model(found.robot, found.effects))
-        out.terms.append(found.terms)
-    say("leaving data out", folds.count, folds.count)
-    return folds, out
-
-
-def _fitted_on_folds(case: Case, whole: Solution, folds: Folds) -> list[Model]:
-    """The answered model, its coefficients fitted without each of the folds."""
-    rows = (case.keep & folds.fitted(k) for k in range(folds.count))
-    return [Model(*fitted_on(case.plain, whole, own, case.task)) for own in rows]
-
-
-def _answer(
-    case: Case, whole: Solution, folds: Folds | None, models: FoldModels, settings: GapSettings
-) -> Diagnosis:
-    judged = case.given if case.checked is None else case.checked
-    rows = judged.rows
-    band = report_band(rows, settings.report_band)
-    looked = case.keep & _telling(case, case.given.rows, whole)
-    left = noise_at(Model(whole.robot, whole.effects), case.given, settings, keep=looked)
-    floor = left.report
-    far_from = judged.reach if case.noise.repeated else None
-    shown = traces(rows, folds, models.before, models.after, band, reach=far_from)
-    refitted = with_after(shown, rows, folds, models.refitted, band)
-    joints, regimes = where(shown, floor, settings.seed, band=band)
-    found = findings(whole)
-    whole, found, doubts = stable(case, whole, found, models)
-    far = closing(shown, floor, settings.seed, left.unpredicted)
-    if folds is not None and whole.terms:
-        # A fold may lack the motion that shows an effect: what is reported is the answer, fitted
-        # without the fold. The interval holds what the folds' own searches close, too.
-        shown = with_after(shown, rows, folds, _fitted_on_folds(case, whole, folds), band)
-        far = closing(shown, floor, settings.seed, left.unpredicted).or_as(far)
-    # A held-out log takes part in no choice, this one neither.
-    if folds is not None and not far.improves:
-        lasting = [t for t in whole.terms if t.effects and t.effects[0].event]
-        doubts += [f"{w}: not accepted" for w in unconfirmed(whole)]
-        whole = settled(case.plain, whole.problem, lasting, case.task)
-        found = findings(whole)
-        if not lasting:
-            shown = with_after(shown, rows, folds, models.before, band)
-            far = closing(shown, floor, settings.seed, left.unpredicted)
-    if case.task.free and not case.fitted:
-        found = _with_refitted(found, closing(refitted, floor, settings.seed))
-    excess = _excess(case, whole, far, floor)
-    search = Search(whole.problem, list(whole.terms))
-    torque = _torque_rows(case)
-    hidden = not_testable(whole.problem, search.model(), case.start.robot, torque, whole.terms)
-    robot = _as_robot(whole, case)
-    return Diagnosis(
-        robot=_described(case.start),
-        corrected=robot,
-        status=_status(found, far, excess, left, _poor(case, hidden)),
+    say("locating", 0, 1)
+    hidden = not_testable(found, start.robot)
+    joints, regimes = where(
+        checked.shown, checked.noise.floor, settings.seed, band=_band(data, settings)
+    )
+    poor = len(hidden) > 0.5 * _places(found) or data.seconds < SHORTEST
+    far = checked.far
+    lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
+    result = Diagnosis(
+        robot=start.described(),
+        corrected=Model(found.solution.model.robot, lasting).described(),
+        status=status_of(said, checked, poor),
         joints=joints,
         regimes=regimes,
-        findings=dated(found, case.given.rows.passages).effects,
-        parametric=found.parametric,
+        findings=said.findings,
+        parametric=said.parametric,
         how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
-        budget=Budget(0.0, 0.0, 0.0) if far.closed is None else budget(refitted, shown, floor),
-        floor=floor,
+        budget=_budget(checked),
+        floor=checked.noise.floor,
         not_testable=tuple(hidden),
-        next_experiment=next_experiment(whole, found, case.given.rows),
-        traces=tuple(shown),
-        band=band,
-        cutoff=rows.cutoff,
-        settings={**asdict(settings), "refitted": case.task.free},
-        warnings=tuple(
-            dict.fromkeys(
-                [*unrelated(shown), *remarks(case, folds, found, whole, settings), *doubts]
-            )
-        ),
+        next_experiment=next_experiment(found, said, block),
+        traces=tuple(checked.shown),
+        band=_band(data, settings),
+        cutoff=data.samples.cutoff,
+        settings={**asdict(settings), "refitted": wanted.free},
+        warnings=tuple(dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))),
+    )
+    if settings.rollout:
+        say("simulating forwards", 0, 1)
+        result = with_rollout(result, data if judged is None else judged, judged is None)
+    say("done", 1, 1)
+    return result
+
+
+def read(
+    robot: Robot, log: Log, held_out: Log | None, settings: GapSettings
+) -> tuple[Data, Data | None]:
+    """The logs as data: the one searched, and the one held out.
+
+    Raises:
+        LogError: logs that do not fit the robot or each other.
+    """
+    if log.tau is not None and (held_out is None or held_out.tau is not None):
+        refuse_repeated(log, held_out)
+    data = prepare(robot, log, None if settings.cutoff == "auto" else settings.cutoff)
+    if held_out is None:
+        return data, None
+    judged = prepare(robot, held_out, data.samples.cutoff, clock=data.end + 1.0)
+    if abs(judged.samples.rate / data.samples.rate - 1) > SAME_RATE:
+        raise LogError(
+            "the held-out logs have another sampling rate.",
+            got=f"{judged.samples.rate:.5g} Hz",
+            expected=f"{data.samples.rate:.5g} Hz",
+            hint="resample one of them",
+        )
+    return data, judged
+
+
+def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
+    """What the settings look for on a robot.
+
+    Raises:
+        TorchidError: a background on a robot whose parameters are given and trusted.
+    """
+    free = settings.parameters == "free" or robot.parameters is None
+    if settings.background and not free:
+        raise TorchidError(
+            "a background is fitted with the base parameters, and this robot's are given.",
+            got=", ".join(settings.background),
+            hint="list them as `effects` of the robot, or refit: --parameters free",
+        )
+    return Wanted(
+        names=tuple(KINDS) if settings.effects is None else settings.effects,
+        free=free,
+        background=settings.background,
+        inertial=settings.parameters != "trusted",
+        only=settings.only,
+        base=base_parameters(robot),
     )
 
 
-def _telling(case: Case, rows: Rows, whole: Solution) -> Bool[Tensor, "n N"]:
-    """Rows in which something left means that something is missing. Not where the filter brings
-    what a joint with dry friction did while it may have stuck: that a law of sliding says nothing
-    there is no effect."""
-    dry = dry_friction(whole.robot, whole.effects, rows)
-    return sliding(rows, reach(rows, dry / case.noise.size)) | (dry == 0).unsqueeze(1)
+def start_of(robot: Robot, data: Data, wanted: Wanted) -> Model:
+    """The model as given; where it has no parameters, base parameters and background are fitted."""
+    if robot.parameters is not None:
+        return Model(robot, tuple(nominal_effects(robot)))
+    zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    empty = robot.with_parameters(InertialParameters(zero))
+    return refitted(Model(empty, tuple(nominal_effects(robot))), data, wanted).model
 
 
-def _excess(case: Case, whole: Solution, far: Closing, floor: NoiseFloor) -> Tensor:
-    """(n,) variance of what the corrected model leaves, relative to noise: in the fit's rows;
-    without repeats in the report's band, relative to what a flexible predictor leaves.
+def refitted(model: Model, data: Data, wanted: Wanted) -> Solution:
+    """A model with base parameters, and the background, fitted anew."""
+    columns = Columns(model, data.samples)
+    terms = fixed_terms(columns, replace(wanted, free=True))
+    x = [torch.zeros(len(t.at), dtype=torch.float64) for t in terms]
+    return solved(columns, terms, x, data, wanted, _blocks(data, None))
 
-    It is that of the model which is answered, not of the folds' own: one of these may have accepted
-    what the others refuse.
+
+def _blocks(data: Data, model: Model | None) -> Int[Tensor, " N"]:
+    """Block (N,) of every sample: several times as long as what a model leaves is correlated."""
+    bounds = data.samples.bounds
+    time = 1.0
+    if model is not None:
+        gap = Columns(model, data.samples).gap() * data.keep
+        times = integrated_time(gap, bounds)
+        time = float(times.median())
+    return block_numbers(bounds, block_length(len(data.samples), time))
+
+
+def check(
+    found: Explanation,
+    data: Data,
+    judged: Data | None,
+    folds: Folds,
+    repeats: Repeats,
+    settings: GapSettings,
+    fitted_first: bool,
+) -> Checked:
+    """Models fitted without each fold, or on all data where a log was held out, and what they do.
+
+    Args:
+        found: the answered explanation.
+        data, judged: the log searched, and the one held out.
+        folds: of the log searched.
+        repeats: among its trajectories.
+        settings: the user's.
+        fitted_first: whether the model before was fitted too, because the robot has no parameters.
     """
-    judged = case.given if case.checked is None else case.checked
-    if not case.noise.repeated:
-        return (far.rms_after / floor.high.clamp(min=1e-12)).square()
-    keep = judged.counting(noise_is_known=True)
-    whiten = case.noise.whitening(judged.rows, keep)
-    telling = keep & _telling(case, judged.rows, whole)
-    r = Evaluator(whole.robot, whole.effects, judged.rows, whiten).residual() * telling
-    count = telling.sum(1).clamp(min=1)
-    # Less three standard deviations of a mean of squares: few rows prove nothing.
-    return r.square().sum(1) / count / (1 + 3 * (2 / count).sqrt())
+    solution = found.solution
+    base = refitted(solution.start, data, solution.wanted)
+    band = _band(data, settings)
+    if judged is None:
+        fits = [folds.fitted(k) for k in range(folds.count)]
+        after = [solution.without(f) for f in fits]
+        again = [base.without(f) for f in fits]
+        before = again if fitted_first else [solution.start]
+        shown = traces(data.samples, folds, before, after, band)
+        again_shown = traces(data.samples, folds, before, again, band)
+    else:
+        before = [base.model] if fitted_first else [solution.start]
+        shown = traces(judged.samples, None, before, [solution.model], band)
+        again_shown = traces(judged.samples, None, before, [base.model], band)
+    sliding = data.keep & moving_samples(data.samples, sliding=True)
+    columns = Columns(solution.model, data.samples)
+    noise = noise_of(columns, solution.left, sliding, band, repeats, settings.seed)
+    return Checked(
+        shown,
+        again_shown,
+        noise,
+        closing(shown, noise.floor, settings.seed, noise.unpredicted),
+        closing(again_shown, noise.floor, settings.seed),
+    )
 
 
-def _torque_rows(case: Case) -> Tensor:
-    """(n,) RMS of each joint's whitened torque."""
-    y = case.plain.on_all([p.tau.T for p in case.given.rows.passages])
-    return y.square().mean(1).sqrt()
-
-
-def _status(found: Findings, far: Closing, excess: Tensor, left: Noise, poor: bool) -> Status:
-    """The verdict. What is accepted must shrink the gap on data used for no choice; what is left is
-    unexplained where it exceeds the noise there, or where a flexible predictor finds structure."""
-    odd = (excess > EXCESS) & (left.structure > 0)
-    unexplained = bool((odd | (excess > CLEAR_EXCESS) | (left.structure > STRUCTURE)).any())
-    if not (found.effects or found.parametric):
+def status_of(said: Told, checked: Checked, poor: bool) -> Status:
+    """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
+    an interval; what is left is unexplained where it exceeds the noise there and a flexible
+    predictor finds structure in it."""
+    far, noise = checked.far, checked.noise
+    excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
+    odd = (excess > EXCESS) & (noise.structure > 0)
+    unexplained = bool((odd | (excess > CLEAR_EXCESS) | (noise.structure > STRUCTURE)).any())
+    if not (said.findings or said.parametric):
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    # What happened once cannot be foretold elsewhere.
-    once = not found.parametric and all(f.effect.event for f in found.effects)
-    least = far.closed_ci95 is not None and far.closed_ci95[1] < EXPLAINED
-    if unexplained or not (once or (far.improves and not least)):
+    if unexplained or not far.improves or far.closed is None:
         return "detected_unexplained"
-    return "explained" if found.effects else "parametric_only"
+    return "explained" if said.findings else "parametric_only"
 
 
-def _with_refitted(found: Findings, far: Closing) -> Findings:
-    """With parameters always refitted: whether that alone closes a part of the gap."""
-    if far.closed is None or far.closed_ci95 is None or far.closed_ci95[0] <= 0:
-        return found
-    return replace(found, parametric=(*found.parametric, Parametric((), far.closed, None)))
+def _budget(checked: Checked) -> Budget:
+    if checked.far.closed is None:
+        return Budget(0.0, 0.0, 0.0)
+    return budget(checked.refitted, checked.shown, checked.noise.floor)
 
 
-def _poor(case: Case, hidden: Sequence[object]) -> bool:
-    """Whether the log could show less than half of all effects and places, or is so short that
-    nothing could be confirmed on other blocks of it."""
-    places = sum(1 for bank in case.banks if bank.members[0])
-    short = len(case.given.rows) * case.given.rows.interval < SHORTEST
-    return len(hidden) > 0.5 * places or short
+def _band(data: Data, settings: GapSettings) -> float:
+    return report_band(data.samples, settings.report_band)
 
 
-def _described(model: Model) -> Robot:
-    """A model as a robot description."""
-    return replace(model.robot, effects=tuple(e.record(v) for e, v in model.effects))
+def _places(found: Explanation) -> int:
+    return len({t.key for t in found.question.candidates.terms if not t.inertial})
 
 
-def _as_robot(whole: Solution, case: Case) -> Robot:
-    """The corrected model as a robot description, without what happened in this log only."""
-    lasting = tuple(pair for pair in whole.effects if not pair[0].event)
-    return _described(Model(whole.robot, lasting))
+def warnings_of(
+    found: Explanation,
+    data: Data,
+    judged: Data | None,
+    checked: Checked,
+    folds: Folds,
+    settings: GapSettings,
+    robot: Robot,
+) -> list[str]:
+    """What a user must know beside the findings."""
+    solution = found.solution
+    out = [*data.warnings, *(() if judged is None else judged.warnings), *checked.noise.floor.notes]
+    torque = torch.cat([t.measured[t.valid] for t in checked.shown])
+    gap = torch.cat([(t.measured - t.before)[t.valid] for t in checked.shown])
+    useless = gap.square().mean(0) > (torque - torque.mean(0)).square().mean(0)
+    if 2 * int(useless.sum()) > len(useless):
+        joints = ", ".join(str(j + 1) for j in useless.nonzero().flatten().tolist())
+        out.append(
+            f"the model explains nothing of the torque of joints {joints}: is the log of this "
+            "robot, its joints in this order, in these units? `torchid log doctor ROBOT LOG` looks"
+        )
+    if checked.noise.floor.source != "repeats":
+        out.append(
+            "no motion is repeated, so the noise is known only between bounds: drive one "
+            "trajectory twice to know it"
+        )
+    if found.unworthy:
+        out.append(_beyond(found))
+    if len(found.terms) >= settings.max_effects:
+        out.append(f"the search ended at {settings.max_effects} effects: --max-effects")
+    events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
+    if events:
+        out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
+    changed = any(t.inertial for t in solution.terms)
+    margins = solution.model.robot.require_parameters("a check").consistency_margin()
+    if changed and bool((margins < 0).any()):
+        out.append(
+            "the corrected inertial parameters give the right torque but belong to no body: "
+            "`torchid check corrected.yaml --nearest near.json` finds feasible ones near in torque"
+        )
+    if robot.parameters is None:
+        out.append(
+            "the robot has no inertial parameters: base parameters were fitted first, so the gap "
+            "is what even the best rigid body leaves"
+        )
+    if judged is None and not folds.whole:
+        out.append(
+            "fewer than three different trajectories: held-out data are stretches of the same "
+            "trajectories, and intervals are wider than they look"
+        )
+    worse = checked.far.rms_after > 1.02 * checked.far.rms_before
+    if found.terms and bool(worse.any()):
+        joints = ", ".join(str(j + 1) for j in worse.nonzero().flatten().tolist())
+        out.append(f"on data that was not fitted the corrected model is worse on joint {joints}")
+    return out + needs_trust(found)
 
 
-def _with_rollout(found: Diagnosis, case: Case, settings: GapSettings) -> Diagnosis:
-    from torchid.gap.rollout import rollouts
+def _beyond(found: Explanation) -> str:
+    """What lies below the least worthwhile size, as a sum and never as names."""
+    question, fit = found.question, found.fit
+    more = fit_terms(question, [*found.terms, *found.unworthy], fit.effective, fit.weight)
+    shares = 1 - (more.losses / fit.losses.clamp(min=1e-300)).sqrt()
+    joints = (shares > 0.005).nonzero().flatten().tolist()
+    said = ", ".join(f"joint {j + 1} {100 * float(shares[j]):.1f} %" for j in joints)
+    return (
+        f"{len(found.unworthy)} more terms have evidence but are not worth a name"
+        + (f"; together they would lower the error of {said}" if said else "")
+        + ": --worthwhile"
+    )
 
-    judged = case.given if case.checked is None else case.checked
-    result = rollouts(found.robot, found.corrected, judged.rows.passages, seed=settings.seed)
-    result["fitted_on_these_data"] = case.checked is None
-    if case.checked is None:
+
+def needs_trust(found: Explanation) -> list[str]:
+    """Effects that are not needed once base parameters are refitted."""
+    question, fit = found.question, found.fit
+    base = [t for t in question.candidates.terms if t.name == BASE]
+    if not base or any(t.inertial for t in found.terms):
+        return []
+    every = fit_terms(question, [*found.terms, *base], fit.effective, fit.weight)
+    lost = []
+    for term in found.terms:
+        rest = [t for t in found.terms if t is not term]
+        without = fit_terms(question, [*rest, *base], fit.effective, fit.weight)
+        if without.evidence >= every.evidence:
+            joints = term.effects[0].joints if len(term.effects) == 1 else ()
+            lost.append(f"{term.name} of joint {joints[0] + 1}" if joints else term.name)
+    if not lost:
+        return []
+    return [
+        "with base parameters refitted these effects are not needed, so they hold only if the "
+        f"robot's parameters are right: {', '.join(lost)}"
+    ]
+
+
+def with_rollout(found: Diagnosis, data: Data, fitted_here: bool) -> Diagnosis:
+    """With short simulations of both models."""
+    from torchid.gap.validate.rollout import rollouts
+
+    result = rollouts(found.robot, found.corrected, data.segments, seed=found.settings["seed"])
+    result["fitted_on_these_data"] = fitted_here
+    if fitted_here:
         result["sentences"] = [
             *result["sentences"],
             "The corrected model was fitted on these trajectories; the one before was not.",

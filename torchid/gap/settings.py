@@ -23,7 +23,9 @@ class GapSettings:
         cutoff: of the fit [Hz], or "auto".
         report_band: of the report [Hz]: the gap before and after is given below this frequency.
         alpha: family-wise level at which an effect is accepted.
-        folds: parts of the data, each left out in turn while effects are selected.
+        worthwhile: least share of a joint's gap by which a cause must lower its held-out error to
+            be worth a name.
+        folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.
         held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
         rollout: whether to simulate forwards before and after.
@@ -38,6 +40,7 @@ class GapSettings:
     cutoff: float | Literal["auto"] = "auto"
     report_band: float = 20.0
     alpha: float = 0.01
+    worthwhile: float = 0.05
     folds: int = 5
     max_effects: int = 20
     held_out_fraction: float = 0.0
@@ -65,6 +68,8 @@ class GapSettings:
             _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
         _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
         _between("alpha", self.alpha, 0.0, 1.0, "0..1")
+        if self.worthwhile != 0:
+            _between("the least worthwhile share", self.worthwhile, 0.0, 1.0, "0..1")
         if self.held_out_fraction != 0:
             _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
         _whole("the number of folds", self.folds, 2)

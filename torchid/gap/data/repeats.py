@@ -67,6 +67,13 @@ class Repeats:
     def __len__(self) -> int:
         return len(self.pairs)
 
+    def groups(self, count: int) -> tuple[int, ...]:
+        """Number of each of the segments' motion: the first segment that it repeats."""
+        group = list(range(count))
+        for pair in self.pairs:
+            group[pair.b] = group[pair.a]
+        return tuple(group)
+
     def differences(self, signals: Sequence[Float[Tensor, "_ n"]]) -> list[Float[Tensor, "_ n"]]:
         """(b - a) / sqrt(2) of any signal, a pair: noise of the size that it has in either.
 
@@ -94,9 +101,7 @@ class Repeats:
                 tau=difference,
                 own_velocity=segments[p.a].own_velocity,
             )
-            for p, difference in (
-                zip(self.pairs, self.differences(signals), strict=True)
-            )
+            for p, difference in zip(self.pairs, self.differences(signals), strict=True)
         ]
 
 

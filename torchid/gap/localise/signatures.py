@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import torch
 
 from torchid.gap.diagnosis import Interval
-from torchid.gap.regimes import STILL, Pool, masks
-from torchid.gap.resampling import Draws, Look, best_of, flipped, linear, quadratic
+from torchid.gap.localise.regimes import STILL, Pool, masks
+from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, quadratic
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.typing import Float, Tensor
 

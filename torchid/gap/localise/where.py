@@ -6,9 +6,9 @@ from typing import get_args
 import torch
 
 from torchid.gap.diagnosis import Interval, JointGap, NoiseFloor, Regime, RegimeGap, Trace
-from torchid.gap.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
-from torchid.gap.resampling import Draws, Look, bootstrap, corrected
-from torchid.gap.signatures import (
+from torchid.gap.localise.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
+from torchid.gap.localise.resampling import Draws, Look, bootstrap, corrected
+from torchid.gap.localise.signatures import (
     drift_look,
     high_frequency_look,
     periodic_look,

@@ -20,9 +20,11 @@ from scipy.stats import t as student
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
-from torchid.gap.blocks import block_numbers, block_sums
-from torchid.gap.passages import Passage, Rows
 from torchid.design.motion import MOVING
+from torchid.design.segments import Samples
+from torchid.effects.base import Motion
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.typing import Bool, Float, Int, Signals, Tensor
 
 FOLDS = 5
@@ -61,8 +63,8 @@ class OutOfFold:
 
 
 def predict_out_of_fold(
-    passages: Sequence[Passage],
-    rows: Rows,
+    motions: Sequence[Motion],
+    samples: Samples,
     residual: Float[Tensor, "n N"],
     seed: int = 0,
     joints: Sequence[int] | None = None,
@@ -70,13 +72,13 @@ def predict_out_of_fold(
     """Predict the residual torque of each joint from motion and model torque.
 
     Args:
-        passages: with the model's torque in their motion.
-        rows: of these passages.
-        residual: rows of measured less model torque.
+        motions: of the segments, with the model's torque.
+        samples: of these segments.
+        residual: samples of measured less model torque.
         seed: of the trees' binning; the result is a function of it.
         joints: from 0, whose residual to predict; all if None. Others are predicted to be zero.
     """
-    shared = _shared_features(passages, rows)
+    shared = _shared_features(motions, samples)
     predictions, scores = [], []
     # Trees this small are faster on one thread than on several, and never compete with torch's.
     with threadpool_limits(limits=1, user_api="openmp"):
@@ -85,60 +87,41 @@ def predict_out_of_fold(
                 predictions.append(torch.zeros_like(r))
                 scores.append((0.0, 0.0, 0.0, 0.0))
                 continue
-            features = torch.cat([_own_features(passages, rows, j), shared]).T.cpu().numpy()
-            length, gap = _block_rows(r, rows)
-            block = block_numbers(rows.bounds, length)
-            predicted = _shrunk(_joint(features, r, rows.bounds, block, gap, seed), r, block)
+            features = torch.cat([_own_features(motions, samples, j), shared]).T.cpu().numpy()
+            length, gap = _block_rows(r, samples)
+            block = block_numbers(samples.bounds, length)
+            predicted = _shrunk(_joint(features, r, samples.bounds, block, gap, seed), r, block)
             predictions.append(predicted)
-            scores.append((*_score(r, predicted, block), length * rows.interval))
+            scores.append((*_score(r, predicted, block), length * samples.interval))
     table = residual.new_tensor(scores)
     return OutOfFold(torch.stack(predictions), table[:, 0], table[:, 1:3], table[:, 3])
 
 
-def autocorrelation_rows(x: Float[Tensor, " N"], bounds: tuple[slice, ...]) -> float:
-    """Integrated autocorrelation time [rows]: 1 + 2 sum rho_k up to the first rho_k below 0.05."""
-    longest = max(b.stop - b.start for b in bounds)
-    total = x.new_zeros(longest)
-    for b in bounds:
-        spectrum = torch.fft.rfft(x[b] - x.mean(), n=2 * longest)
-        total += torch.fft.irfft(spectrum.abs().square(), n=2 * longest)[:longest]
-    if not float(total[0]) > 0:
-        return 1.0
-    rho = total / total[0]
-    low = torch.nonzero(rho < 0.05).flatten()
-    end = int(low[0]) if len(low) else longest
-    return float(1 + 2 * rho[1:end].sum())
-
-
-def _block_rows(r: Float[Tensor, " N"], rows: Rows) -> tuple[int, int]:
+def _block_rows(r: Float[Tensor, " N"], samples: Samples) -> tuple[int, int]:
     """Length of a block and of the gap next to it [rows]; twenty blocks where that is possible."""
-    time = max(autocorrelation_rows(r, rows.bounds), 0.25 / rows.interval)
+    time = max(float(integrated_time(r, samples.bounds)), 0.25 / samples.interval)
     length = min(BLOCK_TIMES * time, len(r) / FEWEST_BLOCKS)
     return max(4, round(length)), max(1, round(min(time, length)))
 
 
-def _shared_features(passages: Sequence[Passage], rows: Rows) -> Float[Tensor, "F N"]:
+def _shared_features(motions: Sequence[Motion], samples: Samples) -> Float[Tensor, "F N"]:
     """Motion of all joints, and time."""
-    signals = [torch.cat([p.motion.q, p.motion.dq, p.motion.ddq], -1).T for p in passages]
-    elapsed = rows.pick([_elapsed(p) for p in passages])
-    return torch.cat([rows.apply(signals), elapsed.unsqueeze(0)])
+    signals = [torch.cat([m.q, m.dq, m.ddq], -1).T for m in motions]
+    return torch.cat([samples.of(signals), samples.t.unsqueeze(0)])
 
 
-def _own_features(passages: Sequence[Passage], rows: Rows, joint: int) -> Float[Tensor, "F N"]:
+def _own_features(
+    motions: Sequence[Motion], samples: Samples, joint: int
+) -> Float[Tensor, "F N"]:
     """Direction, model torque, their and the velocity's history, and the way since reversal."""
     signals, instants = [], []
-    for p in passages:
-        m = p.motion
+    for m in motions:
         torque = m.require("torque", "the flexible predictor")[:, joint]
         sign, dq = m.sign[:, joint].to(torque), m.dq[:, joint]
-        past = [_before(x, round(lag * p.rate)) for lag in LAGS for x in (dq, torque)]
+        past = [_before(x, round(lag * samples.rate)) for lag in LAGS for x in (dq, torque)]
         signals.append(torch.stack([sign, torque, *past]))
-        instants.append(torch.stack(_since_reversal(p, joint), -1))
-    return torch.cat([rows.apply(signals), rows.pick(instants).T])
-
-
-def _elapsed(p: Passage) -> Float[Tensor, " T"]:
-    return torch.arange(p.samples).to(p.tau) / p.rate if p.motion.t is None else p.motion.t
+        instants.append(torch.stack(_since_reversal(m, joint, samples.rate), -1))
+    return torch.cat([samples.of(signals), samples.pick(instants).T])
 
 
 def _before(x: Signals, samples: int) -> Signals:
@@ -146,15 +129,15 @@ def _before(x: Signals, samples: int) -> Signals:
     return torch.cat([x[:1].expand(samples), x])[: len(x)]
 
 
-def _since_reversal(p: Passage, joint: int) -> tuple[Tensor, Tensor]:
+def _since_reversal(m: Motion, joint: int, rate: float) -> tuple[Tensor, Tensor]:
     """Time [s] and displacement since the joint last turned, or since the beginning."""
-    q, dq = p.motion.q[:, joint], p.motion.dq[:, joint]
+    q, dq = m.q[:, joint], m.dq[:, joint]
     index = torch.arange(len(q))
     last = torch.cummax(torch.where(dq.abs() > MOVING, index, 0), 0).values
     direction = torch.sign(dq)[last]
     turned = torch.nn.functional.pad(direction.diff() != 0, (1, 0))
     since = torch.cummax(torch.where(turned, index, 0), 0).values
-    return (index - since).to(q) / p.rate, q - q[since]
+    return (index - since).to(q) / rate, q - q[since]
 
 
 def _joint(

@@ -5,22 +5,22 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.gap.passages import Passage, Rows
+from torchid.design.segments import Samples, Segment
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.typing import Float, Samples, Tensor
+from torchid.typing import Float, Tensor
 
 _HANN = 2.0  # tapered, neighbouring frequencies are not independent
 
 
 def white_level(
-    passages: Sequence[Passage], residual: Sequence[Samples], cutoff: float
+    segments: Sequence[Segment], residual: Sequence[Tensor], cutoff: float
 ) -> Float[Tensor, " n"]:
     """Spectral density (n,) [(N m)^2/Hz, one-sided] above the cut-off, as a lower bound: the
     smaller one of residual and measured torque (the model's acceleration has noise of its own,
     which grows with frequency), less two standard errors. Medians, for lines do not move them."""
     levels = []
-    for signals in (residual, [p.tau for p in passages]):
-        densities = [_densities(x, p, cutoff) for x, p in zip(signals, passages, strict=True)]
+    for signals in (residual, [p.tau for p in segments]):
+        densities = [_densities(x, p, cutoff) for x, p in zip(signals, segments, strict=True)]
         every = torch.cat(densities, -1)
         error = _HANN**0.5 / math.log(2) / math.sqrt(max(1, every.shape[-1]))
         # The median of chi^2 with two degrees of freedom is ln 2 of its mean.
@@ -28,7 +28,7 @@ def white_level(
     return torch.minimum(*levels)
 
 
-def _densities(x: Samples, p: Passage, cutoff: float) -> Float[Tensor, "n F"]:
+def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
     """Periodogram of a tapered signal between the cut-off and the wide band's edge."""
     count = len(x)
     window = torch.hann_window(count, periodic=False).to(x)
@@ -43,11 +43,11 @@ def _densities(x: Samples, p: Passage, cutoff: float) -> Float[Tensor, "n F"]:
     return density[:, (frequency >= first) & (frequency <= last)]
 
 
-def bandwidth(rows: Rows) -> float:
+def bandwidth(samples: Samples) -> float:
     """Integral of the filter's squared amplitude [Hz]: variance of noise of density 1."""
-    nyquist = rows.rate / 2
-    if rows.cutoff >= 0.45 * rows.rate:
+    nyquist = samples.rate / 2
+    if samples.cutoff >= 0.45 * samples.rate:
         return nyquist
     frequency = torch.linspace(0, nyquist * (1 - 1e-9), 4001, dtype=torch.float64)
-    amplitude = ZeroPhaseFilter(rows.rate, rows.cutoff).response(frequency)
+    amplitude = ZeroPhaseFilter(samples.rate, samples.cutoff).response(frequency)
     return float(torch.trapezoid(amplitude.square(), frequency))

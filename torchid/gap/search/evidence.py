@@ -159,7 +159,8 @@ def effective_samples(
 ) -> Float[Tensor, " n"]:
     """Samples of each joint divided by the autocorrelation time of what terms leave there."""
     left = residual(question, terms, x)
-    times = integrated_time(left, question.candidates.columns.samples.bounds)
+    bounds = question.candidates.columns.samples.bounds
+    times = integrated_time(left, bounds, centred=False)
     return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
 
 

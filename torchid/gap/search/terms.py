@@ -219,8 +219,9 @@ def candidates_of(
     for j in range(n):
         gram.add(j, [*(x[:, j] for x in common), *local[j]], gap[j], data.keep[j], parts)
         local[j] = []
-    fixed = _fixed(terms, wanted, n)
-    chosen = [t for t in terms if wanted.allows(t) and t not in fixed]
+    fixed = _fixed(terms, wanted, columns)
+    always = {id(t) for t in fixed}
+    chosen = [t for t in terms if wanted.allows(t) and id(t) not in always]
     if wanted.free:
         chosen = [t for t in chosen if not t.inertial]
     return Candidates(
@@ -325,13 +326,25 @@ def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
     return out
 
 
-def _fixed(terms: Sequence[Term], wanted: Wanted, n: int) -> tuple[Term, ...]:
-    """Terms that are always in the model: free base parameters, and a background."""
+def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
+    """Terms that are always in the model where base parameters are free: these, and a background.
+    Their rows in any matrix are still to be given."""
     if not wanted.free:
         return ()
-    base = [t for t in terms if t.name == BASE]
-    plain = [t for t in terms if t.name in wanted.background and t.effects[0].joints]
-    return (*base, *(t for t in plain if len(t.effects) == 1))
+    out = [t for t in _bodies(columns, wanted) if t.name == BASE]
+    for name in wanted.background:
+        for joint in range(columns.n):
+            effect: Effect = KINDS[name](joint)  # type: ignore[call-arg]
+            at = torch.arange(len(effect.coefficients))
+            known = (0.0,) * len(at)
+            out.append(Term(name, (effect,), joint, at, effect.coefficients, known))
+    return tuple(out)
+
+
+def _fixed(terms: Sequence[Term], wanted: Wanted, columns: Columns) -> tuple[Term, ...]:
+    """The candidates that are always in the model."""
+    asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
+    return tuple(t for t in terms if (t.name, t.effects) in asked)
 
 
 def _batches(terms: Sequence[Term]) -> Iterator[Batch]:

@@ -15,9 +15,9 @@ from typing import Any
 import torch
 
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.gap.passages import Passage
-from torchid.gap.resampling import bootstrap
-from torchid.gap.shooting import Windows, edge_of, starts_of, windows_of
+from torchid.design.segments import Segment
+from torchid.gap.localise.resampling import bootstrap
+from torchid.gap.validate.shooting import Windows, edge_of, starts_of, windows_of
 from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
@@ -50,7 +50,7 @@ _LOST = 0.5  # share of rollouts that diverge above which a horizon says little
 def rollouts(
     before: Robot,
     after: Robot,
-    passages: Sequence[Passage],
+    passages: Sequence[Segment],
     horizons: Sequence[float] = HORIZONS,
     seed: int = 0,
     max_starts: int = 128,
@@ -181,14 +181,14 @@ def _ratio(
     return out
 
 
-def _torque_gap(before: Robot, after: Robot, passages: Sequence[Passage]) -> dict[str, Any]:
+def _torque_gap(before: Robot, after: Robot, passages: Sequence[Segment]) -> dict[str, Any]:
     """RMS of measured minus modelled torque (n) of both models, edges left out."""
     rms = []
     for robot in (before, after):
         effects, squares, count = nominal_effects(robot), torch.zeros(robot.n).double(), 0
         for p in passages:
             edge = edge_of(p)
-            gap = (p.tau - model_torque(robot, effects, p.motion))[edge : p.samples - edge]
+            gap = (p.tau - model_torque(robot, effects, p.motion))[edge : p.length - edge]
             squares = squares + gap.square().sum(0)
             count += len(gap)
         rms.append((squares / max(1, count)).sqrt())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.gap.passages import Passage
+from torchid.design.segments import Segment
 from torchid.typing import Bool, Float, Int, Tensor
 
 _STEP = 4e-3  # between samples, at most, where the passage has as many [s]
@@ -59,17 +59,17 @@ class Windows:
         return torch.unique(pairs, dim=1, return_inverse=True)[1]
 
 
-def edge_of(passage: Passage) -> int:
+def edge_of(passage: Segment) -> int:
     """Samples at the ends of a passage that its filter has spoilt."""
     return math.ceil(_EDGE * passage.rate / passage.band)
 
 
-def starts_of(passages: Sequence[Passage], shortest: float, most: int, seed: int) -> Starts:
+def starts_of(passages: Sequence[Segment], shortest: float, most: int, seed: int) -> Starts:
     """One start at random in each of equal shares of the time where the shortest horizon fits."""
     edges = [edge_of(p) for p in passages]
     room = torch.tensor(
         [
-            max(0, p.samples - 2 * edge - math.ceil(shortest * p.rate))
+            max(0, p.length - 2 * edge - math.ceil(shortest * p.rate))
             for p, edge in zip(passages, edges, strict=True)
         ]
     )
@@ -80,12 +80,12 @@ def starts_of(passages: Sequence[Passage], shortest: float, most: int, seed: int
     place = ((torch.arange(count) + jitter) * (total / max(1, count))).long().clamp(max=total - 1)
     ends = room.cumsum(0)
     passage = torch.searchsorted(ends, place, right=True)
-    edge, samples = torch.tensor(edges), torch.tensor([p.samples for p in passages])
+    edge, samples = torch.tensor(edges), torch.tensor([p.length for p in passages])
     first = place - (ends - room)[passage] + edge[passage]
     return Starts(passage, first, samples[passage] - edge[passage] - 1 - first)
 
 
-def windows_of(passages: Sequence[Passage], starts: Starts, longest: float) -> Windows:
+def windows_of(passages: Sequence[Segment], starts: Starts, longest: float) -> Windows:
     """Signals from all starts on, for the longest horizon [s]."""
     rates = {p.rate for p in passages}
     assert len(rates) == 1, "passages are resampled to one rate"
@@ -94,7 +94,7 @@ def windows_of(passages: Sequence[Passage], starts: Starts, longest: float) -> W
     steps = starts.length // step
     count = min(round(longest * rate / step), int(steps.max()))
     # All passages one after the other.
-    offset = torch.tensor([0, *(p.samples for p in passages)]).cumsum(0)[starts.passage]
+    offset = torch.tensor([0, *(p.length for p in passages)]).cumsum(0)[starts.passage]
     begin = offset + starts.first
     index = begin[:, None] + step * torch.minimum(torch.arange(count + 1), steps[:, None])
     times = [p.motion.require("t", "a rollout") for p in passages]
