@@ -10,9 +10,10 @@ import torch
 from tests.arms import ARMS, arm, mixed_arm
 from tests.export.arms import FRICTION, exported, with_other
 from torchid.effects.base import Motion
-from torchid.effects.registry import KINDS, on_every_joint
+from torchid.effects.registry import KINDS, nominal_effects, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.c_code import c_file, identifier
+from torchid.export.c_effects import effect_code
 from torchid.export.checks import check_c, compiler
 from torchid.export.dynamics import Dynamics, of_base, robot_torque, states
 from torchid.identification.base_parameters import base_parameters, nominal_values
@@ -71,14 +72,18 @@ def test_effects_with_a_memory_are_left_out_aloud(tmp_path):
     assert all(words in text for words in done.left_out)
 
 
-def test_every_effect_is_written_or_left_out():
+@pytest.mark.parametrize("name", KINDS)
+def test_every_effect_is_written_or_left_out(name, tmp_path):
     """A new effect is one or the other: never silently nothing."""
-    known = {record["effect"] for record in (*ALL, *PAST)}
-    others = {
-        "base_tilt", "kinematic_error", "payload", "link_inertia", "filter_lag",
-        "joint_elasticity", "backlash", "contact", "dropped_samples", "viscous_friction",
-    }  # fmt: skip
-    assert set(KINDS) <= known | others
+    effect = KINDS[name].exemplar(1)
+    robot = with_other(mixed_arm("RRRR", 5), effects=(effect.record(effect.example.values),))
+    code = effect_code(robot, nominal_effects(robot), "rigid")
+    written = effect.c_code(effect.example.values) is not None
+    assert bool(code.first or code.later) == written
+    assert len(code.left_out) == (not written)
+    if written:
+        done = exported(robot, "c", tmp_path)
+        assert done.comparisons[0].difference <= 1e-12
 
 
 def test_base_parameters_and_their_representative(tmp_path):

@@ -81,6 +81,12 @@ def test_an_unknown_effect_is_refused(asked, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_an_effect_that_the_plant_has_not_is_refused(asked, tmp_path):
+    """The plant is written on its own: an effect may be torchid's alone."""
+    with pytest.raises(TorchidError, match="plant has no effect 'position_dependent_friction'"):
+        leave_out(tmp_path / "out", 3, effects=("position_dependent_friction",))
+
+
 def test_nothing_judged_is_no_share(tmp_path):
     one = LeftOut("backlash", 0, 0, tmp_path)
     key = {"effects": [{"name": "backlash", "family": "hysteresis", "joints": [1]}]}

@@ -2,8 +2,8 @@
 
 Friction, rotor inertia, offsets, delays, tilt, ... are the same kind of thing everywhere:
 identification uses an effect's columns, simulation adds its torque, the gap diagnosis searches over
-effects. A new one is one class in the file of its family and a line in `registry.py`; the test
-battery in tests/effects covers it.
+effects. A new one is one class in the file of its family and a line in `registry.py`, and nothing
+elsewhere; the test battery in tests/effects covers it.
 
     tau = Y(q, dq, ddq) pi + sum_k X_k(motion; shape_k) c_k
 

@@ -15,7 +15,6 @@ from torchid.effects.rivals import ALIKE, Rival, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
-from torchid.report.identification import compact
 from torchid.robot.library import load_robot
 
 FAMILY_WORDS: dict[Family, str] = {
@@ -135,6 +134,9 @@ def _rivals_text(kind: type[Effect]) -> str:
 
 def effects_table() -> Table:
     """All effects by name, family, coefficients and meaning."""
+    # Here, not above: it brings scipy.stats, which costs one effect's page half a second.
+    from torchid.report.identification import compact
+
     out = compact(f"{len(KINDS)} effects")
     for heading in ("effect", "family", "coefficients", "what it is"):
         out.add_column(heading)

@@ -8,6 +8,7 @@ their folder holds keys, for a diagnosis that is told what to leave out is not a
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,6 +29,14 @@ SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
 
 Progress = Callable[[str, int, int], None]
+
+
+@cache
+def known_to_plant() -> list[str]:
+    """The library's effects that the plant has under the same name, in the library's order."""
+    from torchid.withheld.plant.catalogue import LIBRARY
+
+    return [name for name in KINDS if name in LIBRARY]
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,8 @@ class LeftOut:
     @property
     def number(self) -> int:
         """That it is drawn from: another one for every case of the seed."""
-        return self.turn * len(KINDS) + list(KINDS).index(self.effect)
+        names = known_to_plant()
+        return self.turn * len(names) + names.index(self.effect)
 
 
 def leave_out(
@@ -79,19 +89,22 @@ def leave_out(
     Args:
         folder: of cases, keys and answers; made if it does not exist.
         seed: of the cases.
-        effects: names; all if None.
+        effects: names; all that the plant has if None.
         per_effect: cases of each.
         jobs: processes.
         again: as `run.run`.
         progress: called with (stage, done, total).
 
     Raises:
-        TorchidError: an unknown effect; a folder of another seed.
+        TorchidError: an effect unknown to torchid or to the plant; a folder of another seed.
         MissingExtraError: the simulator is not installed.
     """
+    available = known_to_plant()
     for name in effects or ():
         effect_kind(name)
-    wanted = list(KINDS if effects is None else dict.fromkeys(effects))
+        if name not in available:
+            raise TorchidError(f"the withheld plant has no effect '{name}'.", available=available)
+    wanted = list(available if effects is None else dict.fromkeys(effects))
     folder.mkdir(parents=True, exist_ok=True)
     todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
     keys = _written(todo, jobs, progress or (lambda stage, done, total: None))

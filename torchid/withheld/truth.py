@@ -27,8 +27,6 @@ from torchid.withheld.case_set import CaseSet
 from torchid.withheld.compare import beside
 from torchid.withheld.run import Job, Progress, default_settings, run, written
 
-"""Effects of one log, which are no part of a corrected model."""
-
 
 def true_shares(
     cases: CaseSet,

@@ -62,7 +62,8 @@ def test_names_and_families_are_torchids():
     """The plant is written on its own: effects that torchid learns later need not be in it."""
     assert set(LIBRARY) <= set(FAMILIES)
     assert all(KINDS[name].family == FAMILIES[name] for name in LIBRARY)
-    assert not set(FOREIGN) & set(FAMILIES)
+    # The ripple was foreign first; draws of sealed cases do not change with the library.
+    assert set(FOREIGN) & set(FAMILIES) == {"motor_ripple"}
 
 
 @pytest.mark.parametrize(
