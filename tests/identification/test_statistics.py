@@ -176,7 +176,8 @@ def test_seconds_are_seconds():
     source = noisy_source("ar1", 0)
     fitted = fit(source, method="wls")
     found = jackknife(source, fitted)
-    assert found.correlation_seconds == pytest.approx(correlation_instants(fitted.residual) / 200)
+    bounds = [slice(a, b) for a, b in itertools.pairwise(source.boundaries)]
+    assert found.correlation_seconds == pytest.approx(correlation_instants(fitted.residual, bounds) / 200)
     assert found.block_seconds == pytest.approx(4 * found.correlation_seconds, rel=0.05)
 
 

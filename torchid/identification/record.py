@@ -52,7 +52,7 @@ def record(result: Identification) -> dict[str, Any]:
             "whitening": result.rows.whitening.tolist(),
         },
         "statistics": {
-            "method": "delete-a-block jackknife",
+            "method": "leverage-corrected block jackknife",
             "blocks": result.uncertainty.blocks,
             "block_seconds": result.uncertainty.block_seconds,
             "correlation_seconds": result.uncertainty.correlation_seconds,
