@@ -23,6 +23,10 @@ from torchid.typing import Float, Tensor
 AT_ONCE = 4_000_000
 """Values that are evaluated and filtered at a time: bounds the memory of long logs."""
 
+KEPT = 50_000
+"""Samples of all joints together up to which columns are kept for the next time: 4000 columns of a
+joint are then 0.2 GB; those of longer logs are evaluated again."""
+
 ROUNDING = 1e-11
 """Size of a signal, relative to the largest of its effect, that is rounding."""
 
@@ -80,6 +84,8 @@ class Columns:
         self.motions = [
             s.motion._replace(torque=model.load(s.motion)) for s in samples.segments
         ]
+        short = len(samples) * model.robot.n <= KEPT
+        self._kept: dict[object, tuple[Place, Tensor]] | None = {} if short else None
 
     @property
     def n(self) -> int:
@@ -93,6 +99,14 @@ class Columns:
 
     def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns of an effect: (C, N) of its joint, or (C, n, N) of all joints."""
+        if self._kept is not None and effect in self._kept:
+            return self._kept[effect]
+        found = self._evaluated(effect)
+        if self._kept is not None:
+            self._kept[effect] = found
+        return found
+
+    def _evaluated(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         if isinstance(effect, JointEffect):
             motions = [only(m, effect.joint) for m in self.motions]
             one = replace(effect, joint=0)
@@ -113,6 +127,9 @@ class Columns:
         self, kind: type[JointEffect], joint: int, shapes: Float[Tensor, "S P"]
     ) -> Float[Tensor, "S C N"]:
         """Columns of a joint effect for a list of shapes."""
+        key = kind, joint, tuple(shapes.flatten().tolist())
+        if self._kept is not None and key in self._kept:
+            return self._kept[key][1]
         motions = [only(m, joint) for m in self.motions]
         total = sum(m.q.shape[0] for m in motions) * len(kind.coefficients)
         parts = []
@@ -120,6 +137,8 @@ class Columns:
             given = [s.reshape(-1, 1, 1) for s in some.unbind(1)]
             signals = [kind.formula(m, *given)[..., 0, :].transpose(-1, -2) for m in motions]
             parts.append(self._sampled([x if given else x.unsqueeze(0) for x in signals]))
+        if self._kept is not None:
+            self._kept[key] = joint, torch.cat(parts)
         return torch.cat(parts)
 
     @cached_property

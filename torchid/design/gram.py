@@ -79,7 +79,9 @@ class Normal:
         for g, s in zip(self.g, subset.joints, strict=True):
             v = s.target.clone()
             v[s.at] -= x[s.of]
-            out.append(v @ g @ v)
+            there = v.nonzero().flatten()
+            some = v[there]
+            out.append(some @ g[there.unsqueeze(1), there] @ some)
         return torch.stack(out).clamp(min=0)
 
     def solve(
@@ -100,7 +102,8 @@ class Normal:
         right = torch.zeros(k, dtype=torch.float64)
         for w, g, s in zip(weight.tolist(), self.g, subset.joints, strict=True):
             matrix[s.of.unsqueeze(1), s.of] += w * g[s.at.unsqueeze(1), s.at]
-            right[s.of] += w * (g[s.at] @ s.target)
+            there = s.target.nonzero().flatten()
+            right[s.of] += w * (g[s.at.unsqueeze(1), there] @ s.target[there])
         if ridge is not None:
             matrix += torch.diag(ridge)
         # A column that is nowhere in these samples determines nothing.

@@ -76,16 +76,19 @@ def noise_of(
     segments = samples.segments
     residual = [s.tau - model.torque(s, samples) for s in segments]
     looked = left * keep
-    found = predict_out_of_fold(columns.motions, samples, looked, seed)
     share = keep.double().mean(1).clamp(min=0.05)
-    # Between the fit's cut-off and the report's nothing was predicted: all counts as noise.
     report = Samples(segments, band)
+    floor = _from_repeats(segments, residual, report, repeats)
+    # Between the fit's cut-off and the report's nothing is predicted: all counts as noise.
+    within = looked.square().mean(1) / share
     beyond = (_mean_square(report, residual) - _mean_square(samples, residual)).clamp(min=0)
+    above = within + beyond > 0 if floor is None else within + beyond > floor.low.square()
+    joints = above.nonzero().flatten().tolist()
+    found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
     predicted = found.left(looked).square().mean(1) / share
     unpredicted = (predicted + beyond).sqrt()
-    white = white_level(segments, residual, samples.cutoff)
-    floor = _from_repeats(segments, residual, report, repeats)
     if floor is None:
+        white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
     # The noise in the fit's band, in which the structure was found.

@@ -12,7 +12,7 @@ from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.diagnosis import Finding, NotTestable, Parametric
-from torchid.gap.search.climb import moves
+from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
     VISIBLE,
     Fitted,
@@ -118,7 +118,10 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
     limit = fit.evidence - 2 * math.log(ODDS)
     others = without.terms[len(question.fixed) :]
     found: list[tuple[float, Term]] = []
+    failed = 0
     for _, move in moves(question, without):
+        if failed == TRIED:
+            break
         if len(move) > 1 or move[0].name == BASE or move[0].key == term.key:
             continue
         if term.place is not None and move[0].place not in (None, term.place):
@@ -126,8 +129,8 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
         again = fit_terms(question, (*others, *move), fit.effective, fit.weight)
         if again.evidence > limit:
             found.append((again.evidence, move[0]))
-        elif len(found) + 1 < again.evidence - limit:
-            break
+        else:
+            failed += 1
     found.sort(key=lambda pair: -pair[0])
     names: dict[str, Term] = {}
     for _, other in found:
