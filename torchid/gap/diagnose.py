@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model
-from torchid.design.segments import moving_samples
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data.prepare import SAME_RATE, Data, prepare, report_band
@@ -21,8 +20,7 @@ from torchid.gap.data.repeats import Repeats, find_repeats
 from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import Noise, noise_of
-from torchid.gap.search.climb import Worth
-from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.evidence import Worth, fit_terms
 from torchid.gap.search.explain import Explanation, Rules, explained
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Wanted, fixed_terms
@@ -148,11 +146,12 @@ def diagnose(
     )
     poor = len(hidden) > 0.5 * _places(found) or data.seconds < SHORTEST
     far = checked.far
+    explained_gap = (found.empty.losses - found.fit.losses) / found.question.normal.rows.clamp(min=1)
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
     result = Diagnosis(
         robot=start.described(),
         corrected=Model(found.solution.model.robot, lasting).described(),
-        status=status_of(said, checked, poor),
+        status=status_of(said, checked, found.question.least(explained_gap), poor),
         joints=joints,
         regimes=regimes,
         findings=said.findings,
@@ -272,20 +271,19 @@ def check(
     solution = found.solution
     base = refitted(solution.start, data, solution.wanted)
     band = _band(data, settings)
+    columns = Columns(solution.model, data.samples)
+    noise = noise_of(columns, solution.left, data.keep, band, repeats, settings.seed)
     if judged is None:
         fits = [folds.fitted(k) for k in range(folds.count)]
         after = [solution.without(f) for f in fits]
         again = [base.without(f) for f in fits]
         before = again if fitted_first else [solution.start]
-        shown = traces(data.samples, folds, before, after, band)
-        again_shown = traces(data.samples, folds, before, again, band)
+        shown = traces(data.samples, folds, before, after, band, reach=noise.reach)
+        again_shown = traces(data.samples, folds, before, again, band, reach=noise.reach)
     else:
         before = [base.model] if fitted_first else [solution.start]
-        shown = traces(judged.samples, None, before, [solution.model], band)
-        again_shown = traces(judged.samples, None, before, [base.model], band)
-    sliding = data.keep & moving_samples(data.samples, sliding=True)
-    columns = Columns(solution.model, data.samples)
-    noise = noise_of(columns, solution.left, sliding, band, repeats, settings.seed)
+        shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
+        again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
     return Checked(
         shown,
         again_shown,
@@ -295,14 +293,24 @@ def check(
     )
 
 
-def status_of(said: Told, checked: Checked, poor: bool) -> Status:
+def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
     an interval; what is left is unexplained where it exceeds the noise there and a flexible
-    predictor finds structure in it."""
+    predictor finds structure in it.
+
+    Args:
+        said: what is told.
+        checked: on data that was not fitted.
+        least: (n,) torque that is worth a name [N m; N].
+        poor: whether the log could not show most effects.
+    """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
+    # What is left must be worth as much as a cause must be.
+    beyond = (far.rms_after.square() - noise.floor.high.square()).clamp(min=0).sqrt()
+    excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
     odd = (excess > EXCESS) & (noise.structure > 0)
-    unexplained = bool((odd | (excess > CLEAR_EXCESS) | (noise.structure > STRUCTURE)).any())
+    unexplained = bool((odd | (excess > CLEAR_EXCESS) | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.findings or said.parametric):
         if unexplained:
             return "detected_unexplained"

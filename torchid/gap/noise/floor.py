@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import torch
 
 from torchid.design.columns import Columns
-from torchid.design.segments import Samples, Segment, moving_samples, when
+from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
+from torchid.effects.registry import effect_torque
 from torchid.gap.data.repeats import Repeats
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.noise.flexible import predict_out_of_fold
@@ -47,11 +48,14 @@ class Noise:
         structure: (n,) share of the noise's variance that a flexible predictor still finds in what
             the model leaves, where that is significant; else 0.
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
+        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s], for where
+            the noise is known, what a joint did while it stuck would be a gap of its own; else None.
     """
 
     floor: NoiseFloor
     structure: Float[Tensor, " n"]
     unpredicted: Float[Tensor, " n"]
+    reach: Float[Tensor, " n"] | None
 
 
 def noise_of(
@@ -67,21 +71,37 @@ def noise_of(
     Args:
         columns: at the model.
         left: what it leaves.
-        keep: samples in which something left means that something is missing.
+        keep: samples that count.
         band: of the report [Hz].
         repeats: among the segments.
         seed: of the flexible predictor.
     """
     samples, model = columns.samples, columns.model
     segments = samples.segments
-    residual = [s.tau - model.torque(s, samples) for s in segments]
-    looked = left * keep
-    share = keep.double().mean(1).clamp(min=0.05)
     report = Samples(segments, band)
+    residual = [s.tau - model.torque(s, samples) for s in segments]
     floor = _from_repeats(segments, residual, report, repeats)
+    # Where a joint may have stuck, what is left says nothing; the further the filter carries that
+    # above the noise, the larger dry friction is beside it.
+    jumping = [p for p in model.effects if p[0].jumps and p[0].joints]
+    dry = torch.zeros(columns.n, dtype=torch.float64)
+    if jumping:
+        torques = [
+            effect_torque(model.robot, jumping, m, m.torque) for m in columns.motions
+        ]
+        dry = torch.cat(torques).square().mean(0).sqrt()
+    size = left.square().mean(1).sqrt() if floor is None else floor.high
+    reach = reach_of(samples, dry / size.clamp(min=1e-12))
+    telling = keep & (moving_samples(samples, reach) | (dry == 0).unsqueeze(1))
+    looked = left * telling
+    share = telling.double().mean(1).clamp(min=0.05)
     # Between the fit's cut-off and the report's nothing is predicted: all counts as noise.
     within = looked.square().mean(1) / share
-    beyond = (_mean_square(report, residual) - _mean_square(samples, residual)).clamp(min=0)
+    shown, own = (
+        (x.of([r.T for r in residual]).square() * moving_samples(x, reach)).mean(1)
+        for x in (report, samples)
+    )
+    beyond = (shown - own).clamp(min=0) / share
     above = within + beyond > 0 if floor is None else within + beyond > floor.low.square()
     joints = above.nonzero().flatten().tolist()
     found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
@@ -94,15 +114,9 @@ def noise_of(
     # The noise in the fit's band, in which the structure was found.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
-    structure = found.r2 * looked.square().mean(1) / share / noise.clamp(min=1e-300)
+    structure = found.r2 * within / noise.clamp(min=1e-300)
     structure = torch.where(found.interval[:, 0] > 0, structure, torch.zeros_like(structure))
-    return Noise(floor, structure, unpredicted)
-
-
-def _mean_square(samples: Samples, residual: Sequence[Tensor]) -> Float[Tensor, " n"]:
-    sliding = moving_samples(samples, sliding=True)
-    squares = samples.of([r.T for r in residual]).square() * sliding
-    return squares.sum(1) / sliding.sum(1).clamp(min=1)
+    return Noise(floor, structure, unpredicted, reach if floor.source == "repeats" else None)
 
 
 def _from_repeats(
@@ -116,7 +130,7 @@ def _from_repeats(
         return None
     own = Samples(differences, report.cutoff)
     x = own.of([s.tau.T for s in differences])
-    counting = moving_samples(own, sliding=True)
+    counting = moving_samples(own, REACH / own.cutoff)
     length = max(4, round(BLOCK_SECONDS / own.interval))
     block = block_numbers(own.bounds, length)
     squares = x.square() * counting

@@ -7,7 +7,6 @@ the least worthy first.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 
 import torch
@@ -31,23 +30,13 @@ from torchid.typing import Float, Tensor
 TRIED = 10
 """Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no name."""
 
+FRICTION = ("coulomb_friction", "viscous_friction")
+"""What a joint without any friction in its model lacks at once: one alone takes the other's part."""
+
 CLOSELY = 3
 """Of these, those whose effective samples are computed."""
 
 Move = tuple[Term, ...]
-
-
-@dataclass(frozen=True)
-class Worth:
-    """From which size on a cause is worth a name.
-
-    Attributes:
-        gap: share of a joint's gap, as far as it can be explained [1].
-        torque: share of a joint's torque [1].
-    """
-
-    gap: float = 0.05
-    torque: float = 0.01
 
 
 def empty_fit(question: Question) -> Fitted:
@@ -91,41 +80,39 @@ def _refitted(question: Question, terms: Sequence[Term]) -> Fitted:
     return fit_terms(question, terms, effective, effective / fit.losses.clamp(min=1e-300))
 
 
-def moves(question: Question, fit: Fitted) -> list[tuple[float, Move]]:
+def moves(question: Question, fit: Fitted, *, groups: bool = True) -> list[tuple[float, Move]]:
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
     viscous friction of a joint together, and what most joints have at once, priced as one cause."""
     n = question.candidates.gram.n
     own = _own(question, fit)
     found = offers(question, fit)
-    out: list[tuple[float, Move]] = []
-    for offer in found:
-        price = 0.0 if is_common(offer.term.name, (*own, offer.term), n) and is_common(
-            offer.term.name, own, n
-        ) else question.price()
-        out.append((offer.net - price, (offer.term,)))
+    # A further joint of what most joints have is no further cause.
+    free = {name for name in {t.name for t in own} if is_common(name, own, n)}
+    out: list[tuple[float, Move]] = [
+        (o.net - (0.0 if o.term.name in free and o.term.place is not None else question.price()),
+         (o.term,))
+        for o in found
+    ]  # fmt: skip
     best: dict[tuple[str, int], Offer] = {}
-    for offer in found:
-        name, place = offer.term.name, offer.term.place
-        if place is not None and name in KINDS and KINDS[name].on_all:
-            best.setdefault((name, place), offer)
-    names = sorted({name for name, _ in best})
-    for pair in [(a,) for a in names] + [("coulomb_friction", "viscous_friction")]:
-        if not set(pair) <= set(names):
-            continue
-        together: list[tuple[float, Move]] = []
-        for j in range(n):
-            own_offers = [best[(name, j)] for name in pair if (name, j) in best]
-            if len(own_offers) < len(pair):
+    for offer in found if groups else ():
+        if offer.term.place is not None and KINDS[offer.term.name].on_all:
+            best.setdefault((offer.term.name, offer.term.place), offer)
+    both = FRICTION if groups else ()
+    for names in [*((name,) for name in sorted({name for name, _ in best})), both]:
+        nets: list[tuple[float, Move]] = []
+        for j in range(n) if names else ():
+            offered = [best[(name, j)] for name in names if (name, j) in best]
+            if len(offered) < len(names):
                 continue
-            net = _joint_net(question, fit, [o.term for o in own_offers], j)
-            if len(pair) > 1:
-                out.append((net - len(pair) * question.price(), tuple(o.term for o in own_offers)))
+            terms = tuple(o.term for o in offered)
+            net = offered[0].net if len(names) == 1 else _joint_net(question, fit, terms, j)
+            if len(names) > 1:
+                out.append((net - len(names) * question.price(), terms))
             if net > 0:
-                together.append((net, tuple(o.term for o in own_offers)))
-        if 2 * len(together) >= n and len(together) > 1:
-            terms = tuple(t for _, move in together for t in move)
-            net = sum(g for g, _ in together)
-            out.append((net - len(pair) * question.price(), terms))
+                nets.append((net, terms))
+        if 2 * len(nets) >= n and len(nets) > 1:
+            together = tuple(t for _, terms in nets for t in terms)
+            out.append((sum(net for net, _ in nets) - len(names) * question.price(), together))
     return sorted(out, key=lambda move: -move[0])
 
 
@@ -174,7 +161,7 @@ def _swapped(question: Question, fit: Fitted) -> Fitted | None:
     for term in own:
         rest = tuple(t for t in own if t is not term)
         without = fit_terms(question, rest, fit.effective, fit.weight)
-        options = [m for _, m in moves(question, without)[:3]]
+        options = [m for _, m in moves(question, without, groups=False)[:3]]
         for move in options:
             if move == (term,) or any(t.name == BASE for t in move):
                 continue
@@ -197,7 +184,12 @@ def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) 
         then = fit_terms(question, own, after, after / likely.losses.clamp(min=1e-300))
         now = fit_terms(question, _own(question, fit), after, after / fit.losses.clamp(min=1e-300))
         rise = then.evidence - now.evidence
-        if rise > 0 and (best is None or rise > best[0]):
+        # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
+        # error falls by as much: what is still missing may be larger.
+        size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
+        nothing = torch.stack([g[-1, -1] for g in question.normal.g])
+        least = question.least((nothing - then.losses) / rows.clamp(min=1.0))
+        if rise > 0 and bool((size >= least).any()) and (best is None or rise > best[0]):
             best = rise, then
     return None if best is None else best[1]
 
@@ -221,8 +213,6 @@ def worthy(
     question: Question,
     folds: Sequence[tuple[Normal, Normal]],
     fit: Fitted,
-    torque: Float[Tensor, " n"],
-    worth: Worth,
 ) -> tuple[Fitted, list[Term]]:
     """Without the causes that are not worth a name, the least worthy first.
 
@@ -230,8 +220,6 @@ def worthy(
         question: what is explained.
         folds: (fitted on, judged on).
         fit: a finished explanation.
-        torque: (n,) RMS of the joints' torque.
-        worth: the user's.
 
     Returns:
         what is left, and the terms that left.
@@ -243,8 +231,7 @@ def worthy(
     while own := _own(question, fit):
         before = held_out_losses(question, folds, fit, ())
         now = held_out_losses(question, folds, fit, own)
-        explained = (before / rows - now / rows).clamp(min=0).sqrt()
-        least = torch.maximum(worth.gap * explained, worth.torque * torque).clamp(min=1e-300)
+        least = question.least(before / rows - now / rows)
         ratios = []
         for cause in cause_groups(own, len(now)):
             rest = [t for t in own if all(t is not c for c in cause)]

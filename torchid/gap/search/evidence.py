@@ -63,6 +63,19 @@ class Fitted:
         return list(self.x.split([len(t.at) for t in self.terms]))
 
 
+@dataclass(frozen=True)
+class Worth:
+    """From which size on a cause is worth a name.
+
+    Attributes:
+        gap: share of a joint's gap, as far as it is explained [1].
+        torque: share of a joint's torque [1].
+    """
+
+    gap: float = 0.05
+    torque: float = 0.01
+
+
 @dataclass(frozen=True, eq=False)
 class Question:
     """What is to be explained, by which candidates.
@@ -71,12 +84,16 @@ class Question:
         candidates: with their normal equations.
         normal: of the samples that are explained.
         alpha: family-wise level.
+        worth: least size of a cause.
+        torque: (n,) mean square of the joints' torque.
         rows: columns of terms that were in a model, as samples.
     """
 
     candidates: Candidates
     normal: Normal
     alpha: float
+    worth: Worth
+    torque: Float[Tensor, " n"]
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
 
     @property
@@ -88,6 +105,12 @@ class Question:
     def looks(self) -> float:
         """Candidates that are looked at."""
         return float(max(1, len(self.candidates.terms)))
+
+    def least(self, explained: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Torque (n,) from which on a cause is worth a name [N m; N], where so much of the gap, as a
+        mean square, is explained."""
+        gap = self.worth.gap * explained.clamp(min=0).sqrt()
+        return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
 
     def price(self) -> float:
         """Of a cause."""

@@ -10,8 +10,15 @@ from torchid.design.gram import Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data.prepare import Data
-from torchid.gap.search.climb import Worth, climbed, empty_fit, worthy
-from torchid.gap.search.evidence import Fitted, Question, fit_terms, residual, rows_of
+from torchid.gap.search.climb import climbed, empty_fit, worthy
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    Worth,
+    fit_terms,
+    residual,
+    rows_of,
+)
 from torchid.gap.search.events import contacts
 from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
@@ -85,7 +92,7 @@ def explained(
         parts: (N,) fold of every sample; the last number is of those between folds.
         block: (N,) block of every sample.
     """
-    torque = torch.cat([s.tau for s in data.segments]).square().mean(0).sqrt()
+    torque = torch.cat([s.tau for s in data.segments]).square().mean(0)
     at, extra = model, list[Effect]()
     start: tuple[Term, ...] = ()
     gap = Columns(model, data.samples).gap()
@@ -93,7 +100,8 @@ def explained(
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
         candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
-        return Question(candidates, candidates.gram.over(), rules.alpha)
+        normal = candidates.gram.over()
+        return Question(candidates, normal, rules.alpha, rules.worth, torque)
 
     for attempt in range(PASSES):
         columns = Columns(at, data.samples)
@@ -114,8 +122,8 @@ def explained(
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
             fit = climbed(question, again, rules.most)
         folds = folds_of(question.candidates)
-        fit, left = worthy(question, folds, fit, torque, rules.worth)
-        fit = with_bodies(question, folds, fit, torque, rules)
+        fit, left = worthy(question, folds, fit)
+        fit = with_bodies(question, folds, fit)
         latest = corrected(model, fit.terms, fit.values(), wanted)
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
@@ -167,8 +175,6 @@ def with_bodies(
     question: Question,
     folds: Sequence[tuple[Normal, Normal]],
     fit: Fitted,
-    torque: Float[Tensor, " n"],
-    rules: Rules,
 ) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share of
     every cause, and without displacing any."""
@@ -180,7 +186,7 @@ def with_bodies(
     more = fit_terms(question, [*others, *base], fit.effective, fit.weight)
     if more.evidence <= fit.evidence:
         return fit
-    kept, left = worthy(question, folds, more, torque, rules.worth)
+    kept, left = worthy(question, folds, more)
     return fit if any(t in base for t in left) else kept if not left else more
 
 
