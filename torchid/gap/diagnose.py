@@ -19,11 +19,11 @@ from torchid.gap.data.prepare import SAME_RATE, Data, prepare, report_band
 from torchid.gap.data.repeats import Repeats, find_repeats
 from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
 from torchid.gap.localise.where import where
-from torchid.gap.noise.floor import Noise, noise_of
+from torchid.gap.noise.floor import Noise, noise_of, sliding_only
 from torchid.gap.search.evidence import Worth, fit_terms
-from torchid.gap.search.explain import Explanation, Rules, explained
+from torchid.gap.search.explain import Explanation, Rules, explained, without_terms
 from torchid.gap.search.solve import Solution, solved
-from torchid.gap.search.terms import BASE, Wanted, fixed_terms
+from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, budget, closing
@@ -123,6 +123,9 @@ def diagnose(
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
     wanted = wanted_of(robot, settings)
     start = start_of(robot, data, wanted)
+    at_start = Columns(start, data.samples)
+    keep = sliding_only(at_start, data.keep, _band(data, settings), repeats)
+    data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
     rules = Rules(settings.alpha, Worth(settings.worthwhile), settings.max_effects)
@@ -130,7 +133,11 @@ def diagnose(
     found = explained(start, data, wanted, rules, folds.parts, block)
 
     say("judging", 0, 1)
-    checked = check(found, data, judged, folds, repeats, settings, robot.parameters is None)
+    fitted_first = robot.parameters is None
+    checked = check(found, data, judged, folds, repeats, settings, fitted_first)
+    while gone := harmful(found, checked):
+        found = without_terms(found, gone, data, block)
+        checked = check(found, data, judged, folds, repeats, settings, fitted_first)
     said = told(found)
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
@@ -146,12 +153,14 @@ def diagnose(
     )
     poor = len(hidden) > 0.5 * _places(found) or data.seconds < SHORTEST
     far = checked.far
-    explained_gap = (found.empty.losses - found.fit.losses) / found.question.normal.rows.clamp(min=1)
+    if not (said.findings or said.parametric):
+        far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
+        checked = replace(checked, far=far)
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
     result = Diagnosis(
         robot=start.described(),
         corrected=Model(found.solution.model.robot, lasting).described(),
-        status=status_of(said, checked, found.question.least(explained_gap), poor),
+        status=status_of(said, checked, found.question.least(far.rms_before.square()), poor),
         joints=joints,
         regimes=regimes,
         findings=said.findings,
@@ -293,6 +302,20 @@ def check(
     )
 
 
+def harmful(found: Explanation, checked: Checked) -> list[Term]:
+    """Terms that do no good on data that was not fitted: those of joints that get worse, and all that
+    belong to the whole arm where the gap does not shrink at all. What happened once is not asked."""
+    far = checked.far
+    worse = far.rms_after > far.rms_before
+    out = []
+    for term in found.terms:
+        if any(e.event for e in term.effects):
+            continue
+        if bool(worse[term.place]) if term.place is not None else not far.improves:
+            out.append(term)
+    return out
+
+
 def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
     an interval; what is left is unexplained where it exceeds the noise there and a flexible
@@ -310,7 +333,8 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
     beyond = (far.rms_after.square() - noise.floor.high.square()).clamp(min=0).sqrt()
     excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
     odd = (excess > EXCESS) & (noise.structure > 0)
-    unexplained = bool((odd | (excess > CLEAR_EXCESS) | ((noise.structure > STRUCTURE) & (beyond > least))).any())
+    clear = (excess > CLEAR_EXCESS) & ~noise.uneven
+    unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.findings or said.parametric):
         if unexplained:
             return "detected_unexplained"

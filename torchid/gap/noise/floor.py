@@ -50,12 +50,14 @@ class Noise:
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
         reach: (n,) how near to a reversal nothing counts for how far the gap closes [s], for where
             the noise is known, what a joint did while it stuck would be a gap of its own; else None.
+        uneven: (n,) joints whose noise is not the same everywhere.
     """
 
     floor: NoiseFloor
     structure: Float[Tensor, " n"]
     unpredicted: Float[Tensor, " n"]
     reach: Float[Tensor, " n"] | None
+    uneven: Bool[Tensor, " n"]
 
 
 def noise_of(
@@ -81,18 +83,9 @@ def noise_of(
     report = Samples(segments, band)
     residual = [s.tau - model.torque(s, samples) for s in segments]
     floor = _from_repeats(segments, residual, report, repeats)
-    # Where a joint may have stuck, what is left says nothing; the further the filter carries that
-    # above the noise, the larger dry friction is beside it.
-    jumping = [p for p in model.effects if p[0].jumps and p[0].joints]
-    dry = torch.zeros(columns.n, dtype=torch.float64)
-    if jumping:
-        torques = [
-            effect_torque(model.robot, jumping, m, m.torque) for m in columns.motions
-        ]
-        dry = torch.cat(torques).square().mean(0).sqrt()
     size = left.square().mean(1).sqrt() if floor is None else floor.high
-    reach = reach_of(samples, dry / size.clamp(min=1e-12))
-    telling = keep & (moving_samples(samples, reach) | (dry == 0).unsqueeze(1))
+    reach = stuck(columns, size)
+    telling = keep & moving_samples(samples, reach)
     looked = left * telling
     share = telling.double().mean(1).clamp(min=0.05)
     # Between the fit's cut-off and the report's nothing is predicted: all counts as noise.
@@ -111,12 +104,39 @@ def noise_of(
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
+    known = floor.source == "repeats"
+    uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which the structure was found.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
     structure = found.r2 * within / noise.clamp(min=1e-300)
     structure = torch.where(found.interval[:, 0] > 0, structure, torch.zeros_like(structure))
-    return Noise(floor, structure, unpredicted, reach if floor.source == "repeats" else None)
+    return Noise(floor, structure, unpredicted, reach if known else None, uneven)
+
+
+def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """How near to a reversal (n,) a joint may have stuck [s], where what is left says nothing: the
+    further the filter carries that above the noise (n,), the larger dry friction is beside it."""
+    model = columns.model
+    jumping = [p for p in model.effects if p[0].jumps and p[0].joints]
+    dry = torch.zeros(columns.n, dtype=torch.float64)
+    if jumping:
+        torques = [effect_torque(model.robot, jumping, m, m.torque) for m in columns.motions]
+        dry = torch.cat(torques).square().mean(0).sqrt()
+    return reach_of(columns.samples, dry / noise.clamp(min=1e-12))
+
+
+def sliding_only(
+    columns: Columns, keep: Bool[Tensor, "n N"], band: float, repeats: Repeats
+) -> Bool[Tensor, "n N"]:
+    """The samples that count where repeats tell the noise: those in which joints surely slide. There
+    what a joint did while it stuck would stand out as a gap of its own; all samples without."""
+    segments = columns.samples.segments
+    residual = [s.tau - columns.model.torque(s, columns.samples) for s in segments]
+    floor = _from_repeats(segments, residual, Samples(segments, band), repeats)
+    if floor is None:
+        return keep
+    return keep & moving_samples(columns.samples, stuck(columns, floor.high))
 
 
 def _from_repeats(

@@ -10,7 +10,7 @@ from torchid.design.gram import Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data.prepare import Data
-from torchid.gap.search.climb import climbed, empty_fit, worthy
+from torchid.gap.search.climb import allowed, climbed, empty_fit, held_out_losses, worthy
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
@@ -131,7 +131,7 @@ def explained(
         # Secants at the estimate stand beside those at the usual place.
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
-        start = tuple(moved[len(question.fixed) :])
+        start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     columns = Columns(model, data.samples)
     solution = solved(columns, fit.terms, fit.values(), data, wanted, block)
@@ -151,16 +151,13 @@ def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
 def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
     """The best of what is found from several starts: nothing, dry and viscous friction on all joints,
     and, where more than one body was blamed, all base parameters in their place."""
-    if start:
-        return climbed(question, start, rules.most)
     friction = [
         t
         for t in question.candidates.terms
         if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
     ]
-    found = [climbed(question, (), rules.most)]
-    if friction:
-        found.append(climbed(question, friction, rules.most))
+    starts = [start] if start else [(), friction] if friction else [()]
+    found = [climbed(question, s, rules.most) for s in starts]
     best = max(found, key=lambda f: f.evidence)
     own = best.terms[len(question.fixed) :]
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
@@ -172,9 +169,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
 
 
 def with_bodies(
-    question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
-    fit: Fitted,
+    question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted
 ) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share of
     every cause, and without displacing any."""
@@ -182,12 +177,28 @@ def with_bodies(
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
-    others = [t for t in own if not t.inertial]
-    more = fit_terms(question, [*others, *base], fit.effective, fit.weight)
+    more = fit_terms(question, [*(t for t in own if not t.inertial), *base], fit.effective, fit.weight)
     if more.evidence <= fit.evidence:
         return fit
-    kept, left = worthy(question, folds, more)
-    return fit if any(t in base for t in left) else kept if not left else more
+    rows = question.normal.rows.clamp(min=1.0)
+    without, beside = (
+        held_out_losses(question, folds, more, terms) / rows
+        for terms in (own, more.terms[len(question.fixed) :])
+    )
+    fall = without.sqrt() - beside.sqrt()
+    return more if bool((fall >= question.least(without)).any()) else fit
+
+
+def without_terms(found: Explanation, gone: Sequence[Term], data: Data, block: Tensor) -> Explanation:
+    """The same explanation without some terms."""
+    question, fit = found.question, found.fit
+    kept = [t for t in found.terms if all(t is not g for g in gone)]
+    less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
+    start = found.solution.start
+    columns = Columns(start, data.samples)
+    wanted = found.solution.wanted
+    solution = solved(columns, less.terms, less.values(), data, wanted, block)
+    return Explanation(question, found.empty, less, found.unworthy, solution)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:
@@ -246,6 +257,8 @@ def _closest(
         k = min(range(len(losses)), key=losses.__getitem__)
         if losses[k] < least:
             best, least = tried[k], losses[k]
+    if isinstance(best, JointEffect) and best.at_an_end(columns.motions):
+        return None
     return best
 
 
