@@ -19,12 +19,13 @@ import torch
 from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
 
+from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
+from torchid.gap.data.prepare import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
-from torchid.gap.folds import Model, traces
-from torchid.gap.prepare import prepare
 from torchid.gap.settings import GapSettings
+from torchid.gap.validate.folds import traces
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -91,7 +92,7 @@ def fresh_closed(
     for model in models:
         robot, effects = robot_of(arm.scene.robot, model)
         after = Model(robot, tuple(effects))
-        shown = traces(given.rows, None, [nominal], [after], band, reversals=not arm.case.repeats)
+        shown = traces(given.samples, None, [nominal], [after], band)
         losses = []
         for predicted in ("before", "after"):
             left = [

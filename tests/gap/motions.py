@@ -1,4 +1,4 @@
-"""Passages for the tests of the gap: known motion, known noise."""
+"""Segments for the tests of the gap: known motion, known noise."""
 
 import math
 from collections.abc import Sequence
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import torch
 from scipy.signal import lfilter
 
+from torchid.design.segments import Segment
 from torchid.effects.base import Motion
 from torchid.excitation.trajectories import random_trajectory
-from torchid.gap.passages import Passage
 from torchid.robot.library import load_robot
 from torchid.typing import Samples, Tensor
 
@@ -23,12 +23,12 @@ def motion_at(t: Tensor, seed: int = 0, robot: str = "3r") -> Motion:
     return Motion(*found.state, t=t)
 
 
-def passage_of(
+def segment_of(
     motion: Motion, tau: Tensor | None = None, name: str = "a", rate: float = RATE
-) -> Passage:
-    """As `passages_of` would make it of a log without noise."""
+) -> Segment:
+    """As `segments_of` would make it of a log without noise."""
     torque = torch.zeros_like(motion.q) if tau is None else tau
-    return Passage(name, 0, rate, BAND, motion, torque, own_velocity=False)
+    return Segment(name, rate, BAND, motion, torque, own_velocity=False)
 
 
 def times(duration: float = 20.0, start: float = 0.0, rate: float = RATE) -> Tensor:
@@ -48,7 +48,7 @@ def noise(
 
 
 def noises(
-    passages: Sequence[Passage], seed: int, hz: float | None = None, size: float = 1.0
+    segments: Sequence[Segment], seed: int, hz: float | None = None, size: float = 1.0
 ) -> list[Samples]:
     generator = torch.Generator().manual_seed(seed)
-    return [size * noise(p.samples, p.n, generator, hz, p.rate) for p in passages]
+    return [size * noise(s.length, s.n, generator, hz, s.rate) for s in segments]

@@ -12,7 +12,6 @@ from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.withheld.baselines import (
     METHODS,
-    _solved,
     _thresholded,
     answer_of,
     baseline_case,
@@ -98,17 +97,6 @@ def test_thresholding_is_a_sparse_least_squares():
     expected = torch.linalg.lstsq(x[[0, 2]].T, y).solution
     assert found[[0, 2]].tolist() == pytest.approx(expected.tolist(), rel=1e-6)
     assert _thresholded(x @ x.T, x @ y, math.inf).tolist() == [0.0] * 6
-
-
-def test_least_squares_bears_dependent_and_empty_columns():
-    g = torch.Generator().manual_seed(1)
-    a = torch.randn(2, 50, generator=g, dtype=torch.float64)
-    x = torch.stack([a[0], a[1], 2 * a[0], torch.zeros(50, dtype=torch.float64)])
-    y = 3 * a[0] - a[1]
-    values = _solved(x, y)
-    assert bool(torch.isfinite(values).all())
-    assert (values @ x).tolist() == pytest.approx(y.tolist(), abs=1e-8)
-    assert float(values[3]) == 0.0
 
 
 def test_a_log_that_cannot_be_read_is_an_error_of_its_own(tmp_path):

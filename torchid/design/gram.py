@@ -84,6 +84,19 @@ class Normal:
             out.append(some @ g[there.unsqueeze(1), there] @ some)
         return torch.stack(out).clamp(min=0)
 
+    def equations(
+        self, subset: "Subset", weight: Float[Tensor, " n"]
+    ) -> tuple[Float[Tensor, "K K"], Float[Tensor, " K"]]:
+        """Matrix and right side of the weighted normal equations of a subset of K columns."""
+        k = subset.count
+        matrix = torch.zeros(k, k, dtype=torch.float64)
+        right = torch.zeros(k, dtype=torch.float64)
+        for w, g, s in zip(weight.tolist(), self.g, subset.joints, strict=True):
+            matrix[s.of.unsqueeze(1), s.of] += w * g[s.at.unsqueeze(1), s.at]
+            there = s.target.nonzero().flatten()
+            right[s.of] += w * (g[s.at.unsqueeze(1), there] @ s.target[there])
+        return matrix, right
+
     def solve(
         self,
         subset: "Subset",
@@ -97,13 +110,7 @@ class Normal:
             weight: (n,) of each joint's squares.
             ridge: (K,) inverse variances of the coefficients about zero.
         """
-        k = subset.count
-        matrix = torch.zeros(k, k, dtype=torch.float64)
-        right = torch.zeros(k, dtype=torch.float64)
-        for w, g, s in zip(weight.tolist(), self.g, subset.joints, strict=True):
-            matrix[s.of.unsqueeze(1), s.of] += w * g[s.at.unsqueeze(1), s.at]
-            there = s.target.nonzero().flatten()
-            right[s.of] += w * (g[s.at.unsqueeze(1), there] @ s.target[there])
+        matrix, right = self.equations(subset, weight)
         if ridge is not None:
             matrix += torch.diag(ridge)
         # A column that is nowhere in these samples determines nothing.

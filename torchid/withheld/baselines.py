@@ -7,34 +7,37 @@
   threshold is the one with the least error on a part of the data that was left out.
 - `bic`: forward selection of (effect, joint) while Schwarz's criterion falls.
 
-Rows are those of the diagnosis, divided by the noise but not whitened. Nothing here knows a key.
+Samples are those of the diagnosis, joints weighted by their noise, or, in `bic`, by what is left.
+Nothing here knows a key.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
+from torchid.design.columns import Columns, Model
+from torchid.design.gram import Normal
+from torchid.design.segments import moving_samples
+from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS, nominal_effects
-from torchid.gap.bank import Bank
-from torchid.gap.candidates import Evaluator
-from torchid.gap.folds import Folds, make_folds
-from torchid.gap.noise import Noise, noise_of
-from torchid.gap.passages import Rows
-from torchid.gap.prepare import Prepared, prepare, report_band
-from torchid.gap.problem import BASE, LINK, Term, term_of
-from torchid.gap.projection import Projector, Scanner, in_all_rows
+from torchid.gap.data.prepare import prepare
+from torchid.gap.data.repeats import find_repeats
+from torchid.gap.noise.floor import noise_of
+from torchid.gap.search.events import contacts
+from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
+from torchid.gap.search.terms import LINK, Candidates, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
-from torchid.gap.task import Task, banks_of
+from torchid.gap.validate.closing import noise_variance
+from torchid.gap.validate.folds import make_folds
 from torchid.identification.base_parameters import base_parameters
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Float, Tensor
 from torchid.withheld.run import Job, written
 
 RIDGE = 0.05
@@ -46,60 +49,65 @@ MOST = 20
 FELT_SHARE = 0.01
 """Of an effect's square, from which a joint feels it."""
 
+FOLDS = 2
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Data:
     """What a baseline sees.
 
     Attributes:
-        y: (n, N) gap in units of the noise; rows that do not count are zero.
-        keep: (n, N) rows that count.
-        banks: candidates.
+        question: the gap, and the candidates with their normal equations.
+        weight: (n,) of each joint's squares: one over the noise's.
         relative: (n,) RMS of the gap as a share of the torque's.
-        folds: two, by trajectories or stretches.
+        folds: (fitted on, judged on), by trajectories or stretches.
     """
 
-    y: Float[Tensor, "n N"]
-    keep: Bool[Tensor, "n N"]
-    banks: tuple[Bank, ...]
+    question: Question
+    weight: Float[Tensor, " n"]
     relative: Float[Tensor, " n"]
-    folds: Folds
+    folds: tuple[tuple[Normal, Normal], ...]
+
+    @property
+    def normal(self) -> Normal:
+        """Of all samples that count."""
+        return self.question.normal
+
+    def loss(self, normal: Normal, terms: Sequence[Term], x: Float[Tensor, " K"]) -> float:
+        """Sum of squares that terms leave on a part of the data, in units of the noise."""
+        return float(self.weight @ normal.losses(subset_of(normal, terms), x))
 
 
 def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
-    """Rows and columns of a log."""
+    """Samples and columns of a log."""
     given = prepare(robot, log, None)
-    effects = nominal_effects(robot)
-    shown = Rows(given.rows.passages, report_band(given.rows, settings.report_band))
-    noise = noise_of(robot, effects, given.rows, shown, seed=settings.seed)
-    keep = given.counting(noise.repeated)
-    evaluator = Evaluator(robot, effects, given.rows, noise.scaling(keep))
-    y = evaluator.residual()
-    torque = evaluator.on_all([p.tau.T for p in given.rows.passages])
-    relative = y.norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12)
-    banks = banks_of(evaluator, _task(robot, given, noise, settings))
-    plain = tuple(b for b in banks if _is_one_effect(b))
-    return Data(y, keep, plain, relative, make_folds(given.rows, 2, noise.groups))
+    samples = given.samples
+    model = Model(robot, tuple(nominal_effects(robot)))
+    columns = Columns(model, samples)
+    gap = columns.gap()
+    repeats = find_repeats(samples.segments)
+    sliding = given.keep & moving_samples(samples, sliding=True)
+    noise = noise_of(columns, gap * given.keep, sliding, samples.cutoff, repeats, settings.seed)
+    folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
+    wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
 
+    def asked(extra: Sequence[Effect]) -> Question:
+        found: Candidates = candidates_of(
+            columns, gap, given, wanted, folds.parts, model.effects, extra
+        )
+        return Question(found, found.gram.over(), settings.alpha)
 
-def _is_one_effect(bank: Bank) -> bool:
-    """No composites, no effects common to all joints, not all base parameters at once."""
-    return bank.name != BASE and bool(bank.members) and len(bank.members[0]) == 1
-
-
-def _task(robot: Robot, given: Prepared, noise: Noise, settings: GapSettings) -> Task:
-    return Task(
-        base=base_parameters(robot),
-        names=tuple(KINDS),
-        background=(),
-        free=False,
-        inertial=True,
-        own_velocity=given.own_velocity,
-        age=given.age,
-        whitened=noise.repeated,
-        most=MOST,
-        alpha=settings.alpha,
-        seed=settings.seed,
+    question = asked(())
+    pushes = contacts(question, settings.alpha)
+    if pushes:
+        question = asked(pushes)
+    gram, every = question.candidates.gram, range(folds.count)
+    torque = samples.of([s.tau.T for s in samples.segments])
+    return Data(
+        question,
+        1 / noise_variance(noise.floor),
+        (gap * given.keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
+        tuple((gram.over([p for p in every if p != k]), gram.over([k])) for k in every),
     )
 
 
@@ -107,63 +115,56 @@ def friction(data: Data) -> list[Term]:
     """Coulomb and viscous friction of the joint with the largest relative gap."""
     worst = int(data.relative.argmax())
     wanted = ("coulomb_friction", "viscous_friction")
-    return [term_of(b) for b in data.banks if b.name in wanted and b.place == worst]
+    terms = data.question.candidates.terms
+    return [t for t in terms if t.name in wanted and t.place == worst and not t.instead]
 
 
 def bic(data: Data) -> list[Term]:
-    """Forward selection while N ln(L / N) + k ln N falls."""
-    model = Projector(data.y)
-    scanners = [Scanner(bank, data.keep) for bank in data.banks]
-    rows = int(data.keep.sum())
+    """Forward selection while sum_j N_j ln L_j + k ln N falls, all samples taken as independent."""
     found: list[Term] = []
-    taken: set[int] = set()
     while len(found) < MOST:
-        best, choice = 0.0, None
-        for k, scanner in enumerate(scanners):
-            if k in taken:
-                continue
-            gains = scanner.gains(model)
-            left = (model.loss - gains.gain).clamp(min=1e-9 * model.loss)
-            change = rows * (left / model.loss).log() + gains.df * math.log(rows)
-            if float(change.min()) < best:
-                best, choice = float(change.min()), (k, int(change.argmin()))
-        if choice is None:
+        best = next(iter(_offered(data, found)), None)
+        if best is None or best.net <= 0:
             break
-        term = term_of(data.banks[choice[0]], choice[1])
-        model.add(term.columns, term.place)
-        found.append(term)
-        taken.add(choice[0])
+        found.append(best.term)
     return found
 
 
 def stlsq(data: Data) -> list[Term]:
     """Columns that survive; an effect is named if one of its own does."""
-    start = Projector(data.y)
-    terms = []
-    for bank in data.banks:
-        gain = Scanner(bank, data.keep).gains(start).gain
-        if float(gain.max()) > 0:
-            terms.append(term_of(bank, int(gain.argmax())))
-    if not terms:
-        return []
-    x = _stacked(terms, data)
-    y = data.y.flatten()
-    train = data.folds.fitted(0).repeat(len(data.y))
-    size = x.norm(dim=1).clamp(min=1e-300)
-    x = x / size.unsqueeze(1)
-    whole = x @ x.T, x @ (y / y.norm()), float(y.norm())
-    part = (x * train) @ x.T, (x * train) @ (y / y.norm()), float(y.norm())
-    error, chosen = float((y * ~train).square().sum()), math.inf
+    shapes: dict[object, Offer] = {}
+    for offer in sorted(_offered(data, []), key=lambda o: -o.gain):
+        shapes.setdefault(offer.term.key, offer)
+    terms = [offer.term for offer in shapes.values()]
+    train, test = data.folds[0]
+    least, chosen = data.loss(test, [], torch.zeros(0, dtype=torch.float64)), None
     for threshold in THRESHOLDS:
-        values = _thresholded(part[0], part[1], threshold) * part[2]
-        left = float(((y - values @ x) * ~train).square().sum())
-        if left < error:
-            error, chosen = left, threshold
-    if chosen == math.inf:
+        left = data.loss(test, terms, _sparse(data, train, terms, threshold))
+        if left < least:
+            least, chosen = left, threshold
+    if chosen is None:
         return []
-    kept = _thresholded(whole[0], whole[1], chosen) != 0
-    owner = torch.tensor([k for k, t in enumerate(terms) for _ in t.columns])
-    return [terms[k] for k in sorted(set(owner[kept].tolist()))]
+    kept = _sparse(data, data.normal, terms, chosen).split([len(t.at) for t in terms])
+    return [t for t, own in zip(terms, kept, strict=True) if bool((own != 0).any())]
+
+
+def _offered(data: Data, beside: Sequence[Term]) -> list[Offer]:
+    """What effects would add to others, the best first: none that all joints share, and not all
+    base parameters at once."""
+    fit = fit_terms(data.question, beside, data.normal.rows)
+    return [o for o in offers(data.question, fit) if len(o.term.effects) == 1]
+
+
+def _sparse(
+    data: Data, normal: Normal, terms: Sequence[Term], threshold: float
+) -> Float[Tensor, " K"]:
+    """Coefficients of which those that are small, in units of unit columns and target, are zero."""
+    gram, right = normal.equations(subset_of(normal, terms), data.weight)
+    target = data.loss(normal, [], right[:0]) ** 0.5
+    size = gram.diagonal().sqrt()
+    unit = torch.where(size > 0, 1 / size, 0.0)
+    values = _thresholded(gram * unit * unit.unsqueeze(1), right * unit / target, threshold)
+    return values * unit * target
 
 
 def _thresholded(gram: Tensor, b: Tensor, threshold: float) -> Tensor:
@@ -198,7 +199,9 @@ METHODS: dict[str, Callable[[Data], list[Term]]] = {
 def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
     """Named effects in the form of a diagnosis. Coefficients are fitted on one half of the data for
     the other; what was chosen, was chosen on all of them, in the baseline's favour."""
-    which = [_entry(term, part) for term, part in _parts(data, terms)]
+    x = data.normal.solve(subset_of(data.normal, terms), data.weight).x
+    parts = x.split([len(t.at) for t in terms]) if terms else ()
+    which = [_entry(data, term, part) for term, part in zip(terms, parts, strict=True)]
     which.sort(key=lambda entry: -entry["share"])
     inertial = bool(which) and all(entry["effect"] == LINK for entry in which)
     status = "parametric_only" if inertial else "explained" if which else "no_gap"
@@ -211,9 +214,13 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
     }
 
 
-def _entry(term: Term, part: Float[Tensor, "n N"]) -> dict[str, Any]:
+def _entry(data: Data, term: Term, x: Float[Tensor, " C"]) -> dict[str, Any]:
     effect = term.effects[0]
-    square = part.square().sum(1)
+    joints = range(len(data.weight)) if term.place is None else (term.place,)
+    square = torch.zeros_like(data.weight)
+    for j in joints:
+        own = data.normal.g[j][term.at.unsqueeze(1), term.at]
+        square[j] = data.weight[j] * (x @ own @ x)
     felt = (square > FELT_SHARE * square.sum()).nonzero().flatten().tolist()
     return {
         "effect": effect.name,
@@ -226,47 +233,15 @@ def _entry(term: Term, part: Float[Tensor, "n N"]) -> dict[str, Any]:
     }
 
 
-def _parts(data: Data, terms: Sequence[Term]) -> list[tuple[Term, Tensor]]:
-    """Every term with its part (n, N) of the fitted gap."""
-    if not terms:
-        return []
-    x = _stacked(terms, data)
-    values = _solved(x, data.y.flatten())
-    pieces = (values.unsqueeze(1) * x).split([len(t.columns) for t in terms])
-    return [(t, p.sum(0).reshape(data.y.shape)) for t, p in zip(terms, pieces, strict=True)]
-
-
 def _closed(data: Data, terms: Sequence[Term]) -> float | None:
     """(L0 - L*) / (L0 - Ln), coefficients fitted on the other fold; None where there is no gap."""
-    before, noise = float(data.y.square().sum()), float(data.keep.sum())
-    if before <= noise:
-        return None
-    if not terms:
-        return 0.0
-    x, y = _stacked(terms, data), data.y.flatten()
-    after = 0.0
-    for k in range(data.folds.count):
-        train = data.folds.fitted(k).repeat(len(data.y))
-        held = (data.folds.fold == k).repeat(len(data.y))
-        values = _solved(x * train, y * train)
-        after += float(((y - values @ x) * held).square().sum())
-    return (before - after) / (before - noise)
-
-
-def _stacked(terms: Sequence[Term], data: Data) -> Float[Tensor, "P nN"]:
-    """Columns of all terms in all rows that count."""
-    n = len(data.y)
-    rows = data.keep.flatten()
-    return torch.cat([in_all_rows(t.columns, t.place, n) * rows for t in terms])
-
-
-def _solved(x: Tensor, y: Tensor) -> Tensor:
-    """Least squares, of least norm where columns are dependent; zero for columns that are."""
-    size = x.norm(dim=1)
-    size = torch.where(size > 0, size, math.inf)
-    unit = x / size.unsqueeze(1)
-    inverse = torch.linalg.pinv(unit @ unit.T, rtol=1e-7, hermitian=True)
-    return (inverse @ (unit @ y)) / size
+    before = after = noise = 0.0
+    for train, test in data.folds:
+        x = train.solve(subset_of(train, terms), data.weight).x
+        before += data.loss(test, (), x[:0])
+        after += data.loss(test, terms, x)
+        noise += float(test.rows.sum())
+    return None if before <= noise else (before - after) / (before - noise)
 
 
 def baseline_case(job: Job) -> dict[str, Any]:

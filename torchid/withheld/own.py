@@ -14,15 +14,16 @@ from typing import Any
 import torch
 
 from torchid import __version__
+from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS, nominal_effects
 from torchid.errors import LogError, TorchidError
-from torchid.gap.closing import closing
+from torchid.gap.data.prepare import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
-from torchid.gap.folds import Model, traces
-from torchid.gap.prepare import prepare
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
+from torchid.gap.validate.closing import closing
+from torchid.gap.validate.folds import traces
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.robot.model import Robot
@@ -240,17 +241,9 @@ def _withheld(job: _Hidden) -> Withheld:
     torch.set_num_threads(1)
     found = diagnose(job.robot, job.log, settings=job.settings)
     given = prepare(job.robot, job.log, found.cutoff)
+    models = [_model(job.robot)], [_model(job.corrected)]
     known = closing(
-        traces(
-            given.rows,
-            None,
-            [_model(job.robot)],
-            [_model(job.corrected)],
-            found.band,
-            reach=given.reach if found.floor.source == "repeats" else None,
-        ),
-        found.floor,
-        job.settings.seed,
+        traces(given.samples, None, *models, found.band), found.floor, job.settings.seed
     )
     name, place = job.finding.effect.name, job.finding.located
     return Withheld(

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.gap.motions import motion_at, noises, passage_of, times
-from torchid.gap.flexible import autocorrelation_rows, predict_out_of_fold
+from torchid.gap.noise.flexible import predict_out_of_fold
 from torchid.gap.passages import Passage, Rows
 
 

@@ -12,9 +12,9 @@ from tests.arms import arm
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.gap.passages import Passage
-from torchid.gap.rollout import DIVERGED, rollouts
-from torchid.gap.shooting import starts_of
+from torchid.design.segments import Segment
+from torchid.gap.validate.rollout import DIVERGED, rollouts
+from torchid.gap.validate.shooting import starts_of
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 
@@ -35,11 +35,10 @@ def motion(n: int, seconds: float, seed: int = 0) -> Motion:
     return Motion(q, dq, ddq, torch.sign(dq), t)
 
 
-def passage(robot: Robot, seconds: float = 20.0, seed: int = 0) -> Passage:
+def segment(robot: Robot, seconds: float = 20.0, seed: int = 0) -> Segment:
     moved = motion(robot.n, seconds, seed)
-    return Passage(
+    return Segment(
         name=f"p{seed}",
-        trajectory=seed,
         rate=RATE,
         band=BAND,
         motion=moved,
@@ -76,7 +75,7 @@ def test_error_of_a_wrong_mass_is_that_of_the_closed_form() -> None:
     t = torch.arange(round(10 * RATE), dtype=torch.float64)[:, None] / RATE
     acceleration = torch.full_like(t, force / mass)
     moved = Motion(t.square() * force / mass / 2, t * force / mass, acceleration, None, t[:, 0])
-    run = Passage("p", 0, RATE, BAND, moved, torch.full_like(t, force), False)
+    run = Segment("p", RATE, BAND, moved, torch.full_like(t, force), False)
     result = rollouts(slider(wrong), slider(mass), [run], horizons=(0.1, 0.5, 1.0))
     for row in result["horizons"]:
         expected = force * (1 / mass - 1 / wrong) * row["horizon_s"] ** 2 / 2
@@ -85,14 +84,14 @@ def test_error_of_a_wrong_mass_is_that_of_the_closed_form() -> None:
 
 
 @pytest.fixture(scope="module")
-def coulomb() -> tuple[Robot, Robot, Passage]:
-    """Without and with Coulomb friction, and a passage of the arm that has it."""
+def coulomb() -> tuple[Robot, Robot, Segment]:
+    """Without and with Coulomb friction, and a segment of the arm that has it."""
     before = arm("3r")
     after = with_effects(before, "coulomb_friction", {2: {"Fc": 0.2}, 3: {"Fc": 0.1}})
-    return before, after, passage(after, 30.0)
+    return before, after, segment(after, 30.0)
 
 
-def test_a_planted_effect_makes_rollouts_better(coulomb: tuple[Robot, Robot, Passage]) -> None:
+def test_a_planted_effect_makes_rollouts_better(coulomb: tuple[Robot, Robot, Segment]) -> None:
     before, after, run = coulomb
     result = rollouts(before, after, [run], max_starts=40)
     assert result["torque"]["ratio"] < 1e-9
@@ -108,7 +107,7 @@ def test_a_planted_effect_makes_rollouts_better(coulomb: tuple[Robot, Robot, Pas
     assert errors == sorted(errors)
 
 
-def test_equal_models_have_the_ratio_one(coulomb: tuple[Robot, Robot, Passage]) -> None:
+def test_equal_models_have_the_ratio_one(coulomb: tuple[Robot, Robot, Segment]) -> None:
     _, after, run = coulomb
     other = with_effects(after, "viscous_friction", {1: {"Fv": 1.0}})
     for row in rollouts(other, other, [run], max_starts=20, horizons=(0.1, 0.5))["horizons"]:
@@ -119,7 +118,7 @@ def test_equal_models_have_the_ratio_one(coulomb: tuple[Robot, Robot, Passage]) 
 
 
 def test_the_result_is_json_and_a_function_of_the_seed(
-    coulomb: tuple[Robot, Robot, Passage],
+    coulomb: tuple[Robot, Robot, Segment],
 ) -> None:
     one, same, other = (
         json.dumps(rollouts(*coulomb[:2], [coulomb[2]], (0.1,), seed, 10), allow_nan=False)
@@ -130,7 +129,7 @@ def test_the_result_is_json_and_a_function_of_the_seed(
 
 @pytest.mark.parametrize("scale", [0.02, -1.0, float("inf")])
 def test_divergence_is_counted_and_nothing_is_raised(
-    coulomb: tuple[Robot, Robot, Passage], scale: float
+    coulomb: tuple[Robot, Robot, Segment], scale: float
 ) -> None:
     """A model far too light, one whose mass matrix is negative, one without numbers."""
     _, after, run = coulomb
@@ -152,7 +151,7 @@ def test_torque_and_rollout_that_disagree_are_named() -> None:
     true = arm("kuka_lwr4")
     heavy = with_effects(true, "torque_offset", {1: {"F0": 4.0}})
     light = with_effects(true, "torque_offset", {7: {"F0": 0.4}})
-    result = rollouts(heavy, light, [passage(true)], (0.1,), max_starts=30)
+    result = rollouts(heavy, light, [segment(true)], (0.1,), max_starts=30)
     assert result["torque"]["ratio"] == pytest.approx(0.1)
     assert result["horizons"][0]["ratio"] > 1
     assert any("disagree" in sentence for sentence in result["sentences"])
@@ -160,7 +159,7 @@ def test_torque_and_rollout_that_disagree_are_named() -> None:
 
 def test_starts_are_spread_and_leave_the_edges_out() -> None:
     robot = arm("3r")
-    runs = [passage(robot, seconds, seed) for seed, seconds in enumerate((12.0, 0.2, 4.0))]
+    runs = [segment(robot, seconds, seed) for seed, seconds in enumerate((12.0, 0.2, 4.0))]
     starts = starts_of(runs, 0.5, 60, seed=3)
     edge = 4 * RATE / BAND
     assert set(starts.passage.tolist()) == {0, 2}
@@ -168,21 +167,21 @@ def test_starts_are_spread_and_leave_the_edges_out() -> None:
         first = starts.first[starts.passage == k].sort().values
         if len(first):
             assert first[0] >= edge
-            assert (first + 0.5 * RATE + edge <= run.samples).all()
+            assert (first + 0.5 * RATE + edge <= run.length).all()
             assert first.diff().max() < 2.1 * (16 * RATE / 60)
     assert (starts.length >= 0.5 * RATE - 1).all()
 
 
 def test_horizons_that_do_not_fit_are_said() -> None:
     robot = arm("3r")
-    result = rollouts(robot, robot, [passage(robot, 1.5)], max_starts=8)
+    result = rollouts(robot, robot, [segment(robot, 1.5)], max_starts=8)
     fits = {row["horizon_s"]: row["starts"] for row in result["horizons"]}
     assert fits[0.1] == 8
     assert fits[2.0] == 0
     last = result["horizons"][-1]
     assert all(last[name] is None for name in FIELDS)
     assert any("2 s" in sentence for sentence in result["sentences"])
-    none = rollouts(robot, robot, [passage(robot, 0.2)])
+    none = rollouts(robot, robot, [segment(robot, 0.2)])
     assert (none["starts"], none["horizons"]) == (0, [])
     assert none["sentences"]
 
@@ -191,7 +190,7 @@ def test_joints_of_both_kinds_go_into_one_ratio() -> None:
     true = arm("mixed")
     before = with_effects(true, "torque_offset", {6: {"F0": 1.0}})
     after = with_effects(true, "torque_offset", {6: {"F0": 0.5}})
-    run = passage(true)
+    run = segment(true)
     assert torch.allclose(run.tau, inverse_dynamics(true, *run.motion.state))
     row = rollouts(before, after, [run], (0.1,), max_starts=20)["horizons"][0]
     # In a short time errors are proportional to the torque that is wrong.
@@ -202,10 +201,10 @@ def test_joints_of_both_kinds_go_into_one_ratio() -> None:
 def test_effects_in_the_sensors_are_undone_or_named() -> None:
     true = arm("3r")
     gain = with_effects(true, "torque_gain", {2: {"gain": 0.1}})
-    result = rollouts(true, gain, [passage(gain, 6.0)], (0.1,), max_starts=8)
+    result = rollouts(true, gain, [segment(gain, 6.0)], (0.1,), max_starts=8)
     assert result["horizons"][0]["ratio"] < 0.05
     assert result["ignored_effects"] == []
     late = with_effects(true, "time_delay", {2: {"delay": 5e-3}})
-    result = rollouts(true, late, [passage(late, 6.0)], (0.1,), max_starts=8)
+    result = rollouts(true, late, [segment(late, 6.0)], (0.1,), max_starts=8)
     assert result["ignored_effects"] == ["time_delay"]
     assert any("without time delay" in sentence for sentence in result["sentences"])

@@ -10,11 +10,10 @@ import torch
 
 from tests.gap.diagnoses import NOISE, banded, coloured, floor, trace
 from torchid.gap.diagnosis import Regime
-from torchid.gap.regimes import extrapolation, reversals
-from torchid.gap.remarks import unrelated
-from torchid.gap.resampling import Draws, Look, best_of, corrected, linear, quadratic
-from torchid.gap.signatures import white_share
-from torchid.gap.where import where
+from torchid.gap.localise.regimes import extrapolation, reversals
+from torchid.gap.localise.resampling import Draws, Look, best_of, corrected, linear, quadratic
+from torchid.gap.localise.signatures import white_share
+from torchid.gap.localise.where import where
 
 JOINT = 1
 
@@ -271,12 +270,3 @@ def test_draws_are_permutations_and_signs():
     assert torch.equal(draws.order.sort(-1).values, torch.arange(12).expand(7, -1))
     assert bool((draws.signs.abs() == 1).all())
     assert NOISE > 0
-
-
-@pytest.mark.parametrize(("scale", "told"), [(1.0, False), (-1.0, True)])
-def test_a_model_of_another_arm_is_doubted(scale: float, told: bool) -> None:
-    """The model's torque turned around explains less than none of the measured one's spread."""
-    made = trace(n=2, seconds=20.0)
-    load = 5 * torch.sin(made.motion.q + torch.arange(2))
-    found = unrelated([replace(made, measured=load, before=scale * load)])
-    assert ["joints 1, 2" in sentence for sentence in found] == [True] * told

@@ -6,9 +6,9 @@ import time
 import pytest
 import torch
 
-from tests.gap.motions import RATE, motion_at, noise, passage_of, times
+from tests.gap.motions import RATE, motion_at, noise, segment_of, times
 from torchid.effects.base import Motion
-from torchid.gap.repeats import delayed, find_repeats
+from torchid.gap.data.repeats import delayed, find_repeats
 
 
 def periodic(periods: float, period: float, seed: int = 0, rate: float = RATE) -> Motion:
@@ -28,7 +28,7 @@ def periodic(periods: float, period: float, seed: int = 0, rate: float = RATE) -
 def test_a_reference_run_twice_is_found_with_its_lag(late):
     """The second run starts `late` seconds later on the reference, and is shorter."""
     one, two = motion_at(times(16.0, 1.0)), motion_at(times(14.0, 1.0 + late))
-    (pair,) = find_repeats([passage_of(one), passage_of(two)]).pairs
+    (pair,) = find_repeats([segment_of(one), segment_of(two)]).pairs
     assert (pair.a, pair.b) == (0, 1)
     lag = pair.rows_b.start - pair.rows_a.start + pair.shift
     assert lag == pytest.approx(-late * RATE, abs=2e-3)
@@ -37,8 +37,8 @@ def test_a_reference_run_twice_is_found_with_its_lag(late):
 
 @pytest.mark.parametrize("period", [5.0, 6.1234])
 def test_periods_within_a_trajectory_are_found(period):
-    passage = passage_of(periodic(4, period))
-    (pair,) = find_repeats([passage]).pairs
+    segment = segment_of(periodic(4, period))
+    (pair,) = find_repeats([segment]).pairs
     lag = pair.rows_b.start - pair.rows_a.start + pair.shift
     assert lag == pytest.approx(period * RATE, abs=2e-3)
     assert (pair.rows_a.stop - pair.rows_a.start) / RATE == pytest.approx(3 * period, abs=0.6)
@@ -54,14 +54,14 @@ def test_what_is_not_repeated_is_left_out():
     mixed = Motion(
         same.q + share * gap, same.dq + share * (other.dq - same.dq) + rate * gap, same.ddq, t=t
     )
-    (pair,) = find_repeats([passage_of(same), passage_of(mixed)]).pairs
+    (pair,) = find_repeats([segment_of(same), segment_of(mixed)]).pairs
     assert pair.rows_a.start / RATE < 1
     assert 7 < pair.rows_a.stop / RATE < 10
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_different_motions_and_dwells_are_no_repeats(seed):
-    moving = [passage_of(motion_at(times(), s)) for s in (seed, seed + 10)]
+    moving = [segment_of(motion_at(times(), s)) for s in (seed, seed + 10)]
     assert len(find_repeats(moving)) == 0
     # Point to point: long dwells at the same place, different motion in between.
     t = times(20.0)
@@ -69,7 +69,7 @@ def test_different_motions_and_dwells_are_no_repeats(seed):
     for k in (0, 1):
         rise = torch.stack([torch.tanh(3 * (t - 9 - 2 * k)) * (-1) ** k], -1)
         slope = 3 * (1 - rise**2) * (-1) ** k
-        out.append(passage_of(Motion(rise, slope, torch.zeros_like(rise), t=t)))
+        out.append(segment_of(Motion(rise, slope, torch.zeros_like(rise), t=t)))
     assert len(find_repeats(out)) == 0
 
 
@@ -79,8 +79,8 @@ def test_alignment_adds_no_noise(late):
     sample between the runs; noise of either run keeps its size."""
     g = torch.Generator().manual_seed(0)
     motions = [motion_at(times(15.0, 1.0 + x)) for x in (0.0, late)]
-    passages = [passage_of(m._replace(q=m.q + 1e-5 * noise(*m.q.shape, g))) for m in motions]
-    found = find_repeats(passages)
+    segments = [segment_of(m._replace(q=m.q + 1e-5 * noise(*m.q.shape, g))) for m in motions]
+    found = find_repeats(segments)
     torque = [20 * m.q.sin() + 3 * torch.tanh(5 * m.dq) for m in motions]
     (clean,) = found.differences(torque)
     assert float(clean.std() / torque[0].std()) < 3e-4
@@ -89,7 +89,7 @@ def test_alignment_adds_no_noise(late):
 
 
 def test_three_runs_make_two_pairs():
-    runs = [passage_of(motion_at(times(15.0, 0.1 * k))) for k in range(3)]
+    runs = [segment_of(motion_at(times(15.0, 0.1 * k))) for k in range(3)]
     assert [(p.a, p.b) for p in find_repeats(runs).pairs] == [(0, 1), (1, 2)]
 
 
@@ -104,11 +104,11 @@ def test_delay_by_spectrum_is_a_delay():
 @pytest.mark.slow
 def test_ten_minutes_take_two_seconds():
     motion = periodic(60, 10.0)
-    passage = passage_of(Motion(*(torch.cat([x, x.flip(-1), x[:, :1]], -1) for x in motion.state)))
+    segment = segment_of(Motion(*(torch.cat([x, x.flip(-1), x[:, :1]], -1) for x in motion.state)))
     assert motion.q.shape[0] == 150_000
     start = time.perf_counter()
-    found = find_repeats([passage])
-    found.differences([passage.tau])
+    found = find_repeats([segment])
+    found.differences([segment.tau])
     assert time.perf_counter() - start < 2
     (pair,) = found.pairs
     assert pair.rows_b.start - pair.rows_a.start + pair.shift == pytest.approx(2500, abs=1e-2)

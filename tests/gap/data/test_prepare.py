@@ -6,12 +6,12 @@ from functools import cache
 import pytest
 import torch
 
-from tests.gap.motions import ROBOT, passage_of
+from tests.gap.motions import ROBOT, segment_of
 from torchid.effects.base import Motion
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.prepare import Prepared, bands, prepare, report_band, sharp_direction
+from torchid.gap.data.prepare import bands, prepare, report_band, sharp_direction
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -63,7 +63,7 @@ def test_short_ones_among_long_ones_are_left_out_and_said():
     keep[log().slices()[1]] = False
     keep[log().slices()[1].start : log().slices()[1].start + 150] = True
     found = prepare(ROBOT, log().select(keep), None)
-    assert len(found.rows.passages) == 1
+    assert len(found.segments) == 1
     assert any("too short" in w and log().names[1] in w for w in found.warnings)
 
 
@@ -73,8 +73,8 @@ def test_the_cut_off_is_the_wanted_one(cutoff, rate):
     assert cutoff is None or narrow == cutoff
     assert narrow < wide < rate / 2
     found = prepare(ROBOT, log(rate), cutoff)
-    assert found.rows.cutoff == narrow
-    assert found.rows.passages[0].rate > 2 * wide
+    assert found.samples.cutoff == narrow
+    assert found.segments[0].rate > 2 * wide
 
 
 def test_a_slow_log_is_cut_lower():
@@ -92,27 +92,47 @@ def test_signals_are_those_of_the_log():
     """Positions and torques in the wide band: those of a smooth motion as they were."""
     found = prepare(ROBOT, log(), None)
     assert found.still == ()
-    assert not found.age
-    assert not found.own_velocity
-    for passage, rows in zip(found.rows.passages, log().slices(), strict=True):
-        step = round(250.0 / passage.rate)
-        inner = slice(found.rows.edge, -found.rows.edge)
-        assert torch.allclose(passage.motion.q[inner], log().q[rows][::step][inner], atol=1e-4)
-        assert torch.allclose(passage.tau[inner], log().tau[rows][::step][inner], atol=2e-2)
+    assert found.missing == {"age", "velocity"}
+    for segment, rows in zip(found.segments, log().slices(), strict=True):
+        step = round(250.0 / segment.rate)
+        inner = slice(found.samples.edge, -found.samples.edge)
+        assert torch.allclose(segment.motion.q[inner], log().q[rows][::step][inner], atol=1e-4)
+        assert torch.allclose(segment.tau[inner], log().tau[rows][::step][inner], atol=2e-2)
 
 
 def test_own_velocities_are_known():
     true = trajectory_log(random_trajectory(ROBOT, 0, duration=8.0, fill=True), 250.0)
     made = synthetic_log(ROBOT, true).replace(ddq=None)
-    assert prepare(ROBOT, made, None).own_velocity
+    assert prepare(ROBOT, made, None).missing == {"age"}
 
 
 def test_joints_that_never_move_are_said():
     found = prepare(ROBOT, changed(log(), [1.0, 0.0, 1.0]), None)
     assert found.still == (1,)
     assert any("joint 2 never moves" in w for w in found.warnings)
-    assert found.counting(noise_is_known=True)[1].all()
-    assert found.counting(noise_is_known=False)[1].all()
+    assert found.keep[1].all()
+    assert found.slides.tolist() == [True, False, True]
+
+
+def test_a_log_in_which_nothing_moves_is_refused():
+    with pytest.raises(LogError, match="stands still"):
+        prepare(ROBOT, changed(log(), [0.0, 0.0, 0.0]), None)
+
+
+def test_repeated_torques_have_an_age():
+    held = log().tau.clone()
+    held[700:730, 1] = held[700, 1]
+    found = prepare(ROBOT, log().replace(tau=held), None)
+    assert found.missing == {"velocity"}
+    assert float(found.segments[0].motion.age[:, 1].max()) > 0.05
+    assert float(found.segments[0].motion.age[:, [0, 2]].abs().max()) == 0
+
+
+def test_the_clock_of_another_log_goes_on():
+    first = prepare(ROBOT, log(), None)
+    later = prepare(ROBOT, log(), None, clock=first.end + 1.0)
+    assert later.segments[0].start == pytest.approx(first.end + 1.0)
+    assert first.seconds == pytest.approx(16.0, abs=2.0)
 
 
 def dwelling() -> tuple[Log, Tensor]:
@@ -130,42 +150,17 @@ def dwelling() -> tuple[Log, Tensor]:
     return Log(t, q, tau=10 * q.cos()), rest
 
 
-def counted(found: Prepared, noise_is_known: bool) -> Tensor:
-    return found.counting(noise_is_known)
-
-
 def test_rows_at_rest_do_not_count():
     given, rest = dwelling()
     found = prepare(ROBOT, given, None)
-    step = round(250.0 / found.rows.passages[0].rate)
+    step = round(250.0 / found.segments[0].rate)
     deep = -torch.nn.functional.max_pool1d(-rest.double()[None, None], 101, 1, 50)[0, 0] > 0
-    resting = found.rows.pick([deep[::step]])
-    moving = found.rows.pick([~rest[::step]])
+    resting = found.samples.pick([deep[::step]])
+    moving = found.samples.pick([~rest[::step]])
     assert int(resting.sum()) > 10
-    for known in (False, True):
-        keep = counted(found, known)
-        assert not keep[1][resting].any()
-        assert keep[0][resting].double().mean() > 0.5
-        assert keep[1][moving].double().mean() > 0.6
-
-
-def test_rows_at_reversals_do_not_count_where_noise_is_known():
-    """sin reverses at its peaks; the rows around them are left out, those between them are not."""
-    rate = 250.0
-    t = torch.arange(0, 12, 1 / rate, dtype=torch.float64)
-    w = torch.tensor([2.0, 3.0, 2.5])
-    q = (t[:, None] * w).sin()
-    found = prepare(ROBOT, Log(t, q, tau=10 * q.cos()), None)
-    at = found.rows.pick([found.rows.passages[0].motion.t])
-    keep = counted(found, True)
-    for j in range(3):
-        away = (at * w[j] / math.pi - 0.5) % 1.0 * math.pi / w[j]  # time since the last peak
-        away = torch.minimum(away, math.pi / w[j] - away)
-        assert not keep[j][away < 0.03].any()
-        assert keep[j][away > 0.3].all()
-        loose = counted(found, False)[j]
-        assert loose[away > 0.1].all()
-        assert int(loose.sum()) > int(keep[j].sum())
+    assert not found.keep[1][resting].any()
+    assert found.keep[0][resting].double().mean() > 0.5
+    assert found.keep[1][moving].double().mean() > 0.6
 
 
 @pytest.mark.parametrize("amplitude", [0.01, 1.0])
@@ -183,7 +178,7 @@ def test_directions_of_a_sinusoid_are_exact(amplitude):
 
     half = 0.5 * w / rate
     expected = (triangle(angle + half) - triangle(angle - half)) / (2 * half)
-    found = sharp_direction(passage_of(motion, rate=rate), torch.full((3,), 1e-3 * amplitude))
+    found = sharp_direction(segment_of(motion, rate=rate), torch.full((3,), 1e-3 * amplitude))
     # dq and ddq vary over the interval: at third order in its length.
     assert torch.allclose(found, expected, atol=(w / rate) ** 2)
     inside = expected.abs() == 1
@@ -195,21 +190,21 @@ def test_a_dwelling_joint_keeps_the_direction_it_came_from():
     g = torch.Generator().manual_seed(0)
     noisy = given.replace(q=given.q + 1e-5 * torch.randn(given.q.shape, generator=g))
     found = prepare(ROBOT, noisy, None)
-    passage = found.rows.passages[0]
-    step = round(250.0 / passage.rate)
-    t = passage.motion.t
+    segment = found.segments[0]
+    step = round(250.0 / segment.rate)
+    t = segment.motion.t
     phase = t % 6.0
     inner = (t > 1) & (t < 11)
     up = inner & (phase > 2.3) & (phase < 2.7)
     down = inner & (phase > 5.3) & (phase < 5.7)
     assert rest[::step][up].all()
-    assert (passage.motion.direction[up, 1] == 1).all()
-    assert (passage.motion.direction[down, 1] == -1).all()
-    assert passage.motion.direction.abs().max() <= 1
+    assert (segment.motion.direction[up, 1] == 1).all()
+    assert (segment.motion.direction[down, 1] == -1).all()
+    assert segment.motion.direction.abs().max() <= 1
 
 
-def test_the_report_s_band_is_no_wider_than_the_passages():
+def test_the_report_s_band_is_no_wider_than_the_segments():
     found = prepare(ROBOT, log(), None)
-    assert report_band(found.rows, 20.0) == 20.0
-    assert report_band(found.rows, 1e4) < found.rows.passages[0].band
-    assert report_band(found.rows, 0.1) == found.rows.cutoff
+    assert report_band(found.samples, 20.0) == 20.0
+    assert report_band(found.samples, 1e4) < found.segments[0].band
+    assert report_band(found.samples, 0.1) == found.samples.cutoff

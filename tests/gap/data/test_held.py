@@ -5,8 +5,8 @@ import torch
 
 from tests.gap.motions import RATE, motion_at, noise, times
 from tests.real_logs import FOLDER, NO_LOGS
-from torchid.gap.held import held_ages, passage_ages
-from torchid.gap.passages import passages_of
+from torchid.gap.data.held import held_ages, held_ages_of
+from torchid.design.segments import segments_of
 from torchid.design.motion import measurements
 from torchid.log.model import Log
 from torchid.log.readers import read_log
@@ -60,9 +60,9 @@ def test_a_limit_and_a_brake_are_not_holds():
     assert float(held_ages(log.replace(q=q, tau=tau)).max()) == 0
 
 
-def test_ages_follow_resampling_and_the_passages_grid():
+def test_ages_follow_resampling_and_the_segments_grid():
     """Stamps that jitter, a log at 1 kHz: on the grid the age is that of the raw hold to within a
-    step, and the passages' torque and ages go through one filter."""
+    step, and the segments' torque and ages go through one filter."""
     log = moving_log(rate=1000.0)
     tau = log.tau.clone()
     hold(tau, 1, 9000, 60)
@@ -71,10 +71,10 @@ def test_ages_follow_resampling_and_the_passages_grid():
     found = held_ages(even)
     assert float(found[:, 1].max()) == pytest.approx(0.059, abs=2e-3)
     assert int((found > 0).sum()) == pytest.approx(59, abs=2)
-    passages = passages_of(measurements(even, 40.0), 40.0)
-    (ages,) = passage_ages(even, passages)
-    assert ages.shape == passages[0].tau.shape
-    area = float(ages.sum()) / passages[0].rate
+    segments = segments_of(measurements(even, 40.0), 40.0)
+    (ages,) = held_ages_of(even, segments)
+    assert ages.shape == segments[0].tau.shape
+    area = float(ages.sum()) / segments[0].rate
     assert area == pytest.approx(0.5 * 0.06**2, rel=0.1)
 
 

@@ -1,0 +1,152 @@
+"""Fits from normal equations are those of all rows stacked."""
+
+import pytest
+import torch
+
+from torchid.design.gram import Gram, Normal, OnJoint, Subset
+from torchid.typing import Tensor
+
+COMMON, OWN, ROWS, PARTS = 3, (2, 4), 120, 3
+WEIGHT = torch.tensor([0.5, 4.0], dtype=torch.float64)
+
+
+def random(*shape: int, seed: int) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+class Problem:
+    """Columns, targets and rows that count, kept as they are."""
+
+    def __init__(self) -> None:
+        self.columns = [random(COMMON + k, ROWS, seed=j) for j, k in enumerate(OWN)]
+        self.columns[1][-1] = 0.0  # the last column of joint 2 is nowhere
+        self.y = random(2, ROWS, seed=7)
+        self.keep = random(2, ROWS, seed=8) > -1
+        self.part = (random(ROWS, seed=9) > 0).long() + (random(ROWS, seed=10) > 1).long()
+        self.gram = Gram(COMMON, OWN, PARTS)
+        for j, a in enumerate(self.columns):
+            # In pieces, as effects come, and in two goes, as logs do.
+            pieces = [a[:COMMON], a[COMMON : COMMON + 1], a[COMMON + 1 :]]
+            for rows in (slice(0, 50), slice(50, ROWS)):
+                some = [p[:, rows] for p in pieces]
+                keep, part = self.keep[j, rows], self.part[rows]
+                self.gram.add(j, some, self.y[j, rows], keep, part)
+
+    def stacked(
+        self, subset: Subset, parts: tuple[int, ...], weight: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Rows (R, K) and target (R,) of all joints, by hand."""
+        chosen = torch.isin(self.part, torch.tensor(parts))
+        rows, targets = [], []
+        for j, s in enumerate(subset.joints):
+            here = chosen & self.keep[j]
+            every = torch.cat([self.columns[j], self.y[j : j + 1]])[:, here]
+            a = torch.zeros(int(here.sum()), subset.count, dtype=torch.float64)
+            a[:, s.of] = every[s.at].T
+            rows.append(weight[j].sqrt() * a)
+            targets.append(weight[j].sqrt() * (s.target @ every))
+        return torch.cat(rows), torch.cat(targets)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem()
+
+
+def subset(replaced: float = 0.0) -> Subset:
+    """Two common columns, one of joint 1, two of joint 2; `replaced`: so much of joint 2's second
+    own column is a part of the target."""
+    target = [torch.zeros(COMMON + k + 1, dtype=torch.float64) for k in OWN]
+    for t in target:
+        t[-1] = 1.0
+    target[1][COMMON + 1] = replaced
+    one = OnJoint(torch.tensor([0, 1, 2]), torch.tensor([0, 2, 4]), target[0])
+    two = OnJoint(torch.tensor([0, 1, 3, 4]), torch.tensor([0, 2, 3, 5]), target[1])
+    return Subset(5, (one, two))
+
+
+PARTED = [((0, 1, 2), None), ((0, 2), (0, 2)), ((1,), (1,))]
+
+
+@pytest.mark.parametrize(("parts", "over"), PARTED)
+@pytest.mark.parametrize("replaced", [0.0, 2.5])
+def test_a_fit_is_that_of_all_rows(
+    problem: Problem, parts: tuple[int, ...], over: tuple[int, ...] | None, replaced: float
+) -> None:
+    chosen = subset(replaced)
+    normal = problem.gram.over(over)
+    a, y = problem.stacked(chosen, parts, WEIGHT)
+    expected = torch.linalg.lstsq(a, y).solution
+    solved = normal.solve(chosen, WEIGHT)
+    assert torch.allclose(solved.x, expected, atol=1e-9)
+    inverse = torch.linalg.inv(a.T @ a)
+    assert torch.allclose(solved.root @ solved.root.T, inverse, atol=1e-9)
+    losses = normal.losses(chosen, solved.x)
+    assert float(WEIGHT @ losses) == pytest.approx(float((y - a @ expected).square().sum()))
+    matrix, right = normal.equations(chosen, WEIGHT)
+    assert torch.allclose(matrix, a.T @ a)
+    assert torch.allclose(right, a.T @ y)
+
+
+def test_losses_are_those_of_each_joint_whatever_the_coefficients(problem: Problem) -> None:
+    chosen, x = subset(1.5), random(5, seed=11)
+    found = problem.gram.over([0]).losses(chosen, x)
+    for j in range(2):
+        alone = torch.zeros(2, dtype=torch.float64)
+        alone[j] = 1.0
+        a, y = problem.stacked(chosen, (0,), alone)
+        assert float(found[j]) == pytest.approx(float((y - a @ x).square().sum()))
+
+
+def test_rows_are_those_that_count(problem: Problem) -> None:
+    assert problem.gram.over().rows.tolist() == problem.keep.sum(1).tolist()
+    one, rest = problem.gram.over([0]).rows, problem.gram.over([1, 2]).rows
+    assert (one + rest).tolist() == problem.keep.sum(1).tolist()
+    assert problem.gram.n == 2
+
+
+def test_a_ridge_is_a_row_more_for_every_coefficient(problem: Problem) -> None:
+    ridge = torch.tensor([3.0, 0.0, 50.0, 1e3, 2.0], dtype=torch.float64)
+    chosen = subset()
+    a, y = problem.stacked(chosen, (0, 1, 2), WEIGHT)
+    more = torch.cat([a, ridge.sqrt().diag()]), torch.cat([y, torch.zeros(5, dtype=torch.float64)])
+    expected = torch.linalg.lstsq(*more).solution
+    assert torch.allclose(problem.gram.over().solve(chosen, WEIGHT, ridge).x, expected, atol=1e-9)
+
+
+def zeros_too() -> Subset:
+    """With joint 2's column of zeros as a sixth."""
+    one, two = subset().joints
+    of, at = torch.tensor([0, 1, 3, 4, 5]), torch.tensor([0, 2, 3, 5, 6])
+    return Subset(6, (one, OnJoint(of, at, two.target)))
+
+
+def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Problem) -> None:
+    normal = problem.gram.over()
+    found = normal.solve(zeros_too(), WEIGHT)
+    assert float(found.x[5]) == 0.0
+    assert float(found.root[5].abs().max()) == 0.0
+    assert torch.allclose(found.x[:5], normal.solve(subset(), WEIGHT).x, atol=1e-9)
+
+
+def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
+    """They share what either would have, and nothing becomes large."""
+    a = problem.columns[0][:1]
+    gram = Gram(0, (2,), 1)
+    gram.add(0, [a, a], problem.y[0], problem.keep[0], torch.zeros(ROWS, dtype=torch.long))
+    both = OnJoint(torch.arange(2), torch.arange(2), torch.tensor([0.0, 0.0, 1.0]))
+    found = gram.over().solve(Subset(2, (both,)), WEIGHT[:1]).x
+    once = OnJoint(torch.arange(1), torch.arange(1), torch.tensor([0.0, 0.0, 1.0]))
+    alone = gram.over().solve(Subset(1, (once,)), WEIGHT[:1]).x
+    assert torch.allclose(found, 0.5 * alone.expand(2), rtol=1e-6)
+
+
+def test_no_columns_leave_all(problem: Problem) -> None:
+    normal: Normal = problem.gram.over()
+    empty = torch.zeros(0, dtype=torch.long)
+    joints = [OnJoint(empty, empty, s.target) for s in subset().joints]
+    nothing = Subset(0, tuple(joints))
+    solved = normal.solve(nothing, WEIGHT)
+    assert len(solved.x) == 0
+    kept = (problem.y * problem.keep).square().sum(1)
+    assert torch.allclose(normal.losses(nothing, solved.x), kept)
