@@ -18,12 +18,12 @@ from typing import Any
 import torch
 from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
+from torchid.gap.folds import Model, traces
+from torchid.gap.prepare import prepare
 
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
-from torchid.gap.folds import Model, traces
-from torchid.gap.prepare import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
