@@ -17,14 +17,14 @@ from torchid.errors import RobotError
 from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.informed import design_for
 from torchid.excitation.limits import limit_usage, motion_limits
-from torchid.excitation.rows import Setting
-from torchid.excitation.separating_motion import design_separation
-from torchid.excitation.separation import Explanation, Rival
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, write_trajectory
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.reading import read_prior
 from torchid.log.readers import read_log
+from torchid.next_motion.rows import Setting
+from torchid.next_motion.separating_motion import design_separation
+from torchid.next_motion.separation import Explanation, Rival
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits
 

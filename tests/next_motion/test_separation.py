@@ -13,12 +13,15 @@ from torchid.effects.friction_laws import AsymmetricFriction, StribeckFriction
 from torchid.effects.gravity import EncoderOffset
 from torchid.effects.inertia import Payload
 from torchid.errors import TorchidError
-from torchid.excitation.ambiguity import read_open
 from torchid.excitation.limits import limit_usage, motion_limits
-from torchid.excitation.rivals import rivals
-from torchid.excitation.rows import RATE, Rows, Setting
-from torchid.excitation.separating_motion import design_separation
-from torchid.excitation.separation import (
+from torchid.excitation.trajectories import random_trajectory
+from torchid.identification.base_parameters import base_parameters
+from torchid.log.filtering import ZeroPhaseFilter
+from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.rows import RATE, Rows, Setting
+from torchid.next_motion.separating_motion import design_separation
+from torchid.next_motion.separation import (
     DECISIVE,
     SAME,
     Explanation,
@@ -27,9 +30,6 @@ from torchid.excitation.separation import (
     imitation,
     separations,
 )
-from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.base_parameters import base_parameters
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.report.next_motion import separation_verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot

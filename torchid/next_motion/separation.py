@@ -18,8 +18,10 @@ from typing import NamedTuple
 import torch
 
 from torchid.effects.base import Effect
+from torchid.effects.inertia import WEIGHED
+from torchid.effects.registry import KINDS
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rows import Group, Rows, Setting, directions, without
+from torchid.next_motion.rows import Group, Rows, Setting, directions, without
 from torchid.typing import Float, Tensor
 
 DECISIVE = 9.0
@@ -40,6 +42,9 @@ VISIBLE = 0.02
 
 HOPELESS = 1e-3
 """D below which two explanations are the same."""
+
+FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
+"""What settles a question where an effect knows nothing better."""
 
 TINY = 1e-11
 """Eigenvalue of a form's columns below which a direction is rounding."""
@@ -88,6 +93,17 @@ def named(rivals: Iterable[Rival]) -> str:
         place = f" of joint {', '.join(own)}" if own else ""
         said.append(name + place + (f" against {other}" if other else ""))
     return "; ".join(said)
+
+
+def beyond(names: Iterable[str]) -> str:
+    """What else would tell these effects, in one sentence; refitted base parameters (`all_base`)
+    are bodies too."""
+    advice: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
+        kind = KINDS.get(name)
+        own = kind.beyond if kind is not None else WEIGHED if name == "all_base" else None
+        advice.setdefault(own or FITTED, []).append(name)
+    return "; ".join(f"{', '.join(own)}: {text}" for text, own in advice.items())
 
 
 class Told(NamedTuple):

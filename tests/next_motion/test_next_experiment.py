@@ -7,16 +7,16 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque
-from torchid.excitation.ambiguity import read_open
 from torchid.excitation.design import optimise_trajectory
-from torchid.excitation.rivals import rivals
-from torchid.excitation.separating_motion import design_separation
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
+from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.separating_motion import design_separation
 from torchid.robot.library import load_robot
 
 NOISE = torch.tensor([0.006, 0.08, 0.026], dtype=torch.float64)
