@@ -177,9 +177,8 @@ def test_seconds_are_seconds():
     fitted = fit(source, method="wls")
     found = jackknife(source, fitted)
     bounds = [slice(a, b) for a, b in itertools.pairwise(source.boundaries)]
-    assert found.correlation_seconds == pytest.approx(
-        correlation_instants(fitted.residual, bounds) / 200
-    )
+    instants = correlation_instants(fitted.residual, bounds)
+    assert found.correlation_seconds == pytest.approx(instants / 200)
     assert found.block_seconds == pytest.approx(block_length(source.instants, instants) / 200)
 
 
