@@ -177,8 +177,9 @@ def test_seconds_are_seconds():
     fitted = fit(source, method="wls")
     found = jackknife(source, fitted)
     bounds = [slice(a, b) for a, b in itertools.pairwise(source.boundaries)]
-    assert found.correlation_seconds == pytest.approx(correlation_instants(fitted.residual, bounds) / 200)
-    assert found.block_seconds == pytest.approx(4 * found.correlation_seconds, rel=0.05)
+    instants = correlation_instants(fitted.residual, bounds)
+    assert found.correlation_seconds == pytest.approx(instants / 200)
+    assert found.block_seconds == pytest.approx(block_length(source.instants, instants) / 200)
 
 
 def test_quantiles_are_students():
