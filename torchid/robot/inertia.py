@@ -28,8 +28,8 @@ class InertialParameters:
 
     Attributes:
         pi: (..., n, 10) m [kg], m c [kg m] (3), J [kg m^2] (xx, xy, xz, yy, yz, zz), with the
-            first moment and the inertia tensor about the origin of the link frame, in its axes; made
-            of a tensor, an array or lists.
+            first moment and the inertia tensor about the origin of the link frame, in its axes.
+            An array or lists may be given.
 
     >>> import torch
     >>> mass, com = torch.tensor([2.0]), torch.tensor([[0.5, 0.0, 0.0]])
