@@ -42,9 +42,9 @@ def as_tensor(values: Any, what: str, error: type[TorchidError] = TorchidError) 
 
 
 def _floats(array: np.ndarray) -> np.ndarray:
-    if array.dtype.kind != "O":
+    # Lists of tensors may be numbers; None is none, though numpy makes nan of it.
+    if array.dtype.kind != "O" or any(x is None for x in array.flat):
         raise TypeError(f"{array.dtype} is no number")
-    # Lists of tensors, say.
     return array.astype(np.float64)
 
 
