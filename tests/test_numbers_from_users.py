@@ -54,9 +54,13 @@ def test_one_dtype_for_all_signals(function) -> None:
 
 
 def test_integers_are_float64() -> None:
-    rest = torchid.inverse_dynamics(ROBOT, [0, 0, 0], np.zeros(3, int), torch.zeros(3).long())
+    rest = torchid.inverse_dynamics(
+        ROBOT, [0, 0, 0], np.zeros(3, int), torch.zeros(3, dtype=torch.float64).long()
+    )
     assert rest.dtype is torch.float64
-    assert torch.equal(rest, torchid.inverse_dynamics(ROBOT, *[torch.zeros(3).double()] * 3))
+    assert torch.equal(
+        rest, torchid.inverse_dynamics(ROBOT, *[torch.zeros(3, dtype=torch.float64)] * 3)
+    )
 
 
 def test_gradients_pass_the_door() -> None:
@@ -154,6 +158,6 @@ def test_a_prediction_of_lists_keeps_all_digits() -> None:
 
 
 def test_the_helpers_keep_what_is_a_tensor() -> None:
-    given = torch.zeros(2, 3)
+    given = torch.zeros(2, 3, dtype=torch.float64)
     assert as_tensor(given, "x") is given
     assert [x.dtype for x in joint_signals(3, a=given, b=Q)] == [torch.float64] * 2

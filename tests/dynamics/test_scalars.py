@@ -47,9 +47,9 @@ def test_fma_in_every_mixture(kinds: tuple, scale: float) -> None:
 
 
 def test_known_products_cost_nothing() -> None:
-    x = torch.randn(3)
-    assert fma(x, torch.randn(3), 0.0) is x
-    assert fma(x, 0.0, torch.randn(3)) is x
+    x = torch.randn(3, dtype=torch.float64)
+    assert fma(x, torch.randn(3, dtype=torch.float64), 0.0) is x
+    assert fma(x, 0.0, torch.randn(3, dtype=torch.float64)) is x
     assert mul(x, 1.0) is x
     assert mul(x, 0.0) == 0.0
     assert add(x, 0.0) is x

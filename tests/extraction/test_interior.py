@@ -214,8 +214,8 @@ def test_several_contradictions_are_all_named() -> None:
     p = bounded(problem_of("3r"), set_mass(-2.0, -1.0))
     p = asking(
         p,
-        total_mass=torch.tensor([1.0, 2.0]),
-        com_box=torch.tensor([5.0, 6.0]).repeat(3, 3, 1),
+        total_mass=torch.tensor([1.0, 2.0], dtype=torch.float64),
+        com_box=torch.tensor([5.0, 6.0], dtype=torch.float64).repeat(3, 3, 1),
     )
     masses = tuple(f"mass_{i}" for i in (1, 2, 3))
     boxes = tuple(f"com_{i}{a}" for i in (1, 2, 3) for a in "xyz")
@@ -231,7 +231,7 @@ def test_excluded_box_leaves_the_nearest_face() -> None:
 
 
 def test_second_moments() -> None:
-    inertia = torch.rand(5, 6) - 0.5
+    inertia = torch.rand(5, 6, dtype=torch.float64) - 0.5
     values = torch.linalg.eigvalsh(symmetric(inertia))
     expected = (values.sum(-1, keepdim=True) / 2 - values).flip(-1)
     torch.testing.assert_close(second_moments(inertia), expected, rtol=1e-10, atol=1e-13)
@@ -239,7 +239,7 @@ def test_second_moments() -> None:
 
 def test_conditions_that_are_not_asked_change_nothing() -> None:
     p = problem_of("3r")
-    free = torch.tensor([-torch.inf, torch.inf]).repeat(3, 3, 1)
+    free = torch.tensor([-torch.inf, torch.inf], dtype=torch.float64).repeat(3, 3, 1)
     found = region(replace(p, conditions=replace(p.conditions, com_box=free)), conditions=True)
     assert torch.equal(found.box, p.box)
     assert bool(found.total_mass.isinf().all())

@@ -24,7 +24,7 @@ def some_sets(n: int, count: int = 3) -> ParameterSets:
         tuple(f"p_{k}" for k in range(count)),
         consistent_parameters(n, 5, (count,)),
         effects,
-        torch.rand(count, 2),
+        torch.rand(count, 2, dtype=torch.float64),
     )
 
 

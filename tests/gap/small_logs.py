@@ -83,6 +83,11 @@ def _motions(runs: tuple[int, ...], duration: float, rate: float) -> Log:
     )
 
 
+def true_motion(how: Recording) -> Log:
+    """t, q, dq, ddq without any noise."""
+    return _motions(how.runs, how.duration, how.rate)
+
+
 def logged(robot: Robot, how: Recording | None = None) -> Log:
     """What sensors make of these motions of an arm: t, q, tau."""
     how = how or Recording()

@@ -200,7 +200,15 @@ def diagnosed(name: str) -> dict[str, Any]:
     return json.loads(json.dumps(record(found), allow_nan=False))
 
 
-@pytest.mark.parametrize("name", LOGS)
+QUICK = (
+    "nothing, white", "nothing, coloured, no repeats", "nothing, too short", "viscous, white",
+    "coulomb on two joints, white", "payload, white",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in LOGS]
+)
 def test_diagnoses_keep_the_contract(name) -> None:
     broken = holds(diagnosed(name), LOGS[name][1].duration)
     assert not broken, "\n".join(broken)

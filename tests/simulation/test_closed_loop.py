@@ -197,8 +197,8 @@ def test_a_rollout_of_the_logged_torque_is_the_logged_motion() -> None:
     (log,) = closed_loop(robot, [reference(robot, 1.0)], [law])
     assert log.dq is not None
     windows = [slice(a, a + 250) for a in (20, 150, 250)]
-    seen = _tau(log) * torch.tensor([1.0, 1.1, 1.0])
-    q, dq = log.q - torch.tensor([0.05, 0, 0]), log.dq
+    seen = _tau(log) * torch.tensor([1.0, 1.1, 1.0], dtype=torch.float64)
+    q, dq = log.q - torch.tensor([0.05, 0, 0], dtype=torch.float64), log.dq
     out = rollout(
         robot,
         law,
