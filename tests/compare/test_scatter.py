@@ -11,8 +11,13 @@ from torchid.compare.scatter import holm, monotone, scatter, typical_birge, welc
 
 def test_two_values_are_welchs_t_test():
     a, b = [1.0, 2.0, 4.0, 3.5, 2.5], [2.0, 6.0, 4.5, 7.0, 5.0, 3.0]
-    x = torch.tensor([torch.tensor(v).mean() for v in (a, b)])
-    s = torch.tensor([torch.tensor(v).std() / len(v) ** 0.5 for v in (a, b)], dtype=torch.float64)
+    x = torch.tensor(
+        [torch.tensor(v, dtype=torch.float64).mean() for v in (a, b)], dtype=torch.float64
+    )
+    s = torch.tensor(
+        [torch.tensor(v, dtype=torch.float64).std() / len(v) ** 0.5 for v in (a, b)],
+        dtype=torch.float64,
+    )
     nu = torch.tensor([len(v) - 1.0 for v in (a, b)], dtype=torch.float64)
     expected = stats.ttest_ind(a, b, equal_var=False).pvalue
     assert welch(x, s, nu) == pytest.approx(expected, rel=1e-9)
@@ -40,8 +45,8 @@ def test_welch_keeps_its_level_with_few_degrees_of_freedom():
     for _ in range(2000):
         x = true * torch.randn(3, generator=g, dtype=torch.float64)
         s = true * (torch.randn(3, nu, generator=g, dtype=torch.float64).square().mean(1)).sqrt()
-        p.append(welch(x, s, torch.full((3,), float(nu))))
-    assert 0.035 < (torch.tensor(p) < 0.05).double().mean() < 0.065
+        p.append(welch(x, s, torch.full((3,), float(nu), dtype=torch.float64)))
+    assert 0.035 < (torch.tensor(p, dtype=torch.float64) < 0.05).double().mean() < 0.065
 
 
 def test_between_run_variance_is_dersimonian_and_lairds():
@@ -88,13 +93,13 @@ def test_equal_values_without_standard_deviation_agree():
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30))
 def test_holm_is_the_step_down_definition(values):
-    p = torch.tensor(values)
+    p = torch.tensor(values, dtype=torch.float64)
     order = sorted(range(len(values)), key=lambda k: values[k])
     running, expected = 0.0, [0.0] * len(values)
     for rank, k in enumerate(order):
         running = max(running, min(1.0, (len(values) - rank) * values[k]))
         expected[k] = running
-    torch.testing.assert_close(holm(p), torch.tensor(expected))
+    torch.testing.assert_close(holm(p), torch.tensor(expected, dtype=torch.float64))
 
 
 def test_typical_birge_is_one_for_honest_noise_and_ignores_a_few_outliers():

@@ -34,7 +34,7 @@ def number(x: Scalar) -> float:
 
 
 def array(v: Vec3) -> torch.Tensor:
-    return torch.tensor([number(c) for c in v])
+    return torch.tensor([number(c) for c in v], dtype=torch.float64)
 
 
 @pytest.mark.parametrize("kinds", list(itertools.product([float, torch.tensor], repeat=3)))

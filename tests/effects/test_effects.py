@@ -124,7 +124,9 @@ def test_planted_value_is_recovered(kind: type[Effect]) -> None:
         values = planted(effect)
         tau = effect.all_torques(trajectory(), values, robot()).reshape(-1, 1)
         found = torch.linalg.lstsq(columns / size, tau).solution.squeeze(-1) / size
-        torch.testing.assert_close(found, torch.tensor(values), rtol=1e-8, atol=1e-8)
+        torch.testing.assert_close(
+            found, torch.tensor(values, dtype=torch.float64), rtol=1e-8, atol=1e-8
+        )
     assert found_one
 
 
@@ -147,7 +149,9 @@ def test_any_batch_of_instants(kind: type[JointEffect], batch: tuple) -> None:
     columns = effect.columns(state)
     values = planted(effect)
     assert columns.shape == (*batch, len(values))
-    torch.testing.assert_close(effect.torque(state, values), columns @ torch.tensor(values))
+    torch.testing.assert_close(
+        effect.torque(state, values), columns @ torch.tensor(values, dtype=torch.float64)
+    )
 
 
 @joint_kind

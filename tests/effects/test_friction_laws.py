@@ -17,7 +17,7 @@ from torchid.effects.friction_laws import (
 
 
 def at(*speeds: float, torque: float | None = None) -> Motion:
-    dq = torch.tensor(speeds).unsqueeze(-1)
+    dq = torch.tensor(speeds, dtype=torch.float64).unsqueeze(-1)
     return Motion(
         torch.zeros_like(dq), dq, dq, torque=None if torque is None else torch.full_like(dq, torque)
     )

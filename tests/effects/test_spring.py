@@ -57,7 +57,9 @@ def test_its_second_derivative_is_minus_curvature_times_itself(curvature: float)
 
 @pytest.mark.parametrize("x", [-1.0, 1.0])
 def test_series_and_closed_forms_meet(x: float) -> None:
-    inside, outside = (stumpff(torch.tensor(x * s)) for s in (0.999e-3, 1.001e-3))
+    inside, outside = (
+        stumpff(torch.tensor(x * s, dtype=torch.float64)) for s in (0.999e-3, 1.001e-3)
+    )
     for a, b, slope in zip(inside, outside, (-0.5, -1 / 6), strict=True):
         assert float(b - a) == pytest.approx(slope * x * 2e-6, rel=1e-3)
 

@@ -63,7 +63,7 @@ def fitted_difference(setting, truth, others, trajectory, *, base=True):
     parts = [z[:, z.norm(dim=0) > 1e-9]] if base else []
     a = torch.cat([*parts, *(rows(o.torque_columns(motion)) for o in others)], 1)
     a = a / a.norm(dim=0)
-    y = rows(truth[0].torque_columns(motion)) @ torch.tensor(truth[1])
+    y = rows(truth[0].torque_columns(motion)) @ torch.tensor(truth[1], dtype=torch.float64)
     x = torch.linalg.lstsq(a, y.unsqueeze(-1), driver="gelsd").solution
     return float((y - (a @ x).flatten()).square().sum()) * 2 * 20.0 / (RATE / 2)
 

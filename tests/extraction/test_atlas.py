@@ -78,9 +78,9 @@ def pendulum(mass: tuple[float, float], side: float) -> Problem:
         gravity=torch.tensor([0.0, -9.81, 0.0], dtype=torch.float64),
         tool=torch.eye(4, dtype=torch.float64),
     )
-    box = torch.tensor([-side, side]).repeat(1, 3, 1)
+    box = torch.tensor([-side, side], dtype=torch.float64).repeat(1, 3, 1)
     far = torch.tensor([-10.0, 10.0], dtype=torch.float64).repeat(1, 6, 1)
-    bounds = Bounds("own", torch.tensor([mass]), box, far, {})
+    bounds = Bounds("own", torch.tensor([mass], dtype=torch.float64), box, far, {})
     base = base_parameters(robot)
     x = torch.tensor([2.0, 0.3, -0.4, 0.1, 0.5, 0.01, 0.02, 0.45, 0.03, 0.25], dtype=torch.float64)
     target = two_step(base, (), base.project(x))

@@ -276,4 +276,6 @@ def test_reach_of_coefficients_by_hand() -> None:
         step = torch.zeros_like(x)
         step[0, k], step[1, k] = 0.1, -0.1
         up, down = (high - float(x[0, k])) / 0.1, (float(x[1, k]) - low) / 0.1
-        torch.testing.assert_close(barrier.reach(x, step), torch.tensor([up, down]))
+        torch.testing.assert_close(
+            barrier.reach(x, step), torch.tensor([up, down], dtype=torch.float64)
+        )

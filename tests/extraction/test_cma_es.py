@@ -210,7 +210,7 @@ def test_a_grown_penalty_is_met(kind: str) -> None:
     "covariance",
     [
         torch.zeros(4, 4, dtype=torch.float64),
-        torch.full((4, 4), float("nan")),
+        torch.full((4, 4), float("nan"), dtype=torch.float64),
         torch.ones(4, 4, dtype=torch.float64),
         -torch.eye(4, dtype=torch.float64),
         torch.diag(torch.tensor([1e-300, 1.0, 1.0, 1e300], dtype=torch.float64)),

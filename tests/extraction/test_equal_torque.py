@@ -78,7 +78,7 @@ def boxes_around(start: ParameterSets) -> tuple[Bounds, Bounds]:
     size = 4 * own.inertia_about_link_frame[0].abs().amax(-1, keepdim=True).expand(-1, 6)
     made = []
     for name, room, heaviest in (("normal", 0.05, 3.0), ("loose", 0.2, 6.0)):
-        sides = torch.tensor([-room, room])
+        sides = torch.tensor([-room, room], dtype=torch.float64)
         limits = torch.stack([torch.zeros_like(mass), heaviest * mass], -1)
         made.append(Bounds(name, limits, com + sides, torch.stack([-size, size], -1), {}))
     return made[0], made[1]

@@ -79,7 +79,9 @@ def test_steps_are_straight_in_x() -> None:
     def x_of(t: torch.Tensor) -> torch.Tensor:
         return torch.func.vmap(torch.func.vmap(lambda one: link_x(link_p(one))))(t)
 
-    ends = [x_of(along(theta, turn, torch.full((4,), h))) for h in (0.0, 0.1, 0.2)]
+    ends = [
+        x_of(along(theta, turn, torch.full((4,), h, dtype=torch.float64))) for h in (0.0, 0.1, 0.2)
+    ]
     torch.testing.assert_close(ends[2] - ends[1], ends[1] - ends[0], atol=1e-12, rtol=1e-9)
     small = 1e-6
     rate = (x_of(theta + small * turn) - x_of(theta - small * turn)) / (2 * small)

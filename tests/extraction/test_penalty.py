@@ -54,7 +54,7 @@ def assert_as_lapack(inertia: torch.Tensor) -> None:
 def test_eigenvalues_of_any_tensor(values: list[float], seed: int, exponent: int) -> None:
     g = torch.Generator().manual_seed(seed)
     q = torch.linalg.qr(torch.randn(3, 3, generator=g, dtype=torch.float64)).Q
-    tensor = q @ torch.diag(10.0**exponent * torch.tensor(values)) @ q.T
+    tensor = q @ torch.diag(10.0**exponent * torch.tensor(values, dtype=torch.float64)) @ q.T
     assert_as_lapack(six((tensor + tensor.T) / 2))
 
 
@@ -86,7 +86,7 @@ def test_eigenvalues_of_special_tensors() -> None:
         [-3.0, 0, 0, 0, 0, 0],
         [1e-80, 0, 0, 2e-80, 0, 3e-80],
     ]
-    assert_as_lapack(torch.tensor(rows))
+    assert_as_lapack(torch.tensor(rows, dtype=torch.float64))
 
 
 # ---- gamma ----------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_scaled_violations_by_hand() -> None:
 )
 def test_total_mass_open_to_one_side(interval: tuple[float, float], expected: float) -> None:
     p, good = feasible_3r()
-    asked = asking(p, total_mass=torch.tensor(interval))
+    asked = asking(p, total_mass=torch.tensor(interval, dtype=torch.float64))
     assert float(gamma(asked, good)) == pytest.approx(expected)
 
 

@@ -33,7 +33,7 @@ def shapes_of(boxes):
 @given(st.integers(0, 10**6), st.lists(st.floats(0.01, 2), min_size=3, max_size=3))
 def test_no_cloud_of_points_in_a_box_breaks_the_inertia_bounds(seed, sides):
     g = torch.Generator().manual_seed(seed)
-    size = torch.tensor(sides)
+    size = torch.tensor(sides, dtype=torch.float64)
     # Half of the points at corners: the bounds are reached there.
     where = torch.rand(50, 8, 3, generator=g, dtype=torch.float64)
     where = (
@@ -79,7 +79,9 @@ def test_bounds_of_the_3r_without_shapes():
     torch.testing.assert_close(bounds.com[..., 1], nominal.com + half)
     # Link 1: joints at (0, -0.3, 0) and the origin, centre of mass at (0.001, -0.12, 0.002).
     x, y, z = 0.001 + 0.3, 0.3 + 0.3, 0.002 + 0.3
-    expected = torch.tensor([y**2 + z**2, x * y, x * z, x**2 + z**2, y * z, x**2 + y**2])
+    expected = torch.tensor(
+        [y**2 + z**2, x * y, x * z, x**2 + z**2, y * z, x**2 + y**2], dtype=torch.float64
+    )
     torch.testing.assert_close(bounds.inertia[0, :, 1], 3.5 * 1.3 / 4 * expected)
     assert bounds.coefficients == {}
 

@@ -42,7 +42,7 @@ def one_link(
 ) -> ParameterSets:
     return sets_of(
         InertialParameters.from_com(
-            torch.tensor([[mass]]),
+            torch.tensor([[mass]], dtype=torch.float64),
             torch.tensor([[com]]).double(),
             torch.tensor([[inertia]]).double(),
         )
@@ -270,7 +270,9 @@ def test_inertias(inertia: tuple[float, ...], how: str | None) -> None:
 
 
 def box_only(low: float, high: float) -> Conditions:
-    return replace(physics_only(1), com_box=torch.tensor([low, high]).repeat(1, 3, 1))
+    return replace(
+        physics_only(1), com_box=torch.tensor([low, high], dtype=torch.float64).repeat(1, 3, 1)
+    )
 
 
 def test_centre_on_a_face_is_inside_and_beyond_it_is_named() -> None:
@@ -327,7 +329,7 @@ def test_total_mass(interval: tuple[float, float], margin: float, degree: float)
 
 
 def conditions_of_total(interval: tuple[float, float]) -> Conditions:
-    return replace(physics_only(1), total_mass=torch.tensor(interval))
+    return replace(physics_only(1), total_mass=torch.tensor(interval, dtype=torch.float64))
 
 
 def test_box_open_to_one_side() -> None:
@@ -352,7 +354,7 @@ def with_coefficients(values: list[float]) -> Feasibility:
     """Fv of joints 1 and 12, F0 of joint 1 on a set that is feasible otherwise."""
     effects = (ViscousFriction(0), ViscousFriction(11), TorqueOffset(0))
     sets = one_link(1.0)
-    return physics(sets_of(sets.parameters, torch.tensor([values]), effects))
+    return physics(sets_of(sets.parameters, torch.tensor([values], dtype=torch.float64), effects))
 
 
 @pytest.mark.parametrize(

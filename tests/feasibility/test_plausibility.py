@@ -72,7 +72,7 @@ def test_the_papers_arms_have_no_findings(name):
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.01, 1), min_size=3, max_size=3), st.floats(10, 20000))
 def test_a_uniform_ellipsoid_is_found_back(semi_axes, density):
-    semi = torch.tensor(semi_axes)
+    semi = torch.tensor(semi_axes, dtype=torch.float64)
     mass = density * 4 / 3 * math.pi * semi.prod()
     square = semi.square()
     i = mass / 5 * (square.sum() - square)
@@ -263,7 +263,7 @@ def test_numbers_that_are_not_finite_do_no_harm(name):
 
 
 def own(inertia, mass=1.0, moving=0, alone=False):
-    return OwnInertial("hand", moving, alone, mass, torch.tensor(inertia))
+    return OwnInertial("hand", moving, alone, mass, torch.tensor(inertia, dtype=torch.float64))
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,13 @@ def householder(a: Tensor) -> Tensor:
 def with_condition(rows: int, columns: int, condition: float) -> Tensor:
     u = torch.linalg.qr(torch.randn(rows, columns, dtype=torch.float64)).Q
     v = torch.linalg.qr(torch.randn(columns, columns, dtype=torch.float64)).Q
-    return u * torch.logspace(0, -torch.tensor(condition).log10(), columns, dtype=torch.float64) @ v
+    return (
+        u
+        * torch.logspace(
+            0, -torch.tensor(condition, dtype=torch.float64).log10(), columns, dtype=torch.float64
+        )
+        @ v
+    )
 
 
 def assert_gram_kept(r: Tensor, a: Tensor, tolerance: float = 1e-13) -> None:

@@ -74,8 +74,8 @@ def test_what_one_stretch_determines_is_named_and_not_overconfident():
         estimates.append(float(found.values[k]))
         stds.append(float(found.std[k]))
         assert any("one short stretch" in w and "Fv3" in w for w in found.warnings)
-    spread = float(torch.tensor(estimates).std())
-    assert float(torch.tensor(stds).median()) > 0.5 * spread
+    spread = float(torch.tensor(estimates, dtype=torch.float64).std())
+    assert float(torch.tensor(stds, dtype=torch.float64).median()) > 0.5 * spread
 
 
 def test_a_velocity_that_contradicts_position_is_not_used():

@@ -78,11 +78,13 @@ def test_without_noise_the_box_is_recovered_in_both_frames(name):
     assert bool(found.determined.all())
     torch.testing.assert_close(found.parameters, move(BOX, TOOL), rtol=0, atol=1e-9)
     torch.testing.assert_close(found.tool.parameters.value, BOX, rtol=0, atol=1e-9)
-    torch.testing.assert_close(found.tool.com.value, torch.tensor(COM), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        found.tool.com.value, torch.tensor(COM, dtype=torch.float64), rtol=0, atol=1e-9
+    )
     x, y, z = (s**2 for s in SIDES)
-    box = MASS / 12 * torch.tensor([y + z, 0, 0, x + z, 0, x + y])
+    box = MASS / 12 * torch.tensor([y + z, 0, 0, x + z, 0, x + y], dtype=torch.float64)
     torch.testing.assert_close(found.tool.inertia_about_com.value, box, rtol=0, atol=1e-9)
-    here = TOOL[:3, :3] @ torch.tensor(COM) + TOOL[:3, 3]
+    here = TOOL[:3, :3] @ torch.tensor(COM, dtype=torch.float64) + TOOL[:3, 3]
     torch.testing.assert_close(found.link.com.value, here, rtol=0, atol=1e-9)
     assert found.seen
     assert found.consistent

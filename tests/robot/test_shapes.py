@@ -84,7 +84,9 @@ def box_of(*corners):
 )
 def test_primitives_along_the_axes(tmp_path, geometry, expected, volume):
     shapes = link_shapes(one(tmp_path, at(geometry, "0.3 0 -0.1")))
-    moved = torch.tensor(expected) + torch.tensor([[0.3], [0.0], [-0.1]], dtype=torch.float64)
+    moved = torch.tensor(expected, dtype=torch.float64) + torch.tensor(
+        [[0.3], [0.0], [-0.1]], dtype=torch.float64
+    )
     torch.testing.assert_close(shapes.boxes[0], moved)
     assert float(shapes.volumes[0]) == pytest.approx(volume)
     assert shapes.kinds == ("collision",)

@@ -51,7 +51,9 @@ def reference(robot: Robot, seconds: float, rate: float = 500.0, speed: float = 
     n = robot.n
     period = torch.linspace(0.9, 1.7, n, dtype=torch.float64)
     start = torch.linspace(-0.4, 0.5, n, dtype=torch.float64)
-    return trajectory_log(Sinusoid(torch.full((n,), speed), period, start, seconds), rate)
+    return trajectory_log(
+        Sinusoid(torch.full((n,), speed, dtype=torch.float64), period, start, seconds), rate
+    )
 
 
 def run(plant: Plant, q: Tensor, dq: Tensor, seconds: float, h: float, tau: Tensor) -> list[State]:

@@ -171,7 +171,7 @@ def test_torque_stays_within_its_limit() -> None:
     (free,) = closed_loop(robot, [log], [[]])
     limit = tuple((0.6 * _tau(free).abs().amax(0)).tolist())
     (held,) = closed_loop(robot, [log], [[]], controller=Controller(torque_limit=limit))
-    assert bool((_tau(held).abs() <= torch.tensor(limit) * 1.02).all())
+    assert bool((_tau(held).abs() <= torch.tensor(limit, dtype=torch.float64) * 1.02).all())
     assert float((held.q - log.q).abs().max()) > 1e-3
 
 

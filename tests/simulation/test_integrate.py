@@ -103,7 +103,10 @@ def test_a_joint_breaks_away_at_its_static_friction() -> None:
     for k in range(1000):
         torque = 2e-3 * (k + 0.5)
         state, _ = plant.step(
-            state, 2e-3, torch.zeros(1, dtype=torch.float64), Drive(torch.full((1, 1), torque))
+            state,
+            2e-3,
+            torch.zeros(1, dtype=torch.float64),
+            Drive(torch.full((1, 1), torque, dtype=torch.float64)),
         )
         if slipped is None and float(state.dq) != 0.0:
             slipped = torque
