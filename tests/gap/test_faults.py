@@ -93,6 +93,7 @@ def test_what_is_left_is_what_the_answered_model_leaves(real, how) -> None:
 
 
 @pytest.mark.parametrize("hz", [None, 2.0])
+# Fails as of 0.1.0 for coloured noise: an effect of p above alpha is accepted.
 def test_an_empty_answer_closes_nothing(hz) -> None:
     """Friction that one run in three shows, at the size of the noise: folds may find what all rows
     together do not confirm."""
@@ -133,6 +134,7 @@ TOO_MUCH = {
 
 
 @pytest.mark.parametrize("name", TOO_MUCH)
+# Fails as of 0.1.0: stribeck and smoothed coulomb are not named; the spring is there twice.
 def test_too_much_of_an_effect_is_named_as_that(name) -> None:
     simulated, real, coefficient = TOO_MUCH[name]
     effect = simulated["effect"]
@@ -191,11 +193,35 @@ def planar(robot: Robot = ROBOT) -> Robot:
     return robot.with_parameters(InertialParameters(pi))
 
 
-def test_crosstalk_from_a_joint_without_torque() -> None:
-    robot, how = planar(), Recording()
-    moved = true_motion(how)
-    still = torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64)
-    moved = moved.replace(**{k: v * still for k, v in moved.signals.items()})
+SCARA = """
+name: scara
+dh:
+  convention: classical
+  joints:
+    - {type: R, a: 0.3, alpha: 0, d: 0, theta: 0}
+    - {type: R, a: 0.25, alpha: 0, d: 0, theta: 0}
+    - {type: P, a: 0, alpha: 0, d: 0, theta: 0}
+parameters:
+  mass: [3, 2, 1]
+  com: [[-0.15, 0, 0], [-0.1, 0, 0], [0, 0, 0.1]]
+  inertia_about_com:
+    - [0.02, 0, 0, 0.03, 0, 0.03]
+    - [0.02, 0, 0, 0.03, 0, 0.03]
+    - [0.01, 0, 0, 0.01, 0, 0.005]
+"""
+"""Gravity and the third axis are along the first two: at rest these carry exactly nothing."""
+
+
+@pytest.mark.parametrize("still", [(0.0, 1.0, 1.0), (0.0, 0.0, 1.0)], ids=["rounding", "exactly"])
+def test_crosstalk_from_a_joint_without_torque(still, tmp_path) -> None:
+    robot = planar()
+    if still[1] == 0:
+        path = tmp_path / "scara.yaml"
+        path.write_text(SCARA)
+        robot = torchid.load_robot(str(path))
+    moved = true_motion(Recording())
+    factor = 0.2 * torch.tensor(still, dtype=torch.float64)
+    moved = moved.replace(**{k: v * factor for k, v in moved.signals.items()})
     true = synthetic_log(robot, moved)
     assert true.tau is not None
     assert float(true.tau[:, 0].abs().max()) < 1e-12
@@ -214,6 +240,7 @@ def standing(samples: int = 2000) -> Log:
 
 
 @pytest.mark.parametrize("effects", [FRICTION, None], ids=["few", "all"])
+# Fails as of 0.1.0 with few effects: `no_gap` where nothing moved.
 def test_a_log_that_stands_still(effects) -> None:
     settings = GapSettings(effects=effects, rollout=False)
     found = answered(lambda: diagnosed(ROBOT, standing(), settings))
@@ -224,6 +251,7 @@ def test_a_log_that_stands_still(effects) -> None:
         assert found["which"] == []
 
 
+# Fails as of 0.1.0 as the one above.
 def test_withheld_own_on_a_log_that_stands_still() -> None:
     from torchid.withheld.own import check_own
 

@@ -31,7 +31,7 @@ def motion(seed: int = 0, rate: float = 100.0, **options: float) -> Log:
 def with_pauses(log: Log) -> Log:
     """The motion with a pause as long as itself at its end."""
     still = log.select(slice(log.samples - 1, log.samples))
-    times = torch.arange(1, log.samples) * 0.01 + log.t[-1]
+    times = torch.arange(1, log.samples, dtype=torch.float64) * 0.01 + log.t[-1]
     hold = {name: x.expand(len(times), -1) for name, x in still.signals.items()}
     hold["dq"] = hold["ddq"] = torch.zeros(len(times), 3, dtype=torch.float64)
     signals = {name: torch.cat([x, hold[name]]) for name, x in log.signals.items()}

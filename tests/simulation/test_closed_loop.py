@@ -153,7 +153,7 @@ def test_slow_motion_sticks_and_slips_without_chatter() -> None:
         effect(robot, "coulomb_friction", joint=1, Fc=0.5),
         effect(robot, "stribeck_friction", joint=1, Fs=0.5, vs=0.05),
     ]
-    t = torch.arange(1200) / 500.0
+    t = torch.arange(1200, dtype=torch.float64) / 500.0
     ramp = 0.03 * t.unsqueeze(-1)
     log = Log(t, ramp, torch.full_like(ramp, 0.03), torch.zeros_like(ramp))
     (out,) = closed_loop(robot, [log], [law], controller=Controller(1.5, 0.3))

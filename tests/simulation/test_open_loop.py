@@ -12,7 +12,7 @@ from torchid.simulation.open_loop import rollout
 def test_a_wheel_under_a_ramp_of_torque() -> None:
     """tau = t: dq = t^2 / 2I, q = t^3 / 6I; held: one step's torque late."""
     robot = flywheel()
-    t = torch.arange(51) * 0.01
+    t = torch.arange(51, dtype=torch.float64) * 0.01
     zero = torch.zeros(1, 1, dtype=torch.float64)
     linear = rollout(robot, [], zero, zero, t.reshape(1, -1, 1), 0.01)
     assert torch.allclose(linear.dq[0, :, 0], t**2 / (2 * INERTIA), atol=1e-12)
