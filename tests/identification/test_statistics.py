@@ -153,7 +153,9 @@ def test_normal_equations_are_those_of_the_rows(covariance, moving_only):
 def test_the_largest_correlation_time_counts():
     generator = torch.Generator().manual_seed(0)
     white = torch.randn(100_000, 2, generator=generator, dtype=torch.float64)
-    mixed = torch.stack([white[:, 0], ar1(white, 0.9)[:, 1], torch.zeros(100_000)], 1)
+    mixed = torch.stack(
+        [white[:, 0], ar1(white, 0.9)[:, 1], torch.zeros(100_000, dtype=torch.float64)], 1
+    )
     assert correlation_instants(mixed) == pytest.approx(19, rel=0.15)
     assert correlation_instants(torch.ones(1, 3, dtype=torch.float64)) == 1.0
 

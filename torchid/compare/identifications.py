@@ -111,9 +111,11 @@ def compare_identifications(
     compared = [p for p in parameters if p.scatter is not None]
     birge = counts = None
     if compared:
-        ratios = torch.tensor([p.scatter.birge for p in compared if p.scatter is not None])
+        ratios = torch.tensor(
+            [p.scatter.birge for p in compared if p.scatter is not None], dtype=torch.float64
+        )
         counts = torch.stack([torch.isfinite(p.std).sum() for p in compared]).double()
-        birge = typical_birge(ratios.double(), counts)
+        birge = typical_birge(ratios, counts)
     fitted = [name for r in results for name in set(r.trajectories)]
     names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
     return Comparison(

@@ -134,7 +134,7 @@ def _too_short(total: float, cutoff: float) -> str:
 def _cutoff(log: Log, rate: float) -> float:
     dq = central_difference(log.q.T, rate)
     power = torch.fft.rfft(dq - dq.mean(-1, keepdim=True)).abs() ** 2
-    frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate)
+    frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate, dtype=dq.dtype)
     power = power[:, frequency < min(_LOOK_HZ, 0.3 * rate)]
     share = power / power.sum(-1, keepdim=True).clamp(min=1e-300)
     top = float(frequency[int((share.mean(0).cumsum(0) < _MOTION_SHARE).sum())])

@@ -298,7 +298,10 @@ class JointEffect(Effect):
 
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
         """Columns (..., C) of the torque of joint `joint`, one a coefficient."""
-        shapes = (torch.as_tensor(v).to(motion.dq) for v in self.shape_values)
+        shapes = (
+            torch.as_tensor(v, dtype=motion.dq.dtype, device=motion.dq.device)
+            for v in self.shape_values
+        )
         return self.formula(motion, *shapes)[..., self.joint, :]
 
     def torque_columns(

@@ -183,7 +183,8 @@ def tool_jacobian_transposed(
     body = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
     x, y, z = robot.tool[:3, 3].tolist()
     body[-1] = torch.tensor(
-        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y],
+        dtype=torch.float64,
     )
     mass = InertialParameters(body)
     pulls = -torch.eye(3, dtype=torch.float64)

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
+import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
 
 JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current")
@@ -20,7 +22,7 @@ OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Samples of a robot with n joints; all tensors float64.
+    """Samples of a robot with n joints; all tensors float64. It may be made of arrays or lists.
 
     Attributes:
         t: (T,) time stamps [s], increasing within each trajectory.
@@ -35,7 +37,8 @@ class Log:
         warnings: what the readers and the resampling noticed, one sentence each.
 
     Raises:
-        LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs.
+        LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs,
+            or what is given are no numbers.
 
     >>> import torch
     >>> t = torch.arange(100, dtype=torch.float64) / 50
@@ -56,13 +59,14 @@ class Log:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.trajectory is None:
-            self._set(
-                "trajectory", torch.zeros(len(self.t), dtype=torch.int64, device=self.t.device)
-            )
         for name in ("t", *JOINT_SIGNALS):
             if getattr(self, name) is not None:
-                self._set(name, getattr(self, name).to(torch.float64))
+                what = f"{self._label}: {name}"
+                signal = as_tensor(getattr(self, name), what, LogError)
+                self._set(name, signal.to(torch.float64))
+        if self.trajectory is None:
+            self._set("trajectory", torch.zeros_like(self.t, dtype=torch.int64))
+        self._set("trajectory", self._numbers())
         self._check_sizes()
         count = self._check_runs()
         if not self.names:
@@ -79,6 +83,15 @@ class Log:
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
+
+    def _numbers(self) -> Tensor:
+        """The trajectories' numbers as they are, or of an array or a list."""
+        if isinstance(self.trajectory, Tensor):
+            return self.trajectory
+        numbers = as_tensor(self.trajectory, f"{self._label}: trajectory", LogError)
+        if (numbers != numbers.round()).any():
+            raise LogError(f"{self._label}: trajectories are numbered 0, 1, 2, ...")
+        return numbers.to(torch.int64)
 
     @property
     def _label(self) -> str:
@@ -165,7 +178,7 @@ class Log:
         """One Log a trajectory. The warnings stay with each of them."""
         return [self.select(rows) for rows in self.slices()]
 
-    def select(self, rows: Bool[Tensor, " T"] | slice) -> "Log":
+    def select(self, rows: Bool[Tensor, " T"] | np.ndarray | Sequence[bool] | slice) -> "Log":
         """The samples that a mask (T,) or a slice picks, trajectories numbered anew.
 
         A trajectory that loses all its samples disappears, with its name.
@@ -173,6 +186,9 @@ class Log:
         Raises:
             LogError: no sample is left, or the mask has the wrong size.
         """
+        if not isinstance(rows, slice):
+            # As it is: a list of row numbers must not pass for a mask.
+            rows = torch.as_tensor(rows, device=self.t.device)
         if isinstance(rows, Tensor) and (
             rows.dtype != torch.bool or rows.shape != self.trajectory.shape
         ):
@@ -224,7 +240,7 @@ class Log:
                 )
         return self.select(first), self.select(rest)
 
-    def with_torque(self, gain: Float[Tensor, " n"]) -> "Log":
+    def with_torque(self, gain: Float[Tensor, " n"] | np.ndarray | Sequence[float]) -> "Log":
         """The same log with tau = current * gain.
 
         Args:
@@ -239,7 +255,7 @@ class Log:
                 expected=f"columns i1..i{self.n}",
                 available=list(self.signals),
             )
-        gain = torch.as_tensor(gain, dtype=torch.float64, device=self.current.device)
+        gain = as_tensor(gain, "drive gains", LogError).to(self.current)
         if tuple(gain.shape) != (self.n,):
             raise LogError(
                 f"{self._label}: one drive gain a joint is needed.",

@@ -169,7 +169,9 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     for x in tried:
         rows = Rows(setting, x)
         truth = rows.columns(rival.truth.effects, rival.leaving)
-        own = rows.beside(truth @ torch.tensor(rival.truth.values).double(), rival.leaving)
+        own = rows.beside(
+            truth @ torch.tensor(rival.truth.values, dtype=torch.float64), rival.leaving
+        )
         near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 

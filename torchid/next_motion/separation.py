@@ -123,7 +123,9 @@ def separations(
 
 def _told(rows: Rows, rival: Rival) -> Told:
     gone = rival.leaving
-    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(rival.truth.values).double()
+    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(
+        rival.truth.values, dtype=torch.float64
+    )
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
@@ -177,7 +179,7 @@ def imitation(
     Of an effect that without some coefficients would be a simpler one, only these are used: else a
     joint's spring would imitate a torque offset by having no stiffness.
     """
-    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values).double()
+    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
     left = rows.beside(own, leaving)
     found: tuple[float, Explanation] | None = None
     for other in others:

@@ -217,7 +217,7 @@ def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence
     coupled motor without that of its own joint): no body moves like that."""
     if not bool(plant.effects.inertia.any()):
         return
-    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS).long().tolist():
+    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS, dtype=torch.float64).long().tolist():
         mass = plant.arms.at(q[:, k]).mass_matrix() + plant.effects.inertia
         bad = torch.linalg.cholesky_ex(mass)[1] > 0
         if bool(bad.any()):

@@ -58,7 +58,7 @@ def _tightened(walk: EqualTorqueSpace, limits: Limits) -> Limits:
     chain. Chains that ask for more than there is have an empty region."""
     k = limits.sign.shape[0]
     level = torch.linspace(-1.0, 1.0, k, dtype=walk.x.dtype)
-    firm = _between(torch.tensor(SLIGHTEST), torch.tensor(FIRMEST), level).flatten()
+    firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(FIRMEST), level).flatten()
     firm = torch.where(level > 0, firm, 0.0)
     by = firm.unsqueeze(-1)
     low, high = limits.com.unbind(-1)
@@ -108,7 +108,9 @@ def _relax_com(
     face = faces[torch.from_numpy(generator.permutation(np.arange(k) % len(faces)))]
     link, side = face // 6, face % 2
     links = links | torch.nn.functional.one_hot(link, n).bool()
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).reshape(-1, 1) * links
+    share = (
+        _between(level.new_tensor(SLIGHTEST), level.new_tensor(1.0), level).reshape(-1, 1) * links
+    )
     com = limits.com + share.reshape(k, n, 1, 1) * (walk.widest - limits.com)
     beyond = com.flatten(1)
     beyond[torch.arange(k), face + 1 - 2 * side] = limits.com[0].flatten()[face]
@@ -142,7 +144,7 @@ def _relax_total(
 ) -> Limits:
     """Total masses above the interval, and below it in every other chain."""
     low, high = limits.total.unbind(-1)
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).flatten()
+    share = _between(level.new_tensor(SLIGHTEST), level.new_tensor(1.0), level).flatten()
     above = torch.stack([high, high + share * (walk.heaviest.sum() - high).clamp(min=0.0)], -1)
     below = torch.stack([low * (1 - share), low], -1)
     odd = torch.arange(len(level)) % 2 == 1
@@ -159,7 +161,7 @@ def _relax_shape(
 ) -> Limits:
     """Radii up to twice themselves and the reach of the boxes."""
     reach = walk.widest.abs().amax(-1).norm(dim=-1)
-    share = _between(torch.tensor(SLIGHTEST), torch.tensor(1.0), level).reshape(-1, 1)
+    share = _between(level.new_tensor(SLIGHTEST), level.new_tensor(1.0), level).reshape(-1, 1)
     grown = limits.radius + share * (limits.radius + reach)
     return replace(limits, radius=torch.where(links, grown, limits.radius))
 

@@ -48,15 +48,15 @@ class Noise:
         structure: (n,) share of the noise's variance that a flexible predictor still finds in what
             the model leaves, where that is significant; else 0.
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
-        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s], for where
-            the noise is known, what a joint did while it stuck would be a gap of its own; else None.
+        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s]: what a joint
+            did while it may have stuck would be a gap of its own.
         uneven: (n,) joints whose noise is not the same everywhere.
     """
 
     floor: NoiseFloor
     structure: Float[Tensor, " n"]
     unpredicted: Float[Tensor, " n"]
-    reach: Float[Tensor, " n"] | None
+    reach: Float[Tensor, " n"]
     uneven: Bool[Tensor, " n"]
 
 
@@ -104,14 +104,14 @@ def noise_of(
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
-    known = floor.source == "repeats"
+
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which the structure was found.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
     structure = found.r2 * within / noise.clamp(min=1e-300)
     structure = torch.where(found.interval[:, 0] > 0, structure, torch.zeros_like(structure))
-    return Noise(floor, structure, unpredicted, reach if known else None, uneven)
+    return Noise(floor, structure, unpredicted, reach, uneven)
 
 
 def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
