@@ -128,7 +128,9 @@ def compare_diagnoses(
         entries = [[_named(entry) for entry in r.data["which"]] for r in results]
         statuses = tuple(str(r.data["status"]) for r in results)
         closed = tuple(r.data["how_far"]["closed"] for r in results)
-        hidden = [_hidden(r.data["not_testable"]) for r in results]
+        hidden = [
+            {_where(e): e["smallest_detectable"] for e in r.data["not_testable"]} for r in results
+        ]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TorchidError(
             "a diagnosis is not complete.", got=f"{type(error).__name__}: {error}"
@@ -136,17 +138,23 @@ def compare_diagnoses(
     given = [recorded_robot(r.data, str(r.path)) for r in results]
     refuse_other_kinematics([(r.label, g) for r, g in zip(results, given, strict=True)])
     corrected = [recorded_robot(r.data, str(r.path), "corrected") for r in results]
-    shared = _with_holm([_shared(group, entries, hidden) for group in _groups(entries)])
+    shared = [_shared(group, entries, hidden) for group in _groups(entries)]
+    # Adjusted over all coefficients of all causes.
+    p = torch.tensor([c.scatter.p for s in shared for c in s.coefficients], dtype=torch.float64)
+    adjusted = iter(holm(p).tolist())
+    shared = [
+        replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
+        for s in shared
+    ]
     torque = _torque(corrected, results, on, seed)
-    names = dict.fromkeys(r.robot_name for r in results)
     return GapComparison(
-        tuple(r.label for r in results),
-        " and ".join(names),
-        statuses,
-        closed,
-        tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
-        torque,
-        _notes(results, given, torque),
+        labels=tuple(r.label for r in results),
+        robot=" and ".join(dict.fromkeys(r.robot_name for r in results)),
+        statuses=statuses,
+        closed=closed,
+        shared=tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
+        torque=torque,
+        notes=_notes(results, given, torque),
     )
 
 
@@ -170,12 +178,9 @@ def _named(entry: Mapping[str, Any]) -> Named:
     )
 
 
-def _hidden(entries: Sequence[Mapping[str, Any]]) -> dict[tuple[str, tuple[int, ...]], Any]:
-    """Effects and places that a diagnosis could not test, with the smallest detectable size."""
-    return {
-        (str(e["effect"]), () if e["joint"] is None else (int(e["joint"]),)):
-        e["smallest_detectable"] for e in entries
-    }  # fmt: skip
+def _where(entry: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
+    """Effect and place that a diagnosis could not test."""
+    return str(entry["effect"]), () if entry["joint"] is None else (int(entry["joint"]),)
 
 
 def _same_cause(a: Named, b: Named) -> bool:
@@ -244,35 +249,16 @@ def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficie
     first = next(n for n in own if n is not None)
     out = []
     for name in first.values:
-        pairs = [
-            (n.values[name], n.std[name]) if n is not None and name in n.std else None for n in own
-        ]
-        known = [p for p in pairs if p is not None]
+        known = [n for n in own if n is not None and name in n.std]
         if len(known) < 2:
             continue
-        x, s = torch.tensor(known, dtype=torch.float64).T
+        x, s = torch.tensor([(n.values[name], n.std[name]) for n in known], dtype=torch.float64).T
         found = scatter(x, s, torch.full_like(x, BLOCKS - 1))
-        out.append(
-            Coefficient(
-                name,
-                first.units.get(name, ""),
-                tuple(None if p is None else p[0] for p in pairs),
-                tuple(None if p is None else p[1] for p in pairs),
-                found,
-                found.p,
-            )
-        )
+        values = tuple(n.values[name] if n in known else None for n in own)
+        std = tuple(n.std[name] if n in known else None for n in own)
+        unit = first.units.get(name, "")
+        out.append(Coefficient(name, unit, values, std, found, found.p))
     return tuple(out)
-
-
-def _with_holm(shared: list[Shared]) -> list[Shared]:
-    """p-values adjusted over all coefficients of all causes."""
-    p = [c.scatter.p for s in shared for c in s.coefficients]
-    adjusted = iter(holm(torch.tensor(p, dtype=torch.float64)).tolist())
-    return [
-        replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
-        for s in shared
-    ]
 
 
 def _torque(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
@@ -120,15 +121,22 @@ def identified_spread(
     Raises:
         LogError: a log that does not fit the robot.
     """
-    cutoffs = [r.cutoff for r in results if r.cutoff is not None]
-    reversal = torch.stack([r.reversal for r in results]).mean(0)
     if on is None:
         motion = random_motion(robot, seed)
     else:
+        cutoffs = [r.cutoff for r in results if r.cutoff is not None]
+        reversal = torch.stack([r.reversal for r in results]).mean(0)
         motion = log_motion(robot, on, min(cutoffs, default=None), reversal)
-    spread = torque_spread([_model(r, robot) for r in results], motion)
-    claimed = torch.stack([_claimed(r, robot, motion) for r in results]).mean(0).sqrt()
-    return replace(spread, claimed=claimed)
+    models = [partial(model_torque, robot, r.base, r.effects, r.values) for r in results]
+    # The variance of torque that each covariance claims, averaged over the motion.
+    claimed = []
+    for r in results:
+        rows = torch.cat(
+            [base_regressor(robot, r.base, part, effects=r.effects) for part in motion.motions]
+        )
+        variance = ((rows @ r.covariance) * rows).sum(1).clamp(min=0)
+        claimed.append(variance.reshape(-1, robot.n).mean(0))
+    return replace(torque_spread(models, motion), claimed=torch.stack(claimed).mean(0).sqrt())
 
 
 def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread:
@@ -136,12 +144,9 @@ def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread
     torque = torch.stack([torch.cat([f(part) for part in motion.motions]) for f in models])
     mean = torque.mean(0)
     apart = torque.unsqueeze(0) - torque.unsqueeze(1)
+    spread = ((torque - mean).square().sum(0) / (len(models) - 1)).mean(0).sqrt()
     return TorqueSpread(
-        motion.source,
-        _rms(mean),
-        ((torque - mean).square().sum(0) / (len(models) - 1)).mean(0).sqrt(),
-        apart.square().mean(2).sqrt(),
-        errors=_errors(models, motion),
+        motion.source, _rms(mean), spread, _rms(apart, 2), errors=_errors(models, motion)
     )
 
 
@@ -153,20 +158,6 @@ def described_model(robot: Robot) -> Model:
     """
     effects = [pair for pair in nominal_effects(robot) if not pair[0].needs & MEASURED]
     return lambda motion: full_torque(robot, effects, motion)
-
-
-def _model(result: Identified, robot: Robot) -> Model:
-    return lambda motion: model_torque(robot, result.base, result.effects, result.values, motion)
-
-
-def _claimed(result: Identified, robot: Robot, motion: CommonMotion) -> Float[Tensor, " n"]:
-    """Mean variance per joint that the covariance claims."""
-    parts = []
-    for part in motion.motions:
-        y = base_regressor(robot, result.base, part, effects=result.effects)
-        variance = ((y @ result.covariance) * y).sum(1).clamp(min=0)
-        parts.append(variance.reshape(-1, robot.n))
-    return torch.cat(parts).mean(0)
 
 
 def _errors(models: Sequence[Model], motion: CommonMotion) -> Float[Tensor, "m n"] | None:
@@ -185,5 +176,5 @@ def _errors(models: Sequence[Model], motion: CommonMotion) -> Float[Tensor, "m n
     return torch.stack(out)
 
 
-def _rms(x: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
-    return x.square().mean(0).sqrt()
+def _rms(x: Tensor, over: int = 0) -> Tensor:
+    return x.square().mean(over).sqrt()
