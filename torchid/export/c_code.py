@@ -61,8 +61,11 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
     robot, name = dynamics.robot, identifier(file_name)
     code = effect_code(robot, nominal_effects(robot), f"{name}_rigid")
     left_out = tuple(words for _, words in code.left_out)
+    about = _about(dynamics, file_name, left_out).replace("*/", "* /").replace("/*", "/ *")
+    # A line that ends in a backslash would continue in the next.
+    words = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in about.splitlines()]
     parts = [
-        _comment(_about(dynamics, file_name, left_out)),
+        "\n".join(["/*", *words, " */"]),
         f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n}\n',
         _constants(robot),
         HELPERS,
@@ -90,29 +93,19 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[str]) -> str:
         "of joint frame i in link frame i-1 (the base for i = 0), AFTER[i] that of link frame i in",
         "the moved joint frame. GRAVITY is in axes of the base [m/s^2].",
         "",
-        *_numbers(dynamics),
     ]
+    # What LINK[][] holds.
+    if dynamics.base is None:
+        lines += _SET.format(title=dynamics.title).splitlines()
+    else:
+        base = dynamics.base.base
+        lines += _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
+        rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
+        lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:
         lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
         lines += [f"  {words}" for words in left_out]
     return "\n".join(lines)
-
-
-def _numbers(dynamics: Dynamics) -> list[str]:
-    """What LINK[][] holds."""
-    if dynamics.base is None:
-        return _SET.format(title=dynamics.title).splitlines()
-    base = dynamics.base.base
-    said = _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
-    rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
-    return said + [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
-
-
-def _comment(words: str) -> str:
-    safe = words.replace("*/", "* /").replace("/*", "/ *")
-    # A line that ends in a backslash would continue in the next.
-    lines = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in safe.splitlines()]
-    return "/*\n" + "\n".join(lines) + "\n */"
 
 
 def _constants(robot: Robot) -> str:

@@ -9,11 +9,11 @@ from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
 from torchid.export.results import dynamics_of
-from torchid.export.verdict import check, require_feasible
-from torchid.export.write_plain import Written, write_c, write_table, write_yaml
+from torchid.export.verdict import require_feasible
+from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
-from torchid.feasibility.record import Check
-from torchid.feasibility.sets import ParameterSets
+from torchid.feasibility.record import Check, check_sets
+from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.identification.result import Identification
 from torchid.robot.model import Robot
 
@@ -93,23 +93,41 @@ def export_dynamics(
     (['3r.urdf'], True)
     """
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
-    path = folder / f"{_file_name(name, nominal)}{SUFFIXES[to]}"
+    if name is None:
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in nominal.name)
+    elif not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("the name is that of a file, without folder.", got=name)
+    path = folder / f"{name}{SUFFIXES[to]}"
     model = nominal if original is None else original
-    _refuse_overwriting(path, [*keep, Path(nominal.source), Path(model.source)])
+    sources = [*keep, Path(nominal.source), Path(model.source)]
+    if path.resolve() in [source.resolve() for source in sources]:
+        raise TorchidError(
+            f"the export would take the place of the original '{path}'.",
+            hint="another --name, or another folder by --out",
+        )
     same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
     edited = model if same_format else None
     physical = dynamics.base is None or to not in ("csv", "c")
     written = dynamics.robot
     if dynamics.base is not None and physical:
         written = nearest_representative(nominal, dynamics.base)
-    found = check(written, geometry) if physical else None
-    if found is not None and not force:
-        require_feasible(dynamics, found)
+    found = None
+    if physical:
+        found = check_sets(written, nominal_set(written), geometry=geometry)
+        if not force:
+            require_feasible(dynamics, found)
     folder.mkdir(parents=True, exist_ok=True)
-    draft, comparisons = _write(dynamics, written, to, path, edited, seed)
-    robot = dynamics.robot
+    motion = states(dynamics.robot, seed)
+    if to == "yaml":
+        draft, comparisons = write_yaml(dynamics, written, path, motion)
+    elif to == "csv":
+        draft, comparisons = write_table(dynamics, path, motion)
+    elif to == "c":
+        draft, comparisons = write_c(dynamics, path, motion)
+    else:
+        draft, comparisons = write_xml(dynamics, written, path, edited, motion)
     in_file, beside, left_out = (
-        tuple(described(effect, values, robot) for effect, values in pairs)
+        tuple(described(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)
     )
     return Export(
@@ -124,32 +142,3 @@ def export_dynamics(
         left_out=left_out,
         notes=draft.notes,
     )
-
-
-def _file_name(name: str | None, robot: Robot) -> str:
-    if name is None:
-        return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
-    if not name or Path(name).name != name or name.startswith("."):
-        raise TorchidError("the name is that of a file, without folder.", got=name)
-    return name
-
-
-def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
-    if any(path.resolve() == source.resolve() for source in sources):
-        raise TorchidError(
-            f"the export would take the place of the original '{path}'.",
-            hint="another --name, or another folder by --out",
-        )
-
-
-def _write(
-    dynamics: Dynamics, written: Robot, to: Format, path: Path, original: Robot | None, seed: int
-) -> Written:
-    motion = states(dynamics.robot, seed)
-    if to == "yaml":
-        return write_yaml(dynamics, written, path, motion)
-    if to == "csv":
-        return write_table(dynamics, path, motion)
-    if to == "c":
-        return write_c(dynamics, path, motion)
-    return write_xml(dynamics, written, path, original, motion)

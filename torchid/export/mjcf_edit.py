@@ -14,7 +14,7 @@ from torchid.export.joint_dynamics import JointDynamics
 from torchid.export.urdf_edit import refuse_moment_without_mass
 from torchid.export.xml_tree import (
     XmlFile,
-    child,
+    child_or_new,
     children,
     comment,
     local,
@@ -28,6 +28,14 @@ from torchid.robot.model import JointType, Robot
 
 _JOINTS = ("joint", "freejoint")
 _UNNAMED = re.compile(r"body_(\d+)_*")
+ATTRIBUTES = {
+    "damping": "damping",
+    "frictionloss": "friction",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
+"""Attributes of a <joint>, and what they are in `JointDynamics`."""
+_DEGREES = 57.29577951308232
 _POSES = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia", "diaginertia")
 _OVERRIDES = ("boundmass", "boundinertia", "balanceinertia", "settotalmass")
 """Settings by which the compiler changes the masses and inertias that a file gives."""
@@ -54,12 +62,18 @@ def edited_mjcf(
     """
     file = read_xml(original)
     _expand_includes(file.root, original.parent)
-    _neutral_compiler(file.root)
-    _write_chain(_Bodies(file.root, str(original)), robot, joints, _in_degrees(file.root))
+    angles = []
+    for compiler in children(file.root, "compiler"):
+        # Without what would change the masses and inertias that are written.
+        for name in _OVERRIDES:
+            compiler.attrib.pop(name, None)
+        if compiler.get("inertiafromgeom") == "true":
+            compiler.set("inertiafromgeom", "auto")
+        angles += [compiler.get("angle")] if compiler.get("angle") else []
+    degrees = not angles or angles[-1] == "degree"
+    _write_chain(_Bodies(file.root, str(original)), robot, joints, degrees)
     if gravity:
-        option = child(file.root, "option")
-        option = new_child(file.root, "option", first=True) if option is None else option
-        option.set("gravity", text(robot.gravity))
+        child_or_new(file.root, "option", first=True).set("gravity", text(robot.gravity))
     if folder.resolve() != original.parent.resolve():
         _relocate(file.root, original.parent, folder)
     return file
@@ -75,7 +89,13 @@ def _write_chain(
         waiting.append(i)
         body = bodies.find(name)
         if body is None:
-            _refuse_parameters(parameters, i, name)
+            if bool(parameters.pi[i].any()):
+                raise TorchidError(
+                    f"'{name}' lies between two joints of one body, where MJCF has no place for "
+                    "its mass.",
+                    got=parameters.pi[i].tolist(),
+                    hint="--to urdf writes a new file with a link there",
+                )
             continue
         _write_inertial(body, parameters, i, name)
         for fixed in _fixed_below(body):
@@ -84,8 +104,12 @@ def _write_chain(
         if len(own) != len(waiting):
             raise bodies.not_written(name)
         for node, k in zip(own, waiting, strict=True):
-            turns = robot.joint_types[k] is JointType.REVOLUTE
-            _write_joint(node, joints[k], degrees and turns)
+            # All of them, so that defaults of a class do not count.
+            for key, attribute in ATTRIBUTES.items():
+                node.set(key, number(getattr(joints[k], attribute)))
+            if joints[k].stiffness:
+                turns = degrees and robot.joint_types[k] is JointType.REVOLUTE
+                node.set("springref", number(joints[k].rest * (_DEGREES if turns else 1.0)))
         waiting = []
     if waiting:
         raise bodies.not_written(robot.link_names[-1])
@@ -140,20 +164,6 @@ def _expand_includes(root: Any, folder: Path) -> None:
         nodes[-1].tail = tail
 
 
-def _neutral_compiler(root: Any) -> None:
-    """Take away what would change the masses and inertias that are written."""
-    for compiler in children(root, "compiler"):
-        for name in _OVERRIDES:
-            compiler.attrib.pop(name, None)
-        if compiler.get("inertiafromgeom") == "true":
-            compiler.set("inertiafromgeom", "auto")
-
-
-def _in_degrees(root: Any) -> bool:
-    given = [c.get("angle") for c in children(root, "compiler") if c.get("angle")]
-    return not given or given[-1] == "degree"
-
-
 def _members(body: Any) -> list[Any]:
     """What belongs to a body: its children, and those of its <frame>s."""
     out = []
@@ -196,31 +206,10 @@ def _write_massless(body: Any, moved_by: str) -> None:
 
 def _inertial_of(body: Any) -> Any:
     """The body's <inertial>, without its inertia; a new one where it has none."""
-    found = child(body, "inertial")
-    node = new_child(body, "inertial", first=True) if found is None else found
+    node = child_or_new(body, "inertial", first=True)
     for key in (*_POSES, "pos", "mass"):
         node.attrib.pop(key, None)
     return node
-
-
-def _refuse_parameters(parameters: InertialParameters, i: int, name: str) -> None:
-    if bool(parameters.pi[i].any()):
-        raise TorchidError(
-            f"'{name}' lies between two joints of one body, where MJCF has no place for its mass.",
-            got=parameters.pi[i].tolist(),
-            hint="--to urdf writes a new file with a link there",
-        )
-
-
-def _write_joint(node: Any, values: JointDynamics, degrees: bool) -> None:
-    """Explicit attributes, so that defaults of a class do not count."""
-    node.set("damping", number(values.damping))
-    node.set("frictionloss", number(values.friction))
-    node.set("armature", number(values.armature))
-    node.set("stiffness", number(values.stiffness))
-    if values.stiffness:
-        factor = 57.29577951308232 if degrees else 1.0
-        node.set("springref", number(values.rest * factor))
 
 
 def _relocate(root: Any, old: Path, new: Path) -> None:
@@ -229,14 +218,9 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
     if not any(key.startswith("file") for node in assets for key in node.attrib):
         return
     compilers = children(root, "compiler")
-    compiler = compilers[-1] if compilers else None
-    if compiler is None:
-        compiler = new_child(root, "compiler", first=True)
-    given: dict[str, str] = {}
-    for node in compilers:
-        for key in ("assetdir", "meshdir", "texturedir"):
-            if key in node.attrib:
-                given[key] = node.attrib.pop(key)
+    compiler = compilers[-1] if compilers else new_child(root, "compiler", first=True)
+    keys = ("assetdir", "meshdir", "texturedir")
+    given = {k: node.attrib.pop(k) for node in compilers for k in keys if k in node.attrib}
     for key in ("meshdir", "texturedir"):
         place = given.get(key, given.get("assetdir", "."))
         compiler.set(key, relocated(place or ".", old, new))

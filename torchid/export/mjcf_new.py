@@ -9,10 +9,10 @@ from torch import Tensor
 
 from torchid.export.exact_text import number, principal, quaternion_of, text
 from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.mjcf_edit import ATTRIBUTES
 from torchid.export.urdf_edit import refuse_moment_without_mass
 from torchid.export.urdf_new import DECLARATION
 from torchid.export.xml_tree import XmlFile
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 
 
@@ -33,8 +33,18 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     parameters = robot.require_parameters("an export")
     for i, name in enumerate(robot.link_names):
         refuse_moment_without_mass(parameters, i, name)
-        body = etree.SubElement(body, "body", name=name, **_placed(_rest(robot, i)))
-        etree.SubElement(body, "inertial", **_inertial(parameters, i))
+        # Pose of the link in the previous one at q = 0.
+        pose = robot.before[i].double() @ robot.after[i].double()
+        body = etree.SubElement(body, "body", name=name, **_placed(pose))
+        moments, turn = principal(parameters, i)
+        etree.SubElement(
+            body,
+            "inertial",
+            pos=text(parameters.com[i]),
+            mass=number(parameters.mass[i]),
+            quat=text(turn),
+            diaginertia=text(moments),
+        )
         etree.SubElement(body, "joint", **_joint(robot, i, joints[i]))
     etree.SubElement(body, "site", name="tool", **_placed(robot.tool.double()))
     actuators = etree.SubElement(root, "actuator")
@@ -44,23 +54,8 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     return XmlFile(root, DECLARATION)
 
 
-def _rest(robot: Robot, i: int) -> Tensor:
-    """Pose of the link in the previous one at q = 0."""
-    return robot.before[i].double() @ robot.after[i].double()
-
-
 def _placed(pose: Tensor) -> dict[str, str]:
     return {"pos": text(pose[:3, 3]), "quat": text(quaternion_of(pose[:3, :3]))}
-
-
-def _inertial(parameters: InertialParameters, i: int) -> dict[str, str]:
-    moments, turn = principal(parameters, i)
-    return {
-        "pos": text(parameters.com[i]),
-        "mass": number(parameters.mass[i]),
-        "quat": text(turn),
-        "diaginertia": text(moments),
-    }
 
 
 def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
@@ -77,11 +72,6 @@ def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
         known = getattr(robot.limits, limits)
         if known is not None and bool(torch.isfinite(known[i]).all()):
             out[key] = text(known[i])
-    attributes = {
-        "damping": values.damping,
-        "frictionloss": values.friction,
-        "armature": values.armature,
-        "stiffness": values.stiffness,
-        "springref": values.rest,
-    }
-    return out | {key: number(value) for key, value in attributes.items() if value}
+    attributes = {**ATTRIBUTES, "springref": "rest"}
+    sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
+    return out | {key: number(size) for key, size in sizes.items() if size}

@@ -13,7 +13,6 @@ from torchid.export.xml_tree import (
     child_or_new,
     children,
     comment,
-    new_child,
     read_xml,
     relocated,
     replace,
@@ -50,23 +49,24 @@ def edited_urdf(
     by_name = {node.get("name", "").strip(): node for node in children(file.root, "joint")}
     parameters = robot.require_parameters("an export")
     for i, (group, joint) in enumerate(zip(chain.groups[1:], chain.joints, strict=True)):
-        for name in group.poses:
-            if name != group.link:
-                _take_away(links[name], group.link)
+        for name in [name for name in group.poses if name != group.link]:
+            for inertial in children(links[name], "inertial"):
+                mass = child(inertial, "mass")
+                had = "" if mass is None else f" ({mass.get('value', '').strip()} kg)"
+                said = comment(f"inertial{had} is part of that of link '{group.link}'")
+                replace(inertial, said)
         _write_inertial(links[group.link], parameters, i, group.link)
-        _write_dynamics(by_name[joint.name], joints[i])
+        # <dynamics>, where it is there or needed.
+        values, element = joints[i], by_name[joint.name]
+        if child(element, "dynamics") is not None or values.damping or values.friction:
+            node = child_or_new(element, "dynamics")
+            node.set("damping", number(values.damping))
+            node.set("friction", number(values.friction))
     if folder.resolve() != original.parent.resolve():
         for node in file.root.iter("{*}mesh", "{*}texture"):
             if node.get("filename"):
                 node.set("filename", relocated(node.get("filename"), original.parent, folder))
     return file
-
-
-def _take_away(link: Any, moved_by: str) -> None:
-    for inertial in children(link, "inertial"):
-        mass = child(inertial, "mass")
-        had = "" if mass is None else f" ({mass.get('value', '').strip()} kg)"
-        replace(inertial, comment(f"inertial{had} is part of that of link '{moved_by}'"))
 
 
 def _write_inertial(link: Any, parameters: InertialParameters, i: int, name: str) -> None:
@@ -91,13 +91,3 @@ def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str
             got=parameters.first_moment[i].tolist(),
             hint="--to yaml and --to c write first moments as they are",
         )
-
-
-def _write_dynamics(joint: Any, values: JointDynamics) -> None:
-    """<dynamics>, where it is there or needed."""
-    found = child(joint, "dynamics")
-    if found is None and not (values.damping or values.friction):
-        return
-    node = new_child(joint, "dynamics") if found is None else found
-    node.set("damping", number(values.damping))
-    node.set("friction", number(values.friction))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from lxml import etree
+from lxml.etree import Element, SubElement, indent
 from torch import Tensor
 
 from torchid.effects.inertia import LinkInertia, Payload
@@ -30,24 +30,29 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
         robot: with parameters.
         joints: attributes of its n joints.
     """
-    root = etree.Element("robot", name=robot.name)
+    root = Element("robot", name=robot.name)
     taken = set(robot.link_names)
     base = _free("base", taken)
-    _element(root, "link", name=base)
+    SubElement(root, "link", name=base)
     parent, behind = base, torch.eye(4, dtype=torch.float64)
     pi = robot.require_parameters("an export").pi.double()
     parameters = InertialParameters(move(pi, robot.after.double()))
     for i, name in enumerate(robot.link_names):
-        link = _element(root, "link", name=name)
-        _inertial(link, parameters, i, name)
+        refuse_moment_without_mass(parameters, i, name)
+        inertial = SubElement(SubElement(root, "link", name=name), "inertial")
+        SubElement(inertial, "origin", xyz=text(parameters.com[i]), rpy="0 0 0")
+        SubElement(inertial, "mass", value=number(parameters.mass[i]))
+        tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
+        SubElement(inertial, "inertia", **{key: number(value) for key, value in tensor})
         _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
         parent, behind = name, robot.after[i].double()
     tool = _free("tool", taken)
-    _element(root, "link", name=tool)
-    fixed = _element(root, "joint", name=_free("tool_mount", set(robot.joint_names)), type="fixed")
-    _placed(fixed, behind @ robot.tool.double())
-    _ends(fixed, parent, tool)
-    etree.indent(root)
+    SubElement(root, "link", name=tool)
+    fixed = SubElement(
+        root, "joint", name=_free("tool_mount", set(robot.joint_names)), type="fixed"
+    )
+    _mounted(fixed, behind @ robot.tool.double(), parent, tool)
+    indent(root)
     return XmlFile(root, DECLARATION)
 
 
@@ -64,10 +69,6 @@ def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]
     return tuple(out)
 
 
-def _element(parent: Any, tag: str, **attributes: str) -> Any:
-    return etree.SubElement(parent, tag, **attributes)
-
-
 def _free(name: str, taken: set[str]) -> str:
     while name in taken:
         name += "_"
@@ -75,55 +76,37 @@ def _free(name: str, taken: set[str]) -> str:
     return name
 
 
-def _inertial(link: Any, parameters: InertialParameters, i: int, name: str) -> None:
-    refuse_moment_without_mass(parameters, i, name)
-    inertial = _element(link, "inertial")
-    _element(inertial, "origin", xyz=text(parameters.com[i]), rpy="0 0 0")
-    _element(inertial, "mass", value=number(parameters.mass[i]))
-    values = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
-    _element(inertial, "inertia", **{key: number(value) for key, value in values})
-
-
-def _placed(element: Any, pose: Tensor) -> None:
+def _mounted(joint: Any, pose: Tensor, parent: str, link: str) -> None:
     angles = roll_pitch_yaw_of(pose[:3, :3])
-    _element(element, "origin", xyz=text(pose[:3, 3]), rpy=text(angles))
-
-
-def _ends(element: Any, parent: str, link: str) -> None:
-    _element(element, "parent", link=parent)
-    _element(element, "child", link=link)
+    SubElement(joint, "origin", xyz=text(pose[:3, 3]), rpy=text(angles))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=link)
 
 
 def _joint(
     root: Any, robot: Robot, i: int, ends: tuple[str, str], origin: Tensor, values: JointDynamics
 ) -> None:
-    position = _interval(robot.limits.position, i)
+    limits = robot.limits.position
+    known = limits is not None and bool(torch.isfinite(limits[i]).all())
+    low, high = limits[i].tolist() if limits is not None and known else (0.0, 0.0)
     kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
-    if kind == "revolute" and position is None:
+    if kind == "revolute" and not known:
         kind = "continuous"
-    joint = _element(root, "joint", name=robot.joint_names[i], type=kind)
-    _placed(joint, origin)
-    _ends(joint, *ends)
-    _element(joint, "axis", xyz="0 0 1")
+    joint = SubElement(root, "joint", name=robot.joint_names[i], type=kind)
+    _mounted(joint, origin, *ends)
+    SubElement(joint, "axis", xyz="0 0 1")
     # 0 is what exporters write for a limit that is not known; readers need the attributes.
     limit = {
         "effort": _symmetric(robot.limits.torque, i),
         "velocity": _symmetric(robot.limits.velocity, i),
     }
     if kind != "continuous":
-        low, high = position or (0.0, 0.0)
         limit |= {"lower": number(low), "upper": number(high)}
     if kind != "continuous" or set(limit.values()) != {"0.0"}:
-        _element(joint, "limit", **limit)
+        SubElement(joint, "limit", **limit)
     if values.damping or values.friction:
-        attributes = {"damping": number(values.damping), "friction": number(values.friction)}
-        _element(joint, "dynamics", **attributes)
-
-
-def _interval(limits: Tensor | None, i: int) -> tuple[float, float] | None:
-    if limits is None or not bool(torch.isfinite(limits[i]).all()):
-        return None
-    return float(limits[i, 0]), float(limits[i, 1])
+        damping, friction = number(values.damping), number(values.friction)
+        SubElement(joint, "dynamics", damping=damping, friction=friction)
 
 
 def _symmetric(limits: Tensor | None, i: int) -> str:

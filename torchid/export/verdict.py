@@ -3,14 +3,7 @@
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
 from torchid.feasibility.findings import by_percent
-from torchid.feasibility.record import Check, check_sets
-from torchid.feasibility.sets import nominal_set
-from torchid.robot.model import Robot
-
-
-def check(robot: Robot, geometry: str | None) -> Check:
-    """The robot's parameters against physics and its own description, as `torchid check` does."""
-    return check_sets(robot, nominal_set(robot), geometry=geometry)
+from torchid.feasibility.record import Check
 
 
 def require_feasible(dynamics: Dynamics, found: Check) -> None:

@@ -112,14 +112,11 @@ def _on_boundary(found: list[Finding], link: int | None, name: str, value: float
 
 def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) -> None:
     """Search variables on or outside their bounds."""
-    p = sets.parameters
-    values = torch.cat(
-        [p.mass, p.com.flatten(-2), p.inertia_about_com.flatten(-2), sets.coefficients], -1
-    )
+    values = sets.search_vector
     low, high = bounds.box(sets.effects).to(values).unbind(-1)
     share = (values - low) / (high - low)
     names = search_names(sets)
-    n = p.mass.shape[-1]
+    n = sets.parameters.mass.shape[-1]
     for k, i in each((share < ON_BOUNDARY) | (share > 1 - ON_BOUNDARY)):
         value, place = float(values[k, i]), float(share[k, i])
         limit, side = (float(low[i]), "lower") if place < 0.5 else (float(high[i]), "upper")

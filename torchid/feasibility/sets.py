@@ -49,6 +49,14 @@ class ParameterSets:
         stacking (eq. 2.5), then the effects' coefficients (eq. 2.7)."""
         return torch.cat([self.parameters.to_paper_order(), self.coefficients], -1)
 
+    @property
+    def search_vector(self) -> Float[Tensor, "K D"]:
+        """All parameters in the order of `Bounds.box`: masses, centres of mass, barycentric
+        inertias, coefficients."""
+        own = self.parameters
+        parts = [own.mass, own.com.flatten(-2), own.inertia_about_com.flatten(-2)]
+        return torch.cat([*parts, self.coefficients], -1)
+
     def coefficient_names(self) -> tuple[str, ...]:
         """Names of the coefficients with their joints' numbers, e.g. Fv6."""
         return tuple(name for effect in self.effects for name in effect.coefficient_names())

@@ -105,12 +105,8 @@ class EqualTorqueSpace:
         a, f = self._linear(self.directions.T.unsqueeze(1), limits)
         b, c = self._linear(self.x.unsqueeze(0), limits)
         row, block = self._constants(limits)
-        return Region(
-            a.permute(1, 2, 0).contiguous(),
-            b + row,
-            f.permute(1, 2, 0).contiguous(),
-            c + block,
-        )
+        a, f = (x.permute(1, 2, 0).contiguous() for x in (a, f))
+        return Region(a, b + row, f, c + block)
 
     def _linear(self, x: Tensor, limits: Limits) -> tuple[Tensor, Tensor]:
         """Homogeneous parts (..., K, R) and (..., K, 16 L) for x (..., 1 or K, P)."""
