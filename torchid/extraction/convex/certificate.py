@@ -247,18 +247,15 @@ class _Question:
             mass, *moment = link_columns(self.problem.n, link)[:4]
             single = box[link, :, 0] == box[link, :, 1]
             x[moment] = np.where(single, x[mass] * box[link, :, 0], x[moment])
-        x[10 * self.problem.n :] = self._within_signs(x[10 * self.problem.n :])
+        # And beyond bounds and signs of coefficients, where the rounding is larger than the
+        # distance kept in a short interval.
+        low, high = self.problem.box[10 * self.problem.n :].cpu().numpy().T
+        low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
+        x[10 * self.problem.n :] = np.clip(x[10 * self.problem.n :], low, high)
         sets = sets_of(x[None], self.problem.n, self.problem.target.effects, ["certificate"])
         asked = self.problem.conditions if self.with_conditions else physics_only(self.problem.n)
         phi = float(np.sum((matrix @ x + offset) ** 2))
         return (sets, phi) if bool(feasibility(sets, asked).feasible[0]) else None
-
-    def _within_signs(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients of effects (E,) without the solver's rounding beyond bounds and signs, which
-        is larger than the distance kept where an interval is short."""
-        low, high = self.problem.box[10 * self.problem.n :].cpu().numpy().T
-        low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
-        return np.clip(coefficients, low, high)
 
     def outside(self, sets: ParameterSets) -> tuple[str, ...]:
         """Bounds of barycentric inertias that the first set does not meet."""
