@@ -13,10 +13,9 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
-from torchid.export.export import export_dynamics
+from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
-from torchid.export.verdict import require_feasible
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
 from torchid.identification.base_parameters import base_parameters, nominal_values

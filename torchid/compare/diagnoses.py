@@ -10,14 +10,7 @@ import torch
 from torchid.compare.basis import refuse_other_kinematics
 from torchid.compare.reading import Result
 from torchid.compare.scatter import Scatter, holm, scatter
-from torchid.compare.torque import (
-    Model,
-    TorqueSpread,
-    described_model,
-    log_motion,
-    random_motion,
-    torque_spread,
-)
+from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
 from torchid.log.model import Log
@@ -146,7 +139,12 @@ def compare_diagnoses(
         replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
         for s in shared
     ]
-    torque = _torque(corrected, results, on, seed)
+    torque = None
+    robots = [r for r in corrected if r is not None and r.parameters is not None]
+    if len(robots) == len(results):
+        cutoff = min(float(r.data["band_hz"]) for r in results) if on is not None else None
+        motion = common_motion(robots[0], on, seed, cutoff)
+        torque = torque_spread([described_model(robot) for robot in robots], motion)
     return GapComparison(
         labels=tuple(r.label for r in results),
         robot=" and ".join(dict.fromkeys(r.robot_name for r in results)),
@@ -183,15 +181,6 @@ def _where(entry: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
     return str(entry["effect"]), () if entry["joint"] is None else (int(entry["joint"]),)
 
 
-def _same_cause(a: Named, b: Named) -> bool:
-    """The same place, and the same name or one that the other cannot be told from."""
-    if a.place and b.place and a.place != b.place:
-        return False
-    if a.effect == b.effect:
-        return a.place == b.place
-    return a.effect in b.also or b.effect in a.also
-
-
 Member = tuple[int, int]  # number of a diagnosis, and of its entry
 
 
@@ -201,17 +190,19 @@ def _groups(entries: Sequence[Sequence[Named]]) -> list[list[Member]]:
     members = [(k, i) for k, own in enumerate(entries) for i in range(len(own))]
     group = {member: {member} for member in members}
 
-    def join(alike: bool) -> None:
+    # First those of one name, then those that cannot be told from each other.
+    for alike in (True, False):
         for one, two in combinations(members, 2):
             a, b = (entries[k][i] for k, i in (one, two))
             both = group[one] | group[two]
             distinct = len({k for k, _ in both}) == len(both)
-            if distinct and (a.effect == b.effect) == alike and _same_cause(a, b):
-                for member in both:
-                    group[member] = both
-
-    join(alike=True)
-    join(alike=False)
+            if a.effect == b.effect:
+                same = a.place == b.place
+            else:
+                same = a.place == b.place or not (a.place and b.place)
+                same &= a.effect in b.also or b.effect in a.also
+            if distinct and same and (a.effect == b.effect) == alike:
+                group.update(dict.fromkeys(both, both))
     return [list(g) for g in dict.fromkeys(tuple(sorted(g)) for g in group.values())]
 
 
@@ -259,19 +250,6 @@ def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficie
         unit = first.units.get(name, "")
         out.append(Coefficient(name, unit, values, std, found, found.p))
     return tuple(out)
-
-
-def _torque(
-    corrected: Sequence[Robot | None], results: Sequence[Result], on: Log | None, seed: int
-) -> TorqueSpread | None:
-    robots = [r for r in corrected if r is not None and r.parameters is not None]
-    if len(robots) < len(results):
-        return None
-    models: list[Model] = [described_model(robot) for robot in robots]
-    if on is None:
-        return torque_spread(models, random_motion(robots[0], seed))
-    cutoff = min(float(r.data["band_hz"]) for r in results)
-    return torque_spread(models, log_motion(robots[0], on, cutoff))
 
 
 def _notes(

@@ -114,6 +114,15 @@ def compare_identifications(
         if p.scatter is not None
     ]
     birge = typical_birge(*torch.tensor(pairs).double().T) if pairs else None
+    # All parameters that every result estimates.
+    every = (common.estimated.all(0) & (common.std > 0).all(0)).nonzero().flatten()
+    together = None
+    if len(every):
+        covariance, correlation = (
+            x[:, every][:, :, every] for x in (common.covariance, common.correlation)
+        )
+        values = common.values[:, every]
+        together = whole(values, covariance, correlation, freedom, seed=seed)
     fitted = [name for r in results for name in set(r.trajectories)]
     names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
     return Comparison(
@@ -121,7 +130,7 @@ def compare_identifications(
         robot=" and ".join(names) if names else "the arm",
         quantiles=tuple(r.quantile for r in results),
         parameters=parameters,
-        whole=_whole(common, freedom, seed),
+        whole=together,
         birge=birge,
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
         notes=common.notes
@@ -156,14 +165,3 @@ def _parameters(common: Common, freedom: Tensor) -> tuple[Compared, ...]:
         name, unit, held = common.names[k], common.units[k], common.held[:, k]
         out.append(Compared(name, unit, verdict, values, std, held, one, adjusted))
     return tuple(out)
-
-
-def _whole(common: Common, freedom: Tensor, seed: int) -> Whole | None:
-    """All parameters that every result estimates, if there are any."""
-    index = (common.estimated.all(0) & (common.std > 0).all(0)).nonzero().flatten()
-    if len(index) == 0:
-        return None
-    covariance, correlation = (
-        x[:, index][:, :, index] for x in (common.covariance, common.correlation)
-    )
-    return whole(common.values[:, index], covariance, correlation, freedom, seed=seed)

@@ -8,17 +8,9 @@ import torch
 from torchid.compare.identifications import Verdict
 from torchid.compare.reading import Result
 from torchid.compare.scatter import monotone
-from torchid.compare.torque import (
-    Model,
-    TorqueSpread,
-    described_model,
-    log_motion,
-    random_motion,
-    torque_spread,
-)
-from torchid.effects.registry import Valued
+from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
+from torchid.feasibility.sets import read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
@@ -102,11 +94,14 @@ def compare_sets(
     units = [c.unit for e in sets[0].effects for c in e.coefficients]
     base = base_parameters(robot, sets[0].effects)
     vectors = [s.vector.double() for s in sets]
-    models = [
-        _mean_model(s, robot, read_other_effects(r.path, robot))
-        for s, r in zip(sets, results, strict=True)
-    ]
-    motion = random_motion(robot, seed) if on is None else log_motion(robot, on, None)
+    models = []
+    for s, r in zip(sets, results, strict=True):
+        mean = robot.with_parameters(InertialParameters(s.parameters.pi.mean(0)))
+        values = iter(s.coefficients.mean(0).tolist())
+        records = [effect.record(own) for effect, own in read_other_effects(r.path, robot)]
+        records += [e.record([next(values) for _ in e.coefficients]) for e in s.effects]
+        models.append(described_model(replace(mean, effects=tuple(records))))
+    motion = common_motion(robot, on, seed)
     return SetComparison(
         labels=tuple(r.label for r in results),
         counts=tuple(len(s) for s in sets),
@@ -142,15 +137,3 @@ def _ranges(
             verdict = "never_determined"
         out.append(Range(name, unit, verdict, bottom, top))
     return tuple(out)
-
-
-def _mean_model(sets: ParameterSets, robot: Robot, others: Sequence[Valued]) -> Model:
-    mean = sets.parameters.pi.mean(0)
-    values = sets.coefficients.mean(0).tolist()
-    records = [effect.record(own) for effect, own in others]
-    for effect in sets.effects:
-        own, values = values[: len(effect.coefficients)], values[len(effect.coefficients) :]
-        records.append(effect.record(own))
-    return described_model(
-        replace(robot.with_parameters(InertialParameters(mean)), effects=tuple(records))
-    )

@@ -112,6 +112,17 @@ def log_motion(
     )
 
 
+def common_motion(
+    robot: Robot,
+    on: Log | None,
+    seed: int,
+    cutoff: float | None = None,
+    reversal: Float[Tensor, " n"] | None = None,
+) -> CommonMotion:
+    """Of a log, or random where there is none."""
+    return random_motion(robot, seed) if on is None else log_motion(robot, on, cutoff, reversal)
+
+
 def identified_spread(
     results: Sequence[Identified], robot: Robot, *, on: Log | None = None, seed: int = 0
 ) -> TorqueSpread:
@@ -121,12 +132,9 @@ def identified_spread(
     Raises:
         LogError: a log that does not fit the robot.
     """
-    if on is None:
-        motion = random_motion(robot, seed)
-    else:
-        cutoffs = [r.cutoff for r in results if r.cutoff is not None]
-        reversal = torch.stack([r.reversal for r in results]).mean(0)
-        motion = log_motion(robot, on, min(cutoffs, default=None), reversal)
+    cutoff = min((r.cutoff for r in results if r.cutoff is not None), default=None)
+    reversal = torch.stack([r.reversal for r in results]).mean(0)
+    motion = common_motion(robot, on, seed, cutoff, reversal)
     models = [partial(model_torque, robot, r.base, r.effects, r.values) for r in results]
     # The variance of torque that each covariance claims, averaged over the motion.
     claimed = []
@@ -145,8 +153,22 @@ def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread
     mean = torque.mean(0)
     apart = torque.unsqueeze(0) - torque.unsqueeze(1)
     spread = ((torque - mean).square().sum(0) / (len(models) - 1)).mean(0).sqrt()
+    # RMS of measured minus modelled torque, through the motion's filter.
+    errors = []
+    for model in models if motion.measured else ():
+        left = []
+        for part in motion.measured:
+            error = part.tau - model(part.motion._replace(t=part.t))
+            if part.cutoff is not None:
+                error = ZeroPhaseFilter(part.rate, part.cutoff).apply(error.T.contiguous()).T
+            left.append(error[part.edge : part.samples - part.edge])
+        errors.append(_rms(torch.cat(left)))
     return TorqueSpread(
-        motion.source, _rms(mean), spread, _rms(apart, 2), errors=_errors(models, motion)
+        motion.source,
+        _rms(mean),
+        spread,
+        _rms(apart, 2),
+        errors=torch.stack(errors) if errors else None,
     )
 
 
@@ -158,22 +180,6 @@ def described_model(robot: Robot) -> Model:
     """
     effects = [pair for pair in nominal_effects(robot) if not pair[0].needs & MEASURED]
     return lambda motion: full_torque(robot, effects, motion)
-
-
-def _errors(models: Sequence[Model], motion: CommonMotion) -> Float[Tensor, "m n"] | None:
-    """RMS of measured minus modelled torque through the motion's filter."""
-    if not motion.measured:
-        return None
-    out = []
-    for model in models:
-        left = []
-        for part in motion.measured:
-            error = part.tau - model(part.motion._replace(t=part.t))
-            if part.cutoff is not None:
-                error = ZeroPhaseFilter(part.rate, part.cutoff).apply(error.T.contiguous()).T
-            left.append(error[part.edge : part.samples - part.edge])
-        out.append(_rms(torch.cat(left)))
-    return torch.stack(out)
 
 
 def _rms(x: Tensor, over: int = 0) -> Tensor:

@@ -12,10 +12,8 @@ from torchid.export.dynamics import Dynamics, described, folded, records, robot_
 from torchid.export.engines import check_mujoco, check_pinocchio
 from torchid.export.joint_dynamics import split
 from torchid.export.keeping import Draft, kept, staged
-from torchid.export.mjcf_edit import edited_mjcf
-from torchid.export.mjcf_new import new_mjcf
-from torchid.export.urdf_edit import edited_urdf
-from torchid.export.urdf_new import in_joint_frames, new_urdf
+from torchid.export.mjcf import edited_mjcf, new_mjcf
+from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot

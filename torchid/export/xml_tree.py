@@ -11,6 +11,7 @@ from lxml import etree
 
 from torchid.errors import TorchidError
 
+DECLARATION = b'<?xml version="1.0" encoding="utf-8"?>\n'
 HEAD = "torchid export:"
 """How the comment at the top of an export begins, which a later export replaces."""
 MARK = "torchid:"

@@ -16,7 +16,8 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.checkpoint import Progress, load, save
-from torchid.extraction.cma.engines import ENGINES, engine, start
+from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.search import start
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
 from torchid.extraction.polish.region import Region, region

@@ -15,7 +15,8 @@ SCHEMA = "torchid.study/1"
 def record(study: Study) -> dict[str, Any]:
     """The result as JSON-ready data."""
     result = study.identification
-    held_out = [] if result.held_out is None else result.held_out.relative_percent
+    errors = result.held_out
+    held_out = None if errors is None else plain(errors.relative_percent)
     return {
         "schema": SCHEMA,
         "study": study.settings.name,
@@ -27,7 +28,7 @@ def record(study: Study) -> dict[str, Any]:
             "true": study.truth.tolist(),
             "largest_error": float((result.values - study.truth).abs().max()),
             "rows": int(study.log.samples * study.robot.n),
-            "validation_error_percent": plain(held_out),
+            "validation_error_percent": held_out or [],
         },
         "sets": [_scenario(study, s) for s in study.scenarios],
         "certificate": {

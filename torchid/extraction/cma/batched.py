@@ -18,6 +18,7 @@ samples tie with the best, ranks are noise: step size and mean go on, the covari
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
@@ -30,7 +31,6 @@ from torchid.extraction.cma.search import (
     into_box,
     population_of,
 )
-from torchid.extraction.cma.strategy import Strategy, strategy
 from torchid.typing import Float, Tensor
 
 LARGEST_STD = 1 / 3
@@ -41,6 +41,56 @@ TOLERANCE = 1 + 1e-9
 """Within it a standard deviation is at its limit, and is left alone."""
 SMALLEST_EIGENVALUE = 1e-14
 """Of a repaired covariance, relative to its largest."""
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """Weights and rates for n variables and a population (tutorial, table 1).
+
+    Attributes:
+        weights: by rank, best first; the first half sum to 1, the others are negative.
+        mu_eff: variance-effective selection mass of the positive weights.
+        c_sigma, d_sigma: rate and damping of the step size.
+        c_c, c_1, c_mu: rates of the path, the rank-one and the rank-mu update.
+        chi_n: expected length of a standard normal vector.
+    """
+
+    weights: tuple[float, ...]
+    mu_eff: float
+    c_sigma: float
+    d_sigma: float
+    c_c: float
+    c_1: float
+    c_mu: float
+    chi_n: float
+
+
+@lru_cache(maxsize=64)
+def strategy(n: int, population: int) -> Strategy:
+    """The tutorial's defaults (eq. 49-58) for n variables and a population."""
+    raw = [math.log((population + 1) / 2) - math.log(i + 1) for i in range(population)]
+    good, bad = [w for w in raw if w >= 0], [w for w in raw if w < 0]
+    mu_eff = sum(good) ** 2 / sum(w * w for w in good)
+    mu_eff_bad = sum(bad) ** 2 / sum(w * w for w in bad)
+    c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)
+    c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))
+    mass = min(
+        1 + c_1 / c_mu,
+        1 + 2 * mu_eff_bad / (mu_eff + 2),
+        (1 - c_1 - c_mu) / (n * c_mu),
+    )
+    weights = [w / sum(good) for w in good] + [mass * w / -sum(bad) for w in bad]
+    c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
+    return Strategy(
+        weights=tuple(weights),
+        mu_eff=mu_eff,
+        c_sigma=c_sigma,
+        d_sigma=1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma,
+        c_c=(4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n),
+        c_1=c_1,
+        c_mu=c_mu,
+        chi_n=math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n)),
+    )
 
 
 @dataclass

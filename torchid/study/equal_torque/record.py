@@ -12,13 +12,8 @@ from torchid.study.equal_torque.study import EqualTorqueStudy
 SCHEMA = "torchid.wrenches/1"
 
 
-def study_record(study: EqualTorqueStudy, *, with_sets: bool = True) -> dict[str, Any]:
-    """A study of sets with equal torque; numbers that are not known are null.
-
-    Args:
-        study: what was found.
-        with_sets: whether every set has its entry (id, kind, reasons, degree, errors per joint).
-    """
+def study_record(study: EqualTorqueStudy) -> dict[str, Any]:
+    """A study of sets with equal torque; numbers that are not known are null."""
     setting = study.setting
     data = {
         "schema": SCHEMA,
@@ -47,9 +42,8 @@ def study_record(study: EqualTorqueStudy, *, with_sets: bool = True) -> dict[str
         "reach": [vars(r) for r in study.reach],
         "variants": [{**vars(v), "reach": [vars(r) for r in v.reach]} for v in study.variants],
         "warnings": study.warnings,
+        "sets": _sets(study),
     }
-    if with_sets:
-        data["sets"] = _sets(study)
     return dict(plain(data))
 
 

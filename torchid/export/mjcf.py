@@ -1,4 +1,5 @@
-"""A copy of an MJCF with other dynamics: <inertial> and <joint> are written, the rest stays.
+"""MJCF: a copy of a file with other dynamics, in which <inertial> and <joint> are written and the
+rest stays; or, where there is no file to edit, a new one.
 
 Files that the original includes are put in their places, because bodies may be in them.
 """
@@ -8,11 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+from lxml import etree
+
 from torchid.errors import TorchidError
-from torchid.export.exact_text import number, principal, text
+from torchid.export.exact_text import number, principal, quaternion_of, text
 from torchid.export.joint_dynamics import JointDynamics
-from torchid.export.urdf_edit import refuse_moment_without_mass
+from torchid.export.urdf import refuse_moment_without_mass
 from torchid.export.xml_tree import (
+    DECLARATION,
     XmlFile,
     child_or_new,
     children,
@@ -25,6 +30,7 @@ from torchid.export.xml_tree import (
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
 _UNNAMED = re.compile(r"body_(\d+)_*")
@@ -227,3 +233,64 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
     for node in assets:
         if local(node) == "model" and node.get("file"):
             node.set("file", relocated(node.get("file"), old, new))
+
+
+def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
+    """An MJCF of the chain: one body a link, a motor a joint, the site `tool`.
+
+    Body frames are the robot's link frames, so a joint has the anchor and the axis that it has in
+    them.
+
+    Args:
+        robot: with parameters.
+        joints: attributes of its n joints.
+    """
+    root = etree.Element("mujoco", model=robot.name)
+    etree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    etree.SubElement(root, "option", gravity=text(robot.gravity))
+    body = etree.SubElement(root, "worldbody")
+    parameters = robot.require_parameters("an export")
+    for i, name in enumerate(robot.link_names):
+        refuse_moment_without_mass(parameters, i, name)
+        # Pose of the link in the previous one at q = 0.
+        pose = robot.before[i].double() @ robot.after[i].double()
+        body = etree.SubElement(body, "body", name=name, **_placed(pose))
+        moments, turn = principal(parameters, i)
+        etree.SubElement(
+            body,
+            "inertial",
+            pos=text(parameters.com[i]),
+            mass=number(parameters.mass[i]),
+            quat=text(turn),
+            diaginertia=text(moments),
+        )
+        etree.SubElement(body, "joint", **_joint(robot, i, joints[i]))
+    etree.SubElement(body, "site", name="tool", **_placed(robot.tool.double()))
+    actuators = etree.SubElement(root, "actuator")
+    for name in robot.joint_names:
+        etree.SubElement(actuators, "motor", name=name, joint=name)
+    etree.indent(root)
+    return XmlFile(root, DECLARATION)
+
+
+def _placed(pose: Tensor) -> dict[str, str]:
+    return {"pos": text(pose[:3, 3]), "quat": text(quaternion_of(pose[:3, :3]))}
+
+
+def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
+    after = robot.after[i].double()
+    prismatic = robot.joint_types[i] is JointType.PRISMATIC
+    out: dict[str, Any] = {
+        "name": robot.joint_names[i],
+        "type": "slide" if prismatic else "hinge",
+        # The joint frame's origin and z axis, in the link frame at q = 0.
+        "pos": text(-after[:3, :3].T @ after[:3, 3]),
+        "axis": text(after[2, :3]),
+    }
+    for key, limits in (("range", "position"), ("actuatorfrcrange", "torque")):
+        known = getattr(robot.limits, limits)
+        if known is not None and bool(torch.isfinite(known[i]).all()):
+            out[key] = text(known[i])
+    attributes = {**ATTRIBUTES, "springref": "rest"}
+    sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
+    return out | {key: number(size) for key, size in sizes.items() if size}
