@@ -229,16 +229,9 @@ def _shared(
         own[h] if h is not None and n is None else None
         for n, h, own in zip(named, unseen, hidden, strict=True)
     ]
-    return Shared(
-        tuple(effects), place, tuple(states), tuple(named), tuple(smallest),
-        _coefficients(effects[0], named),
-    )  # fmt: skip
-
-
-def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficient, ...]:
-    own = [n if n is not None and n.effect == effect else None for n in named]
+    own = [n if n is not None and n.effect == effects[0] else None for n in named]
     first = next(n for n in own if n is not None)
-    out = []
+    coefficients = []
     for name in first.values:
         known = [n for n in own if n is not None and name in n.std]
         if len(known) < 2:
@@ -248,8 +241,10 @@ def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficie
         values = tuple(n.values[name] if n in known else None for n in own)
         std = tuple(n.std[name] if n in known else None for n in own)
         unit = first.units.get(name, "")
-        out.append(Coefficient(name, unit, values, std, found, found.p))
-    return tuple(out)
+        coefficients.append(Coefficient(name, unit, values, std, found, found.p))
+    return Shared(
+        tuple(effects), place, tuple(states), tuple(named), tuple(smallest), tuple(coefficients)
+    )
 
 
 def _notes(

@@ -152,6 +152,7 @@ def read_identification(result: Result) -> Identified:
         factor = _tensor(data["factor"], (b + 1, b + 1))[:, :b]
         unknown = _mask(base, data["undetermined"])
         held = _mask(base, [*data["bounded"], *data["dropped"]])
+        contaminated, correlation = _of_factor(factor, unknown, held)
         cutoff = data["cutoff_hz"]
         return Identified(
             label=result.label,
@@ -159,9 +160,9 @@ def read_identification(result: Result) -> Identified:
             effects=effects,
             values=values,
             covariance=covariance,
-            estimated=~(unknown | held | _contaminated(factor, unknown)),
+            estimated=~(unknown | held | contaminated),
             held=held,
-            correlation=_correlation(factor, ~(unknown | held)),
+            correlation=correlation,
             blocks=int(data["statistics"]["blocks"]),
             quantile=float(data["statistics"]["quantile95"]),
             cutoff=None if cutoff is None else float(cutoff),
@@ -230,23 +231,21 @@ def _mask(base: BaseParameters, names: Sequence[str]) -> Bool[Tensor, " B"]:
     return torch.tensor([name in names for name in base.names])
 
 
-def _contaminated(factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:
-    """Estimates of which this log shows only the sum with an undetermined parameter."""
-    out = torch.zeros_like(unknown)
+def _of_factor(
+    factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"], held: Bool[Tensor, " B"]
+) -> tuple[Bool[Tensor, " B"], Float[Tensor, "B B"]]:
+    """Which estimates are of a sum with an undetermined parameter, as far as this log shows; and
+    the correlation of the estimates under white residuals."""
+    contaminated = torch.zeros_like(unknown)
     size = torch.linalg.vector_norm(factor, dim=0)
     lost, known = unknown & (size > 0), ~unknown
-    if not bool(lost.any()) or not bool(known.any()):
-        return out
-    share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
-    out[known] = (share.solution.abs() > CONTAMINATED).any(1)
-    return out
-
-
-def _correlation(factor: Float[Tensor, "C B"], free: Bool[Tensor, " B"]) -> Float[Tensor, "B B"]:
-    out = torch.eye(factor.shape[1], dtype=factor.dtype)
-    index = free.nonzero().flatten()
+    if bool(lost.any()) and bool(known.any()):
+        share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
+        contaminated[known] = (share.solution.abs() > CONTAMINATED).any(1)
+    correlation = torch.eye(factor.shape[1], dtype=factor.dtype)
+    index = (~(unknown | held)).nonzero().flatten()
     r = torch.linalg.qr(factor[:, index], mode="r").R
     root = torch.linalg.solve_triangular(r, torch.eye(len(r)).to(r), upper=True)
     root = root / torch.linalg.vector_norm(root, dim=1, keepdim=True)
-    out[index.unsqueeze(-1), index] = root @ root.T
-    return out
+    correlation[index.unsqueeze(-1), index] = root @ root.T
+    return contaminated, correlation

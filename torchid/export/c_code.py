@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid import __version__
 from torchid.effects.registry import nominal_effects
-from torchid.export.c_effects import EffectCode, effect_code
+from torchid.export.c_effects import effect_code
 from torchid.export.c_rigid import HELPERS, RECURSION
 from torchid.export.dynamics import Dynamics
 from torchid.export.exact_text import number
@@ -64,6 +64,14 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
     about = _about(dynamics, file_name, left_out).replace("*/", "* /").replace("/*", "/ *")
     # A line that ends in a backslash would continue in the next.
     words = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in about.splitlines()]
+    body, local = [f"{name}_rigid(q, dq, ddq, tau);", *code.first], []
+    if code.later:
+        body += [f"for (i = 0; i < {robot.n}; i++) loaded[i] = tau[i];", *code.later]
+        local.append("double loaded[{n}];")
+    if code.uses_rigid:
+        local.append("double moved[{n}], here[{n}], there[{n}];")
+    local += ["int i;"] if local else []
+    torque = "".join(f"    {line}\n" for line in [*(x.format(n=robot.n) for x in local), *body])
     parts = [
         "\n".join(["/*", *words, " */"]),
         f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n}\n',
@@ -71,7 +79,7 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
         HELPERS,
         RECURSION.format(name=name, n=robot.n),
         *([_SIGN] if any("sign(" in line for line in code.first + code.later) else []),
-        _torque(name, robot.n, code),
+        f"{_signature(name, robot.n)}\n{{\n{torque}}}\n",
     ]
     return CFile("\n".join(parts), _header(name, dynamics), left_out)
 
@@ -136,20 +144,6 @@ def _poses(poses: Tensor) -> str:
         for pose in poses.double().tolist()
     ]
     return "{\n" + ",\n".join(rows) + "\n}"
-
-
-def _torque(name: str, n: int, code: EffectCode) -> str:
-    body = [f"{name}_rigid(q, dq, ddq, tau);", *code.first]
-    local = []
-    if code.later:
-        body += [f"for (i = 0; i < {n}; i++) loaded[i] = tau[i];", *code.later]
-        local.append(f"double loaded[{n}];")
-    if code.uses_rigid:
-        local.append(f"double moved[{n}], here[{n}], there[{n}];")
-    if local:
-        local.append("int i;")
-    lines = "".join(f"    {line}\n" for line in [*local, *body])
-    return f"{_signature(name, n)}\n{{\n{lines}}}\n"
 
 
 def _signature(name: str, n: int) -> str:

@@ -178,14 +178,6 @@ def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:
     return said
 
 
-def _carrier(model: Any, body: int, moved: set[int]) -> int:
-    """The moving body that carries a body; the world where there is none."""
-    body = int(model.body_parentid[body])
-    while body > 0 and body not in moved:
-        body = int(model.body_parentid[body])
-    return body
-
-
 def _wrong(joints: Sequence[JointDynamics], read: Mapping[str, Sequence[float]]) -> str:
     """A sentence on the first attribute that was read otherwise than written; empty if none."""
     for name, values in read.items():

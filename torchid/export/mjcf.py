@@ -67,7 +67,21 @@ def edited_mjcf(
             massless link between two joints of one body.
     """
     file = read_xml(original)
-    _expand_includes(file.root, original.parent)
+    # The content of included files in the place of each <include>.
+    while (found := next(file.root.iter("{*}include"), None)) is not None:
+        path = original.parent / (found.get("file") or "")
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+        parent, tail = found.getparent(), found.tail
+        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
+        at = parent.index(found)
+        parent.remove(found)
+        for k, node in enumerate(nodes):
+            parent.insert(at + k, node)
+            node.tail = node.tail if k and (node.tail or "").strip() == "" else tail
+        nodes[-1].tail = tail
     angles = []
     for compiler in children(file.root, "compiler"):
         # Without what would change the masses and inertias that are written.
@@ -150,24 +164,6 @@ class _Bodies:
             available=list(self.named),
             hint="without the original, a new file is written: --robot with the robot's yaml",
         )
-
-
-def _expand_includes(root: Any, folder: Path) -> None:
-    """Put the content of included files in the place of each <include>."""
-    while (found := next(root.iter("{*}include"), None)) is not None:
-        path = folder / (found.get("file") or "")
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-        parent, tail = found.getparent(), found.tail
-        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
-        at = parent.index(found)
-        parent.remove(found)
-        for k, node in enumerate(nodes):
-            parent.insert(at + k, node)
-            node.tail = node.tail if k and (node.tail or "").strip() == "" else tail
-        nodes[-1].tail = tail
 
 
 def _members(body: Any) -> list[Any]:

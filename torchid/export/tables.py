@@ -12,7 +12,6 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
 from torchid.export.exact_text import number
-from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -27,20 +26,19 @@ def table(dynamics: Dynamics) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(_base_rows(dynamics.base) if dynamics.base else _physical_rows(dynamics.robot))
-    return out.getvalue()
-
-
-def _base_rows(values: BaseValues) -> Iterator[Row]:
-    base = values.base
-    std = [0.0] * len(base)
+    values = dynamics.base
+    if values is None:
+        writer.writerows(_physical_rows(dynamics.robot))
+        return out.getvalue()
+    base, std = values.base, [0.0] * len(values.base)
     if values.covariance is not None:
         std = values.covariance.diagonal().clamp(min=0).sqrt().tolist()
     for k, (name, unit) in enumerate(zip(base.names, base.units, strict=True)):
         kind = "base parameter" if k < base.n_rigid else "coefficient of an effect"
         meaning = kind if values.known[k] else f"{kind}, not determined by the log"
         deviation = number(std[k]) if std[k] > 0 else ""
-        yield name, number(values.values[k]), deviation, unit, meaning
+        writer.writerow((name, number(values.values[k]), deviation, unit, meaning))
+    return out.getvalue()
 
 
 def _physical_rows(robot: Robot) -> Iterator[Row]:

@@ -1,5 +1,5 @@
-"""URDF: a copy of a file with other dynamics, in which <inertial> and <dynamics> are written and the
-rest stays; or, where there is no file to edit, a new one.
+"""URDF: a copy of a file with other dynamics, in which <inertial> and <dynamics> are written and
+the rest stays; or, where there is no file to edit, a new one.
 """
 
 import math

@@ -88,7 +88,13 @@ def derive_bounds(
     margin = torch.full((robot.n, 1), com_margin or 0.0, dtype=torch.float64)
     if com_margin is None:
         margin = MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
-    boxes = _boxes(robot, shapes)
+    # Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown.
+    boxes = torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
+    shapes = link_shapes(robot) if shapes is None else shapes
+    if shapes is not None:
+        low, high = shapes.boxes.unbind(-1)
+        grow = ((_THINNEST - (high - low)) / 2).clamp(min=0)
+        boxes = torch.stack([low - grow, high + grow], -1)
     known = torch.isfinite(boxes).all(-1).all(-1)[:, None, None]
     around = torch.stack([com - margin, com + margin], -1)
     # Where there is no shape: the link's joints and centre of mass, with a margin around.
@@ -149,16 +155,6 @@ def bounds_notes(robot: Robot, bounds: Bounds, shapes: LinkShapes | None = None)
     if lying:
         notes.append(f"the nominal {', '.join(lying)} lie outside the bounds derived from the rest")
     return tuple(notes)
-
-
-def _boxes(robot: Robot, shapes: LinkShapes | None) -> Float[Tensor, "n 3 2"]:
-    """Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown."""
-    found = link_shapes(robot) if shapes is None else shapes
-    if found is None:
-        return torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
-    low, high = found.boxes.unbind(-1)
-    grow = ((_THINNEST - (high - low)) / 2).clamp(min=0)
-    return torch.stack([low - grow, high + grow], -1)
 
 
 def _coefficient_bounds(robot: Robot) -> Mapping[str, Tensor]:

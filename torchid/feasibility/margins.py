@@ -109,7 +109,18 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
     low, high = conditions.total_mass.to(sets.parameters.pi).unbind(-1)
     mass = sets.parameters.mass.sum(-1)
     total, total_scale = torch.minimum(mass - low, high - mass), _half(low, high)
-    coefficients, coefficient_scale = _coefficient_margins(sets)
+    # Coefficients of effects, where physics forbids a sign: their size against those of their kind.
+    kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
+    finite = torch.isfinite(sets.coefficients)
+    coefficients = torch.where(finite, sets.coefficients, torch.nan)
+    coefficient_scale = torch.ones_like(coefficients)
+    for k, (kind, non_negative) in enumerate(kinds):
+        if non_negative:
+            same = [j for j, (other, _) in enumerate(kinds) if other == kind]
+            coefficient_scale[:, k] = sets.coefficients[:, same].abs().mean(-1)
+        else:
+            coefficients[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
+            coefficient_scale[:, k] = torch.inf
     strict = _STRICT.to(margins.device)
     tolerance = torch.where(strict, 0.0, -_ROUNDING) * scales
     # Not "margin < 0": nan must count as violated.
@@ -165,21 +176,6 @@ def _half(low: Tensor, high: Tensor) -> Tensor:
     half = (high - low) / 2
     end = torch.where(torch.isfinite(low), low, high).abs()
     return torch.where(torch.isfinite(half), half, end)
-
-
-def _coefficient_margins(sets: ParameterSets) -> tuple[Tensor, Tensor]:
-    values = sets.coefficients
-    kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
-    finite = torch.isfinite(values)
-    margins, scales = torch.where(finite, values, torch.nan), torch.ones_like(values)
-    for k, (kind, non_negative) in enumerate(kinds):
-        if not non_negative:
-            margins[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
-            scales[:, k] = torch.inf
-            continue
-        same = [j for j, (other, _) in enumerate(kinds) if other == kind]
-        scales[:, k] = values[:, same].abs().mean(-1)
-    return margins, scales
 
 
 def _over(margins: Tensor, scales: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ _WORTH = 1e-6
 """Relative decrease of the loss for which another is made."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """The least loss of any feasible set.
 
@@ -65,15 +65,15 @@ class Certificate:
 
     feasible: bool
     phi_min: float
-    phi_strict: float
-    sets: ParameterSets | None
-    strict: float
-    conflict: tuple[str, ...]
-    released: Mapping[str, float]
-    forcing: tuple[str, ...]
-    relaxed_active: tuple[str, ...]
+    phi_strict: float = np.nan
+    sets: ParameterSets | None = None
+    strict: float = 0.0
+    conflict: tuple[str, ...] = ()
+    released: Mapping[str, float] = MappingProxyType({})
+    forcing: tuple[str, ...] = ()
+    relaxed_active: tuple[str, ...] = ()
     with_conditions: bool
-    exact: bool
+    exact: bool = False
     status: str
     seconds: float
 
@@ -145,7 +145,6 @@ def certificate(
         phi_strict=inner.phi,
         sets=inner.sets,
         strict=inner.strict,
-        conflict=(),
         released=MappingProxyType(released),
         forcing=forcing,
         relaxed_active=inner.outside,
@@ -278,15 +277,8 @@ def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) 
     return Certificate(
         feasible=False,
         phi_min=np.inf if conflict else np.nan,
-        phi_strict=np.nan,
-        sets=None,
-        strict=0.0,
         conflict=conflict,
-        released=MappingProxyType({}),
-        forcing=(),
-        relaxed_active=(),
         with_conditions=with_conditions,
-        exact=False,
         status="infeasible" if conflict else "failed",
         seconds=time.perf_counter() - begun,
     )
