@@ -7,7 +7,7 @@ bound. A search that claims less has violated a condition.
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -69,7 +69,7 @@ class Certificate:
     sets: ParameterSets | None = None
     strict: float = 0.0
     conflict: tuple[str, ...] = ()
-    released: Mapping[str, float] = MappingProxyType({})
+    released: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     forcing: tuple[str, ...] = ()
     relaxed_active: tuple[str, ...] = ()
     with_conditions: bool
