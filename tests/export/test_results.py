@@ -13,10 +13,10 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
-from torchid.export.export import export_dynamics
+from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
-from torchid.export.verdict import check, require_feasible
+from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
@@ -189,8 +189,9 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     pi = consistent_parameters(3, 4).pi.clone()
     pi[1] = torch.tensor([1.0, 0.3, 0.0, 0.0, 0.05, 0.0, 0.0, 0.06, 0.0, 0.07], dtype=torch.float64)
     dynamics = Dynamics(robot.with_parameters(InertialParameters(pi)), "robot", "a test")
+    checked = check_sets(dynamics.robot, nominal_set(dynamics.robot), geometry="none")
     with pytest.raises(TorchidError) as raised:
-        require_feasible(dynamics, check(dynamics.robot, "none"))
+        require_feasible(dynamics, checked)
     assert raised.value.got.startswith("inertia_2")
 
 

@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 
 from tests.extraction.problems import begin, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma.engines import ENGINES, SearchState, default_population, engine, start
-from torchid.extraction.cma.search import MARGIN, PERIOD, from_box, into_box
-from torchid.extraction.cma.strategy import strategy
+from torchid.extraction.cma.batched import strategy
+from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.search import (
+    MARGIN,
+    PERIOD,
+    SearchState,
+    default_population,
+    from_box,
+    into_box,
+    start,
+)
 
 
 @pytest.mark.parametrize("n", [2, 5, 30, 91])
