@@ -46,7 +46,17 @@ def profile(
         return judge.score(family(x)).loss
 
     best = minimum(loss, (*grid, start), step)
-    low, high = _jackknife(judge, family, best, step)
+    values = (best - step, best, best + step)
+    normals = [judge.normal(family(x)) for x in values]
+    weights = fit(normals[1], judge.cone).weights
+    estimates = []
+    for b in range(BLOCKS):
+        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
+        estimates.append(_vertex(values, losses))
+    centre = np.mean(estimates)
+    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((np.array(estimates) - centre) ** 2)))
+    half = float(student.ppf(0.975, BLOCKS - 1)) * spread
+    low, high = best - half, best + half
     return Profile(best, low, high, loss(start) - loss(best))
 
 
@@ -70,20 +80,6 @@ def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
     if curve <= 0:
         return values[int(np.argmin(losses))]
     return float(values[1] + np.clip(0.5 * (a - c) / curve, -2.0, 2.0) * step)
-
-
-def _jackknife(judge: Judge, family: Family, best: float, step: float) -> tuple[float, float]:
-    values = (best - step, best, best + step)
-    normals = [judge.normal(family(x)) for x in values]
-    weights = fit(normals[1], judge.cone).weights
-    estimates = []
-    for b in range(BLOCKS):
-        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
-        estimates.append(_vertex(values, losses))
-    centre = np.mean(estimates)
-    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((np.array(estimates) - centre) ** 2)))
-    half = float(student.ppf(0.975, BLOCKS - 1)) * spread
-    return best - half, best + half
 
 
 def _loss(normal: Normal, judge: Judge, weights: np.ndarray) -> float:

@@ -91,7 +91,13 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     named = _named(names)
     whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
     named = [_placed(g, joints) or g for g in named]
-    groups = [*_singles(names), *_arrays(table, names), *whole, *named]
+    # Columns that may be the time.
+    found = []
+    for name in names:
+        last = name.rsplit("/", 1)[-1]
+        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
+            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
+    groups = [*found, *_arrays(table, names), *whole, *named]
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i"):
         fitting = [g for g in groups if g.key == key]
@@ -148,16 +154,6 @@ def _own(table: Table, key: str) -> bool:
     return (f"{key}1" if key != "t" else "t") in table.columns or (
         table.arrays and key in table.columns
     )
-
-
-def _singles(names: list[str]) -> list[_Group]:
-    """Columns that may be the time."""
-    found = []
-    for name in names:
-        last = name.rsplit("/", 1)[-1]
-        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
-            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
-    return found
 
 
 def _arrays(table: Table, names: list[str]) -> list[_Group]:

@@ -64,7 +64,15 @@ class Log:
             if getattr(self, name) is not None:
                 self._set(name, getattr(self, name).to(torch.float64))
         self._check_sizes()
-        count = self._check_runs()
+        # The number of trajectories, which must be numbered 0, 1, ... one after the other.
+        steps = self.trajectory.diff()
+        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
+            raise LogError(
+                f"{self._label}: trajectories must be consecutive runs of samples.",
+                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
+                expected="0, 1, 2, ...",
+            )
+        count = int(self.trajectory[-1]) + 1
         if not self.names:
             stem = self.source or "log"
             self._set(
@@ -111,17 +119,6 @@ class Log:
                 got=tuple(self.trajectory.shape),
                 expected=size[:1],
             )
-
-    def _check_runs(self) -> int:
-        """The number of trajectories, which must be numbered 0, 1, ... one after the other."""
-        steps = self.trajectory.diff()
-        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
-            raise LogError(
-                f"{self._label}: trajectories must be consecutive runs of samples.",
-                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
-                expected="0, 1, 2, ...",
-            )
-        return int(self.trajectory[-1]) + 1
 
     @property
     def n(self) -> int:

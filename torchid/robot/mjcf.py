@@ -42,7 +42,18 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
             chain, nothing moves, several chains and no tip, or an unknown tip.
     """
     path = Path(path)
-    mujoco = _mujoco()
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError("mujoco", "mjcf", "Reading MJCF") from error
+    version = tuple(int(part) for part in mujoco.__version__.split(".")[:2])
+    if version < _OLDEST:
+        raise RobotError(
+            "this MuJoCo is too old to read a robot exactly.",
+            got=mujoco.__version__,
+            expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
+            hint="pip install 'torchid[mjcf]'",
+        )
     model = _compile(mujoco, path)
     links, joints = _Bodies(mujoco, model, str(path)).read()
     if tip is not None and tip not in links:
@@ -57,22 +68,6 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
         path=path,
         warnings=warnings,
     )
-
-
-def _mujoco() -> Any:
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingExtraError("mujoco", "mjcf", "Reading MJCF") from error
-    version = tuple(int(part) for part in mujoco.__version__.split(".")[:2])
-    if version < _OLDEST:
-        raise RobotError(
-            "this MuJoCo is too old to read a robot exactly.",
-            got=mujoco.__version__,
-            expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
-            hint="pip install 'torchid[mjcf]'",
-        )
-    return mujoco
 
 
 def _compile(mujoco: Any, path: Path) -> Any:

@@ -60,7 +60,25 @@ def closed_loop(
             is not positive definite, or an arm diverges.
     """
     controller = controller or Controller()
-    _check(robot, references, effects)
+    robot.require_parameters("simulation")
+    if len(references) != len(effects) or not references:
+        raise TorchidError(
+            "every arm needs one reference and one list of effects.",
+            got=f"{len(references)} references, {len(effects)} lists of effects",
+        )
+    for log in references:
+        if log.trajectory_count != 1:
+            raise LogError(
+                "a reference is one trajectory.", got=log.trajectory_count, hint="Log.trajectories"
+            )
+        missing = [name for name in ("dq", "ddq") if getattr(log, name) is None]
+        if missing or log.n != robot.n:
+            raise LogError(
+                f"a reference for robot '{robot.name}' needs q, dq and ddq of its joints.",
+                got=f"{log.n} joints, signals {', '.join(log.signals)}",
+                expected=f"{robot.n} joints, signals q, dq, ddq",
+                hint="`torchid excite` writes all three",
+            )
     rate = sampling_rate(references[0])[0] if rate is None else rate
     if not 0 < rate < math.inf:
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
@@ -76,7 +94,15 @@ def closed_loop(
     h = 1 / (steps * rate)
     lengths = [-(-len(m.q) // steps) for m in targets]
     signals, state = _run(plant, begin, feed, gains, controller.limit(robot.n), h, steps)
-    _check_alive(state, references)
+    lost = [
+        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
+    ]
+    if lost:
+        raise TorchidError(
+            "the arm runs away: no controller holds these effects, or the step is too long.",
+            got=", ".join(lost),
+            hint="smaller effects, another controller, or a shorter `longest_step`",
+        )
     return [
         _log(robot, log, signals[:, :length, k], rate)
         for k, (log, length) in enumerate(zip(references, lengths, strict=True))
@@ -190,28 +216,6 @@ def _log(robot: Robot, reference: Log, signals: Float[Tensor, "4 T n"], rate: fl
     return Log(t, q, dq, ddq, tau, names=reference.names, source=source)
 
 
-def _check(robot: Robot, references: Sequence[Log], effects: Sequence[Sequence[Valued]]) -> None:
-    robot.require_parameters("simulation")
-    if len(references) != len(effects) or not references:
-        raise TorchidError(
-            "every arm needs one reference and one list of effects.",
-            got=f"{len(references)} references, {len(effects)} lists of effects",
-        )
-    for log in references:
-        if log.trajectory_count != 1:
-            raise LogError(
-                "a reference is one trajectory.", got=log.trajectory_count, hint="Log.trajectories"
-            )
-        missing = [name for name in ("dq", "ddq") if getattr(log, name) is None]
-        if missing or log.n != robot.n:
-            raise LogError(
-                f"a reference for robot '{robot.name}' needs q, dq and ddq of its joints.",
-                got=f"{log.n} joints, signals {', '.join(log.signals)}",
-                expected=f"{robot.n} joints, signals q, dq, ddq",
-                hint="`torchid excite` writes all three",
-            )
-
-
 def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence[Log]) -> None:
     """Effects may take inertia away, or couple joints by more than both have (the inertia of a
     coupled motor without that of its own joint): no body moves like that."""
@@ -226,15 +230,3 @@ def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence
                 got=references[int(bad.nonzero()[0])].names[0],
                 hint="a coupled motor's Iam beside a rotor_inertia of at least that on both joints",
             )
-
-
-def _check_alive(state: State, references: Sequence[Log]) -> None:
-    lost = [
-        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
-    ]
-    if lost:
-        raise TorchidError(
-            "the arm runs away: no controller holds these effects, or the step is too long.",
-            got=", ".join(lost),
-            hint="smaller effects, another controller, or a shorter `longest_step`",
-        )

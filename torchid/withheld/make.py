@@ -102,15 +102,11 @@ def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> No
     with atomic_write(place / ROBOT, "w") as text:
         text.write(urdf)
     with atomic_write(place / LOG, "wb") as file:
-        _write_columns(columns, file)
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
-
-def _write_columns(columns: Mapping[str, np.ndarray], file: Any) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
-    pq.write_table(table, file)
+        table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
+        pq.write_table(table, file)
 
 
 def _refuse(folder: Path, keys: Path) -> None:

@@ -77,7 +77,31 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
         noise = 0.0 * noise
     columns = logged(logger, plan, readings(plan, traces), noise)
-    key = _key(spec, scene, plan, effects, rms(left))
+    key = {
+        "kind": spec.kind,
+        "arm": spec.arm,
+        "rate_hz": spec.logger.rate_hz,
+        "colour_hz": spec.logger.colour_hz,
+        "repeats": len(set(spec.motion.shapes)) < len(spec.motion.shapes),
+        "level": spec.level,
+        "effects": effects,
+        "background": {
+            "viscous": plan.known_damping.tolist(),
+            "coulomb": plan.known_friction.tolist(),
+        },
+        "noise_std": scene.noise.tolist(),
+        "controller": {
+            "kp": scene.kp.tolist(),
+            "kd": scene.kd.tolist(),
+            "bandwidth_hz": spec.bandwidth_hz,
+            "damping_ratio": spec.damping_ratio,
+        },
+        "encoder_bits": spec.logger.encoder_bits,
+        "jitter": spec.logger.jitter,
+        "own_velocity": spec.logger.own_velocity or plan.own_velocity,
+        "excitation": spec.excitation,
+        "true_gap_rms": rms(left).tolist(),
+    }
     return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
 
 
@@ -126,34 +150,4 @@ def _effect_key(
         "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
         "parameters": parameters,
         "size": float(size.max()),
-    }
-
-
-def _key(
-    spec: CaseSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
-) -> dict[str, Any]:
-    return {
-        "kind": spec.kind,
-        "arm": spec.arm,
-        "rate_hz": spec.logger.rate_hz,
-        "colour_hz": spec.logger.colour_hz,
-        "repeats": len(set(spec.motion.shapes)) < len(spec.motion.shapes),
-        "level": spec.level,
-        "effects": effects,
-        "background": {
-            "viscous": plan.known_damping.tolist(),
-            "coulomb": plan.known_friction.tolist(),
-        },
-        "noise_std": scene.noise.tolist(),
-        "controller": {
-            "kp": scene.kp.tolist(),
-            "kd": scene.kd.tolist(),
-            "bandwidth_hz": spec.bandwidth_hz,
-            "damping_ratio": spec.damping_ratio,
-        },
-        "encoder_bits": spec.logger.encoder_bits,
-        "jitter": spec.logger.jitter,
-        "own_velocity": spec.logger.own_velocity or plan.own_velocity,
-        "excitation": spec.excitation,
-        "true_gap_rms": gap.tolist(),
     }
