@@ -40,7 +40,14 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
         if not (far or degrees):
             continue
         if bool((q == q.round()).all()) and max(-low, high) > COUNTS:
-            scale = _counts(ratio.get(k))
+            # Radians per count from dq in rad/s; a power of two per turn where that is near.
+            measured = ratio.get(k)
+            if measured is None or measured > 0.05:
+                scale = None
+            else:
+                turn = 2.0 * math.pi / measured
+                power = 2.0 ** round(math.log2(turn))
+                scale = 2.0 * math.pi / (power if near(turn, power) else round(turn))
             if scale is None:
                 unknown.append(k)
             else:
@@ -59,15 +66,6 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             for k, f in enumerate(factors)
         ]
     return _position_check(factors, unknown, evidence, log, ratio)
-
-
-def _counts(ratio: float | None) -> float | None:
-    """Radians per count from dq in rad/s; a power of two per turn where that is near."""
-    if ratio is None or ratio > 0.05:
-        return None
-    turn = 2.0 * math.pi / ratio
-    power = 2.0 ** round(math.log2(turn))
-    return 2.0 * math.pi / (power if near(turn, power) else round(turn))
 
 
 def _position_check(

@@ -55,7 +55,7 @@ def assemble(
         if getattr(joint, field)
     )
     springs = (
-        {"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest}
+        MappingProxyType({"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest})
         for i, joint in enumerate(chain.joints, start=1)
         if (k := joint.stiffness)
     )
@@ -68,9 +68,13 @@ def assemble(
         after=torch.stack([after for _, after in steps]),
         gravity=torch.tensor(list(gravity), dtype=torch.float64),
         tool=chain.groups[-1].poses[chain.tip],
-        limits=_limits(chain.joints),
+        limits=Limits(
+            position=_intervals([joint.position for joint in chain.joints]),
+            velocity=_intervals([joint.velocity for joint in chain.joints]),
+            torque=_intervals([joint.torque for joint in chain.joints]),
+        ),
         parameters=parameters,
-        effects=((*linear, *(MappingProxyType(spring) for spring in springs))),
+        effects=(*linear, *springs),
         warnings=(*warnings, *chain.warnings, *noticed),
         source=str(path),
     )
@@ -122,14 +126,6 @@ def _merged(tree: Tree, group: Group) -> Float[Tensor, "10"] | None:
         if (pi := tree.links[name]) is not None
     ]
     return torch.stack(moved).sum(0) if moved else None
-
-
-def _limits(joints: Sequence[TreeJoint]) -> Limits:
-    return Limits(
-        position=_intervals([joint.position for joint in joints]),
-        velocity=_intervals([joint.velocity for joint in joints]),
-        torque=_intervals([joint.torque for joint in joints]),
-    )
 
 
 def _intervals(rows: Sequence[Interval | None]) -> Tensor | None:

@@ -145,7 +145,15 @@ def _run(
     """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
     arms, total, n = feed.shape
     out = feed.new_empty(4, -(-total // every), arms, n)
-    state = _half_a_step_back(plant, begin, feed[:, 0], gains, limit, h)
+    # The state from which the middle of the first step, the first sample, is as it shall begin.
+    now = torch.zeros_like(begin.q[:, 0])
+    ddq = begin.ddq
+    for trial in range(3):
+        dq = begin.dq - h / 2 * ddq
+        state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
+        if trial < 2:
+            torque_of = _drive(state, feed[:, 0], gains, limit, h)
+            ddq = plant.step(state, h, now, torque_of)[1].ddq
     for k in range(total):
         drive = _drive(state, feed[:, k], gains, limit, h)
         state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
@@ -160,29 +168,6 @@ def _drive(
     """The controller in the middle of the step from a state."""
     stiffness, damping = gains
     return Drive(feed - stiffness * (state.q + h / 2 * state.dq), damping, limit)
-
-
-def _half_a_step_back(
-    plant: Plant,
-    begin: Motion,
-    feed: Tensor,
-    gains: tuple[Tensor, Tensor],
-    limit: Tensor | None,
-    h: float,
-) -> State:
-    """The state from which the middle of the first step, the first sample, is as it shall begin.
-
-    The acceleration there is the arm's own, not the reference's: two trials find it.
-    """
-    now = torch.zeros_like(begin.q[:, 0])
-    ddq = begin.ddq
-    for trial in range(3):
-        dq = begin.dq - h / 2 * ddq
-        state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
-        if trial < 2:
-            drive = _drive(state, feed, gains, limit, h)
-            ddq = plant.step(state, h, now, drive)[1].ddq
-    return state
 
 
 def _on_grid(log: Log, rate: float) -> Motion:

@@ -150,7 +150,9 @@ class BatchEffects:
             parts = [g.torque(moved) - g.torque(still) for g in self._plain if not g.loaded]
             columns.append(sum(parts, zero))
         self.inertia = torch.stack(columns, -1)
-        self._plain = [g for g in self._plain if not _is_rotor(g)]
+        self._plain = [
+            g for g in self._plain if not (isinstance(g, Kind) and g.kind is RotorInertia)
+        ]
         self.needs_torque = any(group.loaded for group in [*self._plain, *self._memory])
 
     def initial(self, motion: Motion) -> list[Tensor | None]:
@@ -222,11 +224,6 @@ def _loads(sharp: Tensor, smooth: Tensor, way: Tensor) -> Loads:
     dry = half.clamp(min=0)
     slope = (smooth[1] - smooth[0]).sum(0) / (2 * _SPEED_STEP)
     return Loads((forwards + backwards) / 2 + (half - dry) * way, slope, dry)
-
-
-def _is_rotor(group: Kind | Single) -> bool:
-    """Whether all its torque is in the mass matrix."""
-    return isinstance(group, Kind) and group.kind is RotorInertia
 
 
 Slots = dict[tuple[int, int], tuple[JointEffect, list[float]]]

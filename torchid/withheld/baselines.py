@@ -21,9 +21,9 @@ from torchid.effects.registry import KINDS, nominal_effects
 from torchid.gap.bank import Bank
 from torchid.gap.candidates import Evaluator
 from torchid.gap.folds import Folds, make_folds
-from torchid.gap.noise import Noise, noise_of
+from torchid.gap.noise import noise_of
 from torchid.gap.passages import Rows
-from torchid.gap.prepare import Prepared, prepare, report_band
+from torchid.gap.prepare import prepare, report_band
 from torchid.gap.problem import BASE, LINK, Term, term_of
 from torchid.gap.projection import Projector, Scanner, in_all_rows
 from torchid.gap.settings import GapSettings
@@ -77,30 +77,25 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     y = evaluator.residual()
     torque = evaluator.on_all([p.tau.T for p in given.rows.passages])
     relative = y.norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12)
-    banks = banks_of(evaluator, _task(robot, given, noise, settings))
-    plain = tuple(b for b in banks if _is_one_effect(b))
-    return Data(y, keep, plain, relative, make_folds(given.rows, 2, noise.groups))
-
-
-def _is_one_effect(bank: Bank) -> bool:
-    """No composites, no effects common to all joints, not all base parameters at once."""
-    return bank.name != BASE and bool(bank.members) and len(bank.members[0]) == 1
-
-
-def _task(robot: Robot, given: Prepared, noise: Noise, settings: GapSettings) -> Task:
-    return Task(
-        base=base_parameters(robot),
-        names=tuple(KINDS),
-        background=(),
-        free=False,
-        inertial=True,
-        own_velocity=given.own_velocity,
-        age=given.age,
-        whitened=noise.repeated,
-        most=MOST,
-        alpha=settings.alpha,
-        seed=settings.seed,
+    banks = banks_of(
+        evaluator,
+        Task(
+            base=base_parameters(robot),
+            names=tuple(KINDS),
+            background=(),
+            free=False,
+            inertial=True,
+            own_velocity=given.own_velocity,
+            age=given.age,
+            whitened=noise.repeated,
+            most=MOST,
+            alpha=settings.alpha,
+            seed=settings.seed,
+        ),
     )
+    # No composites, no effects common to all joints, not all base parameters at once.
+    plain = tuple(b for b in banks if b.name != BASE and b.members and len(b.members[0]) == 1)
+    return Data(y, keep, plain, relative, make_folds(given.rows, 2, noise.groups))
 
 
 def friction(data: Data) -> list[Term]:

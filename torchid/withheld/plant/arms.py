@@ -234,7 +234,20 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
             "  </link>",
         ]
         parent = f"link{k - 1}" if k > 1 else "base"
-        lines += _joint(k, joint, parent, float(damping[k - 1]), float(friction[k - 1]))
+        viscous = float(damping[k - 1])
+        coulomb = float(friction[k - 1])
+        dynamics = f'    <dynamics damping="{viscous!r}" friction="{coulomb!r}"/>'
+        lines += [
+            f'  <joint name="joint{k}" type="revolute">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="link{k}"/>',
+            f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
+            f'    <axis xyz="{spaced(joint.axis)}"/>',
+            f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
+            f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
+            *([dynamics] if viscous or coulomb else []),
+            "  </joint>",
+        ]
     lines += [
         '  <link name="tool"/>',
         '  <joint name="tool_mount" type="fixed">',
@@ -250,18 +263,3 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
 def spaced(values: Array | Triple) -> str:
     """Numbers separated by spaces, none of their digits lost."""
     return " ".join(repr(float(v)) for v in values)
-
-
-def _joint(k: int, joint: Joint, parent: str, damping: float, friction: float) -> list[str]:
-    dynamics = f'    <dynamics damping="{damping!r}" friction="{friction!r}"/>'
-    return [
-        f'  <joint name="joint{k}" type="revolute">',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="link{k}"/>',
-        f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
-        f'    <axis xyz="{spaced(joint.axis)}"/>',
-        f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
-        f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
-        *([dynamics] if damping or friction else []),
-        "  </joint>",
-    ]

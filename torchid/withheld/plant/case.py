@@ -1,6 +1,5 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -62,7 +61,11 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         scene = moved_otherwise(scene, nominal, spec.poor)
     if fresh:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
-    plan, parameters = _all(scene, base, spec, found)
+    # The plan with every effect at its scale, and their parameters.
+    plan, parameters = base, []
+    for effect, one in zip(spec.effects, found, strict=True):
+        plan, its = planted(scene, plan, effect, one.scale)
+        parameters.append(its)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
     left = gaps(plan, nominal, traces)
@@ -118,17 +121,6 @@ def _scene(spec: CaseSpec) -> tuple[Scene, Plan]:
         spec.damping_ratio,
     )
     return scene, Plan(plant_of(arm, damping, friction), damping, friction)
-
-
-def _all(
-    scene: Scene, base: Plan, spec: CaseSpec, found: Sequence[Sized]
-) -> tuple[Plan, list[dict[str, Any]]]:
-    """The plan with every effect at its scale, and their parameters."""
-    plan, parameters = base, []
-    for effect, one in zip(spec.effects, found, strict=True):
-        plan, own = planted(scene, plan, effect, one.scale)
-        parameters.append(own)
-    return plan, parameters
 
 
 def _alone(scene: Scene, base: Plan, spec: CaseSpec, k: int, one: Sized) -> np.ndarray:
