@@ -76,15 +76,7 @@ class CompiledDynamics:
     """
 
     def __init__(self, robot: Robot, chunk: int | None = None):
-        chosen = os.environ.get("CXX")
-        if not any(shutil.which(name) for name in ([chosen] if chosen else _COMPILERS)):
-            raise TorchidError(
-                "compiled dynamics needs a C++ compiler, and none was found.",
-                got=f"CXX={chosen}" if chosen else None,
-                expected=f"one of {', '.join(_COMPILERS)} on the PATH",
-                hint="install one (Debian, Ubuntu: `apt install g++`; macOS: `xcode-select "
-                "--install`; Windows: Visual Studio Build Tools), or go without --compile",
-            )
+        _require_compiler()
         self.robot = robot
         self._sizes = {"torques": chunk or TORQUE_CHUNK, "regressor": chunk or REGRESSOR_CHUNK}
         self._geometry = chain_geometry(robot)
@@ -199,12 +191,28 @@ def _compile(function: Callable[..., Tensor], *examples: Tensor) -> Kernel:
     Python, constants of the geometry stay constants, and calls have no guards to check, which
     would take a third of a chunk's time.
     """
-    # Keep compiled code per user, not in the temporary folder that a restart empties.
-    if "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(Path(base) / "torchid" / "inductor")
+    _choose_cache_folder()
     # make_fx counts the `self` of a bound method as an input; a partial has none.
     graph = make_fx(partial(function), tracing_mode="fake")(*examples)
     options = _OPTIONS if examples[0].device.type == "cpu" else {}
     with torch.no_grad():
         return torch._inductor.compile(graph, list(examples), options=dict(options))
+
+
+def _choose_cache_folder() -> None:
+    """Keep compiled code per user, not in the temporary folder that a restart empties."""
+    if "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(Path(base) / "torchid" / "inductor")
+
+
+def _require_compiler() -> None:
+    chosen = os.environ.get("CXX")
+    if not any(shutil.which(name) for name in ([chosen] if chosen else _COMPILERS)):
+        raise TorchidError(
+            "compiled dynamics needs a C++ compiler, and none was found.",
+            got=f"CXX={chosen}" if chosen else None,
+            expected=f"one of {', '.join(_COMPILERS)} on the PATH",
+            hint="install one (Debian, Ubuntu: `apt install g++`; macOS: `xcode-select --install`; "
+            "Windows: Visual Studio Build Tools), or go without --compile",
+        )

@@ -85,12 +85,11 @@ def joint_columns_of(
     used = _covering(groups, joints)
     # What is said about joints and messages that are not taken.
     others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
-    said = [f"{label}: left out: {', '.join(others)}"] if others else []
+    warnings += [f"{label}: left out: {', '.join(others)}"] if others else []
     partly = [g for g in groups if g not in used and set(g.names) & set(joints)]
     if partly:
         count = sum(len(g.time) for g in partly)
-        said.append(f"{label}: {count} messages with some of the joints are left out.")
-    warnings += said
+        warnings.append(f"{label}: {count} messages with some of the joints are left out.")
     whole = used[0] if len(used) == 1 else _joined(used, label, warnings)
     # Messages in the order of their stamps, repeated ones once; which run each belongs to.
     steps = np.diff(whole.time, prepend=whole.time[:1])
@@ -104,19 +103,7 @@ def joint_columns_of(
     if (steps[steps > -RESET_S * 1e9] < 0).any():
         warnings.append(f"{label}: messages are not in the order of their stamps: sorted.")
     whole, runs = _picked(whole, order[~again]), run[~again]
-    # Signals of the joints, and of every joint alone.
-    columns = [whole.names.index(joint) for joint in joints]
-    arrays: dict[str, np.ndarray] = {}
-    for key, signal in _SIGNALS.items():
-        if signal not in whole.signals:
-            continue
-        values = whole.signals[signal][:, columns]
-        if key != "q" and np.isnan(values).all():
-            warnings.append(f"{label}: {signal} is NaN throughout: left out.")
-            continue
-        arrays[key] = values
-    for signal, values in whole.signals.items():
-        arrays |= {f"{name}.{signal}": values[:, k] for k, name in enumerate(whole.names)}
+    arrays = _arrays(whole, joints, label, warnings)
     arrays["t"] = (whole.time - whole.time.min()) * 1e-9
     if runs.any():
         arrays["traj"] = runs
@@ -247,3 +234,22 @@ def _joined(groups: Sequence[_Group], label: str, warnings: list[str]) -> _Group
 def _picked(group: _Group, rows: np.ndarray) -> _Group:
     signals = {s: v[rows] for s, v in group.signals.items()}
     return _Group(group.names, group.time[rows], signals)
+
+
+def _arrays(
+    group: _Group, joints: Sequence[str], label: str, warnings: list[str]
+) -> dict[str, np.ndarray]:
+    """Signals of the joints, and of every joint alone."""
+    columns = [group.names.index(joint) for joint in joints]
+    arrays: dict[str, np.ndarray] = {}
+    for key, signal in _SIGNALS.items():
+        if signal not in group.signals:
+            continue
+        values = group.signals[signal][:, columns]
+        if key != "q" and np.isnan(values).all():
+            warnings.append(f"{label}: {signal} is NaN throughout: left out.")
+            continue
+        arrays[key] = values
+    for signal, values in group.signals.items():
+        arrays |= {f"{name}.{signal}": values[:, k] for k, name in enumerate(group.names)}
+    return arrays

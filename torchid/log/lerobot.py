@@ -46,16 +46,7 @@ def lerobot_table(path: Path, request: Request) -> Table:
     Raises:
         LogError: no data, or the robot's joints cannot be found in the state.
     """
-    try:
-        info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
-        if not float(info["fps"]) > 0 or not isinstance(info["features"], dict):
-            raise ValueError("fps or features are not what they should be")
-    except (ValueError, KeyError, TypeError) as error:
-        raise LogError(
-            f"'{path}' has a meta/info.json that cannot be used.", got=repr(error)[:200],
-            expected="fps and features",
-        ) from error  # fmt: skip
-    info = dict(info)
+    info = _info(path)
     features = {n: f for n, f in info["features"].items() if _is_numeric(f)}
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
@@ -75,25 +66,7 @@ def lerobot_table(path: Path, request: Request) -> Table:
 
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         needed = [places[name][0] for name in wanted if name in places]
-        # Features of all files in the order of episodes and frames, with t and traj.
-        names = dict.fromkeys(needed)
-        fps = float(info["fps"])
-        parts = []
-        for file in files:
-            try:
-                parts.append(read_parquet_columns(file, [*dict.fromkeys([*_COUNTED, *names])]))
-            except LogError:
-                raise
-            except OSError as error:
-                raise LogError(f"'{file}' cannot be read: {error.strerror or error}") from error
-            missing = [name for name in (*_COUNTED, *names) if name not in parts[-1]]
-            if missing:
-                raise LogError(f"'{file}' has no column {missing[0]}.", available=list(parts[-1]))
-        table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        order = np.lexsort((table["frame_index"].ravel(), table["episode_index"].ravel()))
-        table = {name: values[order] for name, values in table.items()}
-        table["t"] = table["frame_index"].ravel() / fps
-        table["traj"] = table["episode_index"].ravel()
+        table = _sorted(path, files, dict.fromkeys(needed), float(info["fps"]))
         return {
             name: table[name] if name not in places else _part(table, *places[name])
             for name in wanted
@@ -110,6 +83,19 @@ def lerobot_table(path: Path, request: Request) -> Table:
         origins={"t": "frame_index / fps", **{key: chosen[key][0] for key in chosen}},
         warnings=warnings,
     )
+
+
+def _info(path: Path) -> dict[str, Any]:
+    try:
+        info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+        if not float(info["fps"]) > 0 or not isinstance(info["features"], dict):
+            raise ValueError("fps or features are not what they should be")
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(
+            f"'{path}' has a meta/info.json that cannot be used.", got=repr(error)[:200],
+            expected="fps and features",
+        ) from error  # fmt: skip
+    return dict(info)
 
 
 def _is_numeric(feature: Any) -> bool:
@@ -192,6 +178,29 @@ def _in_order(
         f"'{path}': the elements of {feature} do not have the robot's names; taken in the order of "
         f"the dataset: {', '.join(arm)}",
     )
+
+
+def _sorted(
+    path: Path, files: Sequence[Path], names: Sequence[str] | dict[str, None], fps: float
+) -> dict[str, np.ndarray]:
+    """Features of all files in the order of episodes and frames, with t and traj."""
+    parts = []
+    for file in files:
+        try:
+            parts.append(read_parquet_columns(file, [*dict.fromkeys([*_COUNTED, *names])]))
+        except LogError:
+            raise
+        except OSError as error:
+            raise LogError(f"'{file}' cannot be read: {error.strerror or error}") from error
+        missing = [name for name in (*_COUNTED, *names) if name not in parts[-1]]
+        if missing:
+            raise LogError(f"'{file}' has no column {missing[0]}.", available=list(parts[-1]))
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((table["frame_index"].ravel(), table["episode_index"].ravel()))
+    table = {name: values[order] for name, values in table.items()}
+    table["t"] = table["frame_index"].ravel() / fps
+    table["traj"] = table["episode_index"].ravel()
+    return table
 
 
 def _part(table: dict[str, np.ndarray], feature: str, index: list[int] | None) -> np.ndarray:

@@ -60,25 +60,7 @@ def closed_loop(
             is not positive definite, or an arm diverges.
     """
     controller = controller or Controller()
-    robot.require_parameters("simulation")
-    if len(references) != len(effects) or not references:
-        raise TorchidError(
-            "every arm needs one reference and one list of effects.",
-            got=f"{len(references)} references, {len(effects)} lists of effects",
-        )
-    for log in references:
-        if log.trajectory_count != 1:
-            raise LogError(
-                "a reference is one trajectory.", got=log.trajectory_count, hint="Log.trajectories"
-            )
-        missing = [name for name in ("dq", "ddq") if getattr(log, name) is None]
-        if missing or log.n != robot.n:
-            raise LogError(
-                f"a reference for robot '{robot.name}' needs q, dq and ddq of its joints.",
-                got=f"{log.n} joints, signals {', '.join(log.signals)}",
-                expected=f"{robot.n} joints, signals q, dq, ddq",
-                hint="`torchid excite` writes all three",
-            )
+    _check(robot, references, effects)
     rate = sampling_rate(references[0])[0] if rate is None else rate
     if not 0 < rate < math.inf:
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
@@ -199,6 +181,28 @@ def _log(robot: Robot, reference: Log, signals: Float[Tensor, "4 T n"], rate: fl
     t = reference.t[0] + torch.arange(len(q), dtype=torch.float64) / rate
     source = f"simulated {robot.name}"
     return Log(t, q, dq, ddq, tau, names=reference.names, source=source)
+
+
+def _check(robot: Robot, references: Sequence[Log], effects: Sequence[Sequence[Valued]]) -> None:
+    robot.require_parameters("simulation")
+    if len(references) != len(effects) or not references:
+        raise TorchidError(
+            "every arm needs one reference and one list of effects.",
+            got=f"{len(references)} references, {len(effects)} lists of effects",
+        )
+    for log in references:
+        if log.trajectory_count != 1:
+            raise LogError(
+                "a reference is one trajectory.", got=log.trajectory_count, hint="Log.trajectories"
+            )
+        missing = [name for name in ("dq", "ddq") if getattr(log, name) is None]
+        if missing or log.n != robot.n:
+            raise LogError(
+                f"a reference for robot '{robot.name}' needs q, dq and ddq of its joints.",
+                got=f"{log.n} joints, signals {', '.join(log.signals)}",
+                expected=f"{robot.n} joints, signals q, dq, ddq",
+                hint="`torchid excite` writes all three",
+            )
 
 
 def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence[Log]) -> None:

@@ -94,26 +94,27 @@ def smallest_found(bed: Bed) -> list[Planted]:
     tried: list[Planted] = []
     k = FIRST_LEVEL
     while 0 <= k < len(LEVELS):
-        level = LEVELS[k]
-        effect, values, log = _on_top(bed, level)
-        found = diagnose(bed.robot, log, settings=bed.settings)
-        names = [c.name for c in effect.coefficients]
-        tried.append(
-            Planted(
-                effect.name,
-                bed.joint,
-                level,
-                dict(zip(names, values, strict=True)),
-                named(found, effect.name, (bed.joint,)),
-                in_set(found, effect.name, (bed.joint,)),
-                found.status,
-            )
-        )
+        tried.append(_one_level(bed, LEVELS[k]))
         down = tried[0].in_set
         if tried[-1].in_set is not down:
             break
         k += -1 if down else 1
     return sorted(tried, key=lambda p: p.level)
+
+
+def _one_level(bed: Bed, level: float) -> Planted:
+    effect, values, log = _on_top(bed, level)
+    found = diagnose(bed.robot, log, settings=bed.settings)
+    names = [c.name for c in effect.coefficients]
+    return Planted(
+        effect.name,
+        bed.joint,
+        level,
+        dict(zip(names, values, strict=True)),
+        named(found, effect.name, (bed.joint,)),
+        in_set(found, effect.name, (bed.joint,)),
+        found.status,
+    )
 
 
 def _on_top(bed: Bed, level: float) -> tuple[JointEffect, list[float], Log]:

@@ -1,5 +1,6 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,11 +62,7 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         scene = moved_otherwise(scene, nominal, spec.poor)
     if fresh:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
-    # The plan with every effect at its scale, and their parameters.
-    plan, parameters = base, []
-    for effect, one in zip(spec.effects, found, strict=True):
-        plan, its = planted(scene, plan, effect, one.scale)
-        parameters.append(its)
+    plan, parameters = _all(scene, base, spec, found)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
     left = gaps(plan, nominal, traces)
@@ -80,7 +77,62 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
         noise = 0.0 * noise
     columns = logged(logger, plan, readings(plan, traces), noise)
-    key = {
+    key = _key(spec, scene, plan, effects, rms(left))
+    return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
+
+
+def _scene(spec: CaseSpec) -> tuple[Scene, Plan]:
+    """The scene, and the arm without effects."""
+    arm = arm_named(spec.arm)
+    damping, friction = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
+    scene = scene_of(
+        arm,
+        nominal_of(arm, damping, friction),
+        spec.motion,
+        spec.noise_share,
+        spec.bandwidth_hz,
+        spec.damping_ratio,
+    )
+    return scene, Plan(plant_of(arm, damping, friction), damping, friction)
+
+
+def _all(
+    scene: Scene, base: Plan, spec: CaseSpec, found: Sequence[Sized]
+) -> tuple[Plan, list[dict[str, Any]]]:
+    """The plan with every effect at its scale, and their parameters."""
+    plan, parameters = base, []
+    for effect, one in zip(spec.effects, found, strict=True):
+        plan, own = planted(scene, plan, effect, one.scale)
+        parameters.append(own)
+    return plan, parameters
+
+
+def _alone(scene: Scene, base: Plan, spec: CaseSpec, k: int, one: Sized) -> np.ndarray:
+    """Size (n,) of one effect of several on the case's motion."""
+    plan, _ = planted(scene, base, spec.effects[k], one.scale)
+    nominal = nominal_of(scene.arm, plan.known_damping, plan.known_friction)
+    return size_of(scene, plan, nominal, simulated(scene, plan, nominal, FINE * 2))
+
+
+def _effect_key(
+    spec: CaseSpec, k: int, parameters: dict[str, Any], size: np.ndarray
+) -> dict[str, Any]:
+    effect = spec.effects[k]
+    return {
+        "name": effect.name,
+        "family": kind_named(effect.name).family,
+        "acceptable": list(kind_named(effect.name).akin),
+        "joints": [j + 1 for j in effect.joints],
+        "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
+        "parameters": parameters,
+        "size": float(size.max()),
+    }
+
+
+def _key(
+    spec: CaseSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
+) -> dict[str, Any]:
+    return {
         "kind": spec.kind,
         "arm": spec.arm,
         "rate_hz": spec.logger.rate_hz,
@@ -103,43 +155,5 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         "jitter": spec.logger.jitter,
         "own_velocity": spec.logger.own_velocity or plan.own_velocity,
         "excitation": spec.excitation,
-        "true_gap_rms": rms(left).tolist(),
-    }
-    return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
-
-
-def _scene(spec: CaseSpec) -> tuple[Scene, Plan]:
-    """The scene, and the arm without effects."""
-    arm = arm_named(spec.arm)
-    damping, friction = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
-    scene = scene_of(
-        arm,
-        nominal_of(arm, damping, friction),
-        spec.motion,
-        spec.noise_share,
-        spec.bandwidth_hz,
-        spec.damping_ratio,
-    )
-    return scene, Plan(plant_of(arm, damping, friction), damping, friction)
-
-
-def _alone(scene: Scene, base: Plan, spec: CaseSpec, k: int, one: Sized) -> np.ndarray:
-    """Size (n,) of one effect of several on the case's motion."""
-    plan, _ = planted(scene, base, spec.effects[k], one.scale)
-    nominal = nominal_of(scene.arm, plan.known_damping, plan.known_friction)
-    return size_of(scene, plan, nominal, simulated(scene, plan, nominal, FINE * 2))
-
-
-def _effect_key(
-    spec: CaseSpec, k: int, parameters: dict[str, Any], size: np.ndarray
-) -> dict[str, Any]:
-    effect = spec.effects[k]
-    return {
-        "name": effect.name,
-        "family": kind_named(effect.name).family,
-        "acceptable": list(kind_named(effect.name).akin),
-        "joints": [j + 1 for j in effect.joints],
-        "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
-        "parameters": parameters,
-        "size": float(size.max()),
+        "true_gap_rms": gap.tolist(),
     }
