@@ -106,7 +106,12 @@ def samples(log: Log) -> Samples | str:
     kept = [s for s in made if s is not None]
     count = sum(len(s.t[s.inside]) for s in kept)
     if count < 10 * BLOCKS:
-        return _too_short(total, cutoff)
+        # The length that the rows of all blocks and the ends of a trajectory need.
+        least = 10 * BLOCKS / (_PER_PERIOD * cutoff) + 2 * max(1.0 / cutoff, 0.25)
+        return (
+            f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at "
+            "least, better 20 s, with all joints moving"
+        )
     rows = {
         name: torch.cat([getattr(s, name)[s.inside] for s in kept])
         for name in ("q", "dq", "ddq", "sign", "moving")
@@ -119,15 +124,6 @@ def samples(log: Log) -> Samples | str:
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
         signals=signals,
-    )
-
-
-def _too_short(total: float, cutoff: float) -> str:
-    """The length that the rows of all blocks and the ends of a trajectory need."""
-    least = 10 * BLOCKS / (_PER_PERIOD * cutoff) + 2 * max(1.0 / cutoff, 0.25)
-    return (
-        f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at least, "
-        "better 20 s, with all joints moving"
     )
 
 

@@ -68,7 +68,15 @@ class Log:
             self._set("trajectory", torch.zeros_like(self.t, dtype=torch.int64))
         self._set("trajectory", self._numbers())
         self._check_sizes()
-        count = self._check_runs()
+        # The number of trajectories, which must be numbered 0, 1, ... one after the other.
+        steps = self.trajectory.diff()
+        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
+            raise LogError(
+                f"{self._label}: trajectories must be consecutive runs of samples.",
+                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
+                expected="0, 1, 2, ...",
+            )
+        count = int(self.trajectory[-1]) + 1
         if not self.names:
             stem = self.source or "log"
             self._set(
@@ -124,17 +132,6 @@ class Log:
                 got=tuple(self.trajectory.shape),
                 expected=size[:1],
             )
-
-    def _check_runs(self) -> int:
-        """The number of trajectories, which must be numbered 0, 1, ... one after the other."""
-        steps = self.trajectory.diff()
-        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
-            raise LogError(
-                f"{self._label}: trajectories must be consecutive runs of samples.",
-                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
-                expected="0, 1, 2, ...",
-            )
-        return int(self.trajectory[-1]) + 1
 
     @property
     def n(self) -> int:
@@ -200,7 +197,10 @@ class Log:
         ids = self.trajectory[rows]
         signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
         if len(ids) == 0:
-            raise LogError(f"{self._label}: the selection leaves no sample.", got=_brief(rows))
+            raise LogError(
+                f"{self._label}: the selection leaves no sample.",
+                got=str(rows) if isinstance(rows, slice) else "a mask that is false everywhere",
+            )
         kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
         return replace(
             self,
@@ -282,7 +282,13 @@ class Log:
         if len(logs) == 1:
             return logs[0]
         first = logs[0]
-        _same_joints(logs)
+        for other in logs[1:]:
+            if other.n != logs[0].n:
+                raise LogError(
+                    "logs with different numbers of joints do not go together.",
+                    got=f"{other.n} in {other._label}",
+                    expected=f"{logs[0].n} as in {logs[0]._label}",
+                )
         signals: dict[str, Any] = dict.fromkeys(OPTIONAL_SIGNALS)
         warnings = [warning for log in logs for warning in log.warnings]
         for name in OPTIONAL_SIGNALS:
@@ -314,17 +320,3 @@ class Log:
             source=", ".join(dict.fromkeys(log.source for log in logs if log.source)),
             warnings=tuple(dict.fromkeys(warnings)),
         )
-
-
-def _same_joints(logs: Sequence[Log]) -> None:
-    for log in logs[1:]:
-        if log.n != logs[0].n:
-            raise LogError(
-                "logs with different numbers of joints do not go together.",
-                got=f"{log.n} in {log._label}",
-                expected=f"{logs[0].n} as in {logs[0]._label}",
-            )
-
-
-def _brief(rows: Tensor | slice) -> str:
-    return str(rows) if isinstance(rows, slice) else "a mask that is false everywhere"
