@@ -250,8 +250,8 @@ def _read_motion(path: Path, robot: "Robot") -> "Motion":
     """q, dq, ddq of a log; velocities and accelerations it lacks are differentiated."""
     import torch
 
-    from torchid.effects.base import Motion
     from torchid.design.motion import measurements
+    from torchid.effects.base import Motion
     from torchid.log.readers import read_log
     from torchid.log.sampling import resample
 

@@ -82,9 +82,7 @@ class Columns:
     def __init__(self, model: Model, samples: Samples):
         self.model = model
         self.samples = samples
-        self.motions = [
-            s.motion._replace(torque=model.load(s.motion)) for s in samples.segments
-        ]
+        self.motions = [s.motion._replace(torque=model.load(s.motion)) for s in samples.segments]
         short = len(samples) * model.robot.n <= KEPT
         self._kept: dict[object, tuple[Place, Tensor]] | None = {} if short else None
 
@@ -151,7 +149,9 @@ class Columns:
         lengths = [len(m.q) for m in self.motions]
         for j in range(n):
             pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
-            rows = self._sampled(torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1))
+            rows = self._sampled(
+                torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
+            )
             out[j:, :, j] = rows.unflatten(0, (n - j, PARAMETERS_PER_LINK))
         return out
 

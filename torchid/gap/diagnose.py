@@ -27,7 +27,7 @@ from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, budget, closing
-from torchid.gap.validate.folds import Folds, make_folds, traces, with_after
+from torchid.gap.validate.folds import Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
@@ -174,7 +174,9 @@ def diagnose(
         band=_band(data, settings),
         cutoff=data.samples.cutoff,
         settings={**asdict(settings), "refitted": wanted.free},
-        warnings=tuple(dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))),
+        warnings=tuple(
+            dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))
+        ),
     )
     if settings.rollout:
         say("simulating forwards", 0, 1)

@@ -5,9 +5,9 @@ import math
 from rich import box
 from rich.table import Table
 
+from torchid.design.motion import MOVING
 from torchid.effects.base import JointEffect
 from torchid.identification.identify import Identification
-from torchid.design.motion import MOVING
 from torchid.identification.validation import Errors
 from torchid.robot.model import JointType
 

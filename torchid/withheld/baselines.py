@@ -19,7 +19,6 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.design.gram import Normal
-from torchid.design.segments import moving_samples
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.gap.data.prepare import prepare
@@ -86,8 +85,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     columns = Columns(model, samples)
     gap = columns.gap()
     repeats = find_repeats(samples.segments)
-    sliding = given.keep & moving_samples(samples, sliding=True)
-    noise = noise_of(columns, gap * given.keep, sliding, samples.cutoff, repeats, settings.seed)
+    noise = noise_of(columns, gap * given.keep, given.keep, samples.cutoff, repeats, settings.seed)
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
     wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
 
@@ -109,9 +107,6 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         (gap * given.keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
         tuple((gram.over([p for p in every if p != k]), gram.over([k])) for k in every),
     )
-    # No composites, no effects common to all joints, not all base parameters at once.
-    plain = tuple(b for b in banks if b.name != BASE and b.members and len(b.members[0]) == 1)
-    return Data(y, keep, plain, relative, make_folds(given.rows, 2, noise.groups))
 
 
 def friction(data: Data) -> list[Term]:

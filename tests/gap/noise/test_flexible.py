@@ -4,10 +4,10 @@ import time
 
 import pytest
 import torch
+from torchid.gap.passages import Passage, Rows
 
 from tests.gap.motions import motion_at, noises, passage_of, times
 from torchid.gap.noise.flexible import predict_out_of_fold
-from torchid.gap.passages import Passage, Rows
 
 
 def passages_of_seed(seed: int, robot: str = "3r", duration: float = 20.0) -> list[Passage]:

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-
-from tests.gap.motions import motion_at, noises, passage_of, times
 from torchid.gap.flexible import predict_out_of_fold
 from torchid.gap.floor import Floor, noise_floor
 from torchid.gap.passages import Passage, Rows
 from torchid.gap.repeats import Repeats, find_repeats
 from torchid.gap.whitener import fit_whitener
+
+from tests.gap.motions import motion_at, noises, passage_of, times
 from torchid.typing import Samples, Tensor
 
 CUTOFF, REPORT = 8.0, 20.0

@@ -173,7 +173,9 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
         rows = slice(first, first + len(term.at))
         first = rows.stop
         inner = torch.linalg.pinv(spread[rows, rows], rtol=1e-9, hermitian=True)
-        held.append((float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k))
+        held.append(
+            (float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k)
+        )
     weakest = [k for value, k in sorted(held)[:CLOSELY]]
     found = [
         fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight) for k in weakest
@@ -303,7 +305,7 @@ def _single_fall(
     lost = held_out_losses(question, folds, fit, rest)
     now = held_out_losses(question, folds, fit, own)
     assert term.place is not None
-    return float((lost[term.place] / now[term.place].clamp(min=1e-300)))
+    return float(lost[term.place] / now[term.place].clamp(min=1e-300))
 
 
 def _joints(term: Term, n: int) -> Iterator[int]:

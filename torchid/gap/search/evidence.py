@@ -14,6 +14,7 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 
@@ -88,15 +89,13 @@ class Question:
         normal: of the samples that are explained.
         alpha: family-wise level.
         worth: least size of a cause.
-        torque: (n,) mean square of the joints' torque.
         rows: columns of terms that were in a model, as samples.
     """
 
     candidates: Candidates
     normal: Normal
     alpha: float
-    worth: Worth
-    torque: Float[Tensor, " n"]
+    worth: Worth = Worth()
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
 
     @property
@@ -108,6 +107,11 @@ class Question:
     def looks(self) -> float:
         """Candidates that are looked at."""
         return float(max(1, len(self.candidates.terms)))
+
+    @cached_property
+    def torque(self) -> Float[Tensor, " n"]:
+        """Mean square (n,) of the joints' measured torque."""
+        return torch.cat([s.tau for s in self.candidates.columns.samples.segments]).square().mean(0)
 
     def least(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is so
@@ -351,7 +355,7 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
                     grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
                     extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
                     b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m] @ rest
-        gains, counts, x = _gains(batch, gram, h, b)
+        gains, counts = _gains(batch, gram, h, b)
         if batch.place is not None:
             gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
@@ -366,9 +370,12 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
 
 
 def _gains(
-    batch: Batch, gram: Float[Tensor, "M C C"], held: Float[Tensor, "M C k"], b: Float[Tensor, "M C"]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Gains (M,), directions (M,) and coefficients (M, C) of terms beside a model that holds part of
+    batch: Batch,
+    gram: Float[Tensor, "M C C"],
+    held: Float[Tensor, "M C k"],
+    b: Float[Tensor, "M C"],
+) -> tuple[Tensor, Tensor]:
+    """Gains (M,) and directions (M,) of terms beside a model that holds part of
     their columns; 0 where physics forbids a coefficient."""
     square = gram.diagonal(dim1=1, dim2=2)
     left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
@@ -389,4 +396,4 @@ def _gains(
     low = (x + batch.known < -SURE * std) & batch.signed
     high = x.abs() > batch.largest + SURE * std
     wrong = (sure & (low | high)).any(-1)
-    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x
+    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1)
