@@ -58,7 +58,8 @@ class Model:
         return tau
 
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
-        """Torque that effects see: of the body and of the effects that need no torque themselves."""
+        """Torque that effects see: of the body and of the effects that need no torque
+        themselves."""
         return model_torque(self.robot, in_rounds(self.effects)[0], motion)
 
     def described(self) -> Robot:

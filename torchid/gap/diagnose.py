@@ -305,8 +305,9 @@ def check(
 
 
 def harmful(found: Explanation, checked: Checked) -> list[Term]:
-    """Terms that do no good on data that was not fitted: those of joints that get worse, and all that
-    belong to the whole arm where the gap does not shrink at all. What happened once is not asked."""
+    """Terms that do no good on data that was not fitted: those of joints that get worse, and all
+    that belong to the whole arm where the gap does not shrink at all. What happened once is not
+    asked."""
     far = checked.far
     worse = far.rms_after > far.rms_before
     out = []
@@ -319,8 +320,8 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
 
 
 def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
-    """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
-    an interval; what is left is unexplained where it exceeds the noise there and a flexible
+    """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
+    has an interval; what is left is unexplained where it exceeds the noise there and a flexible
     predictor finds structure in it.
 
     Args:

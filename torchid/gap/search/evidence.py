@@ -3,9 +3,9 @@
     E(S) = sum_j n_j log(L_j(0) / L_j(S)) - |x / sigma|^2 - sum_k log n_k - 2 log(looks / alpha) c
 
 L_j(S) is the sum of squares that the terms S leave on joint j, n_j the effective number of samples
-there: samples divided by the autocorrelation time of what is left. Every coefficient and every shape
-that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that were
-looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
+there: samples divided by the autocorrelation time of what is left. Every coefficient and every
+shape that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that
+were looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
 something is missing E is careful by itself.
 
 A cause is one term; or the same effect on most joints, where arms have it (dry friction, say).
@@ -27,10 +27,12 @@ from torchid.typing import Float, Tensor
 VISIBLE = 0.01
 """Share of a column's square that must be left beside the model for it to be seen at all. Of less,
 what is left is noise of the columns and the misfit of what is there: the coefficient would be large
-and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are unseen."""
+and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are
+unseen."""
 
 LOOKED_AT = 24
-"""Terms of one place and number of columns that are offered at most; more than all effects there."""
+"""Terms of one place and number of columns that are offered at most; more than all effects
+there."""
 
 SURE = 2.0
 """Standard deviations beyond what physics allows from which a coefficient is refused."""
@@ -114,8 +116,8 @@ class Question:
         return torch.cat([s.tau for s in self.candidates.columns.samples.segments]).square().mean(0)
 
     def least(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is so
-        large, as a mean square."""
+        """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is
+        so large, as a mean square."""
         gap = self.worth.gap * error.clamp(min=0).sqrt()
         return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
 
@@ -311,8 +313,8 @@ class Offer:
 def offers(question: Question, fit: Fitted) -> list[Offer]:
     """Every candidate's gain beside a fit, those that physics refuses left out.
 
-    Gains are those of independent samples, for what a candidate leaves may be as independent: what is
-    dependent now may be the very effect that is missing.
+    Gains are those of independent samples, for what a candidate leaves may be as independent: what
+    is dependent now may be the very effect that is missing.
     """
     normal = question.normal
     weight = normal.rows / fit.losses.clamp(min=1e-300)

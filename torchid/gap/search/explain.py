@@ -149,8 +149,8 @@ def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
 
 
 def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
-    """The best of what is found from several starts: nothing, dry and viscous friction on all joints,
-    and, where more than one body was blamed, all base parameters in their place."""
+    """The best of what is found from several starts: nothing, dry and viscous friction on all
+    joints, and, where more than one body was blamed, all base parameters in their place."""
     friction = [
         t
         for t in question.candidates.terms
@@ -169,8 +169,8 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
 
 
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
-    """All base parameters beside what was found, if they are worth it: last, for they hold a share of
-    every cause, and without displacing any."""
+    """All base parameters beside what was found, if they are worth it: last, for they hold a share
+    of every cause, and without displacing any."""
     own = fit.terms[len(question.fixed) :]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):

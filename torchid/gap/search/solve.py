@@ -55,8 +55,8 @@ class Solution:
     left: Float[Tensor, "n N"]
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Model:
-        """The same terms, fitted on some of the samples only. What these do not determine is zero: a
-        contact that was elsewhere."""
+        """The same terms, fitted on some of the samples only. What these do not determine is zero:
+        a contact that was elsewhere."""
         x = torch.cat(self.values) if self.values else torch.zeros(0, dtype=torch.float64)
         size = self.left.square().sum(1).clamp(min=1e-300)
         weight = (self.left.shape[1] / size).sqrt().unsqueeze(1) * fitted
@@ -154,8 +154,8 @@ def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
 def corrected(
     start: Model, terms: Sequence[Term], values: Sequence[Float[Tensor, " _"]], wanted: Wanted
 ) -> Model:
-    """The model with the fitted terms: other inertial parameters, further effects. An effect that it
-    has already grows by the coefficients; another shape of it stands in its place."""
+    """The model with the fitted terms: other inertial parameters, further effects. An effect that
+    it has already grows by the coefficients; another shape of it stands in its place."""
     pi = start.robot.require_parameters("a diagnosis").pi.double().clone()
     effects: list[Valued] = list(start.effects)
     for term, v in zip(terms, values, strict=True):

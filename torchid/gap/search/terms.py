@@ -22,7 +22,8 @@ PAYLOAD = "payload"
 
 PRIOR = 0.3
 """Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to
-some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly any."""
+some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly
+any."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,9 +110,9 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
 
 
 def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Term]:
-    """Terms that explain as much in a term's place, the best first, one a name: those whose evidence
-    is within the odds; and base parameters that do as well, whatever they cost, for then the effect
-    stands only if the parameters are trusted."""
+    """Terms that explain as much in a term's place, the best first, one a name: those whose
+    evidence is within the odds; and base parameters that do as well, whatever they cost, for then
+    the effect stands only if the parameters are trusted."""
     limit = fit.evidence - 2 * math.log(ODDS)
     others = without.terms[len(question.fixed) :]
     found: list[tuple[float, Term]] = []
