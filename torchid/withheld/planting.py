@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.design.motion import measurements
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import KINDS, Valued, effect_kind, model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
-from torchid.design.motion import measurements
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample

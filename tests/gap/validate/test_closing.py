@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import NOISE, coulomb, floor, trace
-from torchid.gap.validate.closing import budget, closing, noise_variance
 from torchid.gap.diagnosis import NoiseFloor
+from torchid.gap.validate.closing import budget, closing, noise_variance
 
 
 def exact(n: int = 3) -> NoiseFloor:

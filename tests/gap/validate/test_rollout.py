@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from tests.arms import arm
+from torchid.design.segments import Segment
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.design.segments import Segment
 from torchid.gap.validate.rollout import DIVERGED, rollouts
 from torchid.gap.validate.shooting import starts_of
 from torchid.robot.inertia import InertialParameters

@@ -1,0 +1,137 @@
+"""The search on small problems: what is planted is found, as few causes as it is."""
+
+import pytest
+import torch
+
+from tests.gap.problems import (
+    halves,
+    measured,
+    named,
+    question_of,
+    term,
+    two_folds,
+)
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.gap.search.climb import (
+    Worth,
+    cause_groups,
+    climbed,
+    empty_fit,
+    held_out_losses,
+    moves,
+    worthy,
+)
+from torchid.gap.search.evidence import causes, fit_terms
+
+PLANTED = {
+    "viscous": (ViscousFriction(1), [1.0]),
+    "coulomb": (CoulombFriction(0), [0.6]),
+    "offset": (TorqueOffset(2), [0.3]),
+}
+TORQUE = torch.tensor([5.0, 20.0, 5.0], dtype=torch.float64)
+
+
+@pytest.mark.parametrize("names", [(), ("viscous",), ("coulomb", "offset"), tuple(PLANTED)])
+def test_what_is_planted_is_found_and_nothing_else(names):
+    effects = [PLANTED[n] for n in names]
+    question = question_of(measured(effects))
+    fit = climbed(question, (), 10)
+    assert named(fit.terms) == {(e.name, e.joint) for e, _ in effects}
+    found = dict(zip((t.effects[0] for t in fit.terms), fit.values(), strict=True))
+    for effect, values in effects:
+        assert found[effect].tolist() == pytest.approx(values, rel=0.05)
+    assert (fit.evidence > 0) == bool(names)
+
+
+def test_a_wrong_start_is_left():
+    question = question_of(measured([PLANTED["coulomb"]]))
+    start = [term(question, "rotor_inertia", 0), term(question, "viscous_friction", 2)]
+    fit = climbed(question, start, 10)
+    assert named(fit.terms) == {("coulomb_friction", 0)}
+
+
+def test_no_more_causes_than_wanted():
+    question = question_of(measured(list(PLANTED.values())))
+    fit = climbed(question, (), 1)
+    assert causes(fit.terms, 3) == 1
+
+
+COMMON = [(CoulombFriction(j), [f]) for j, f in enumerate((0.3, 0.5, 0.2))]
+
+
+def test_what_all_joints_have_is_one_cause():
+    """Found on all three, also by a search that may name one cause only."""
+    question = question_of(measured(COMMON))
+    fit = climbed(question, (), 1)
+    assert named(fit.terms) == {("coulomb_friction", j) for j in range(3)}
+    assert causes(fit.terms, 3) == 1
+    assert [sorted(t.place for t in g) for g in cause_groups(fit.terms, 3)] == [[0, 1, 2]]
+    together = [m for _, m in moves(question, empty_fit(question)) if len(m) == 3]
+    assert any(named(m) == named(fit.terms) for m in together)
+
+
+def test_causes_are_grouped_by_effect():
+    question = question_of(measured([]))
+    dry = [term(question, "coulomb_friction", j) for j in range(2)]
+    viscous = term(question, "viscous_friction", 0)
+    inertia = [term(question, "rotor_inertia", j) for j in range(3)]
+    groups = cause_groups([*dry, viscous, *inertia], 3)
+    assert sorted(len(g) for g in groups) == [1, 1, 1, 1, 2]
+
+
+def test_the_empty_fit_is_the_model_as_given():
+    question = question_of(measured([]))
+    fit = empty_fit(question)
+    assert fit.terms == ()
+    assert fit.evidence == 0.0
+    assert bool((fit.effective <= question.normal.rows).all())
+
+
+def test_losses_on_held_out_data_are_those_of_fits_without_them():
+    """Of one term on one joint: two halves, each judged by the other's coefficient."""
+    data = measured([PLANTED["viscous"]])
+    parts = two_folds(data)
+    question = question_of(data, parts=parts)
+    viscous = term(question, "viscous_friction", 1)
+    fit = fit_terms(question, [viscous], question.normal.rows)
+    found = held_out_losses(question, halves(question), fit, [viscous])
+    x = question.candidates.columns.of(viscous.effects[0])[1][0]
+    y, keep = question.candidates.gap[1], question.candidates.keep[1]
+    expected = 0.0
+    for k in (0, 1):
+        test, train = keep & (parts == k), keep & (parts == 1 - k)
+        value = float(x[train] @ y[train] / x[train].square().sum())
+        expected += float((y[test] - value * x[test]).square().sum())
+    assert float(found[1]) == pytest.approx(expected)
+
+
+def worthy_terms(effects, *names, worth=Worth(), alpha_free=True):  # noqa: B008
+    data = measured(effects, noise=0.002)
+    question = question_of(data, parts=two_folds(data))
+    terms = [term(question, *n) for n in names]
+    fit = fit_terms(question, terms, question.normal.rows)
+    return worthy(question, halves(question), fit, TORQUE, worth)
+
+
+def test_what_is_small_leaves_and_what_is_large_stays():
+    """Both have all the evidence that one could wish."""
+    effects = [(CoulombFriction(1), [0.6]), (ViscousFriction(1), [0.005])]
+    both = ("coulomb_friction", 1), ("viscous_friction", 1)
+    fit, left = worthy_terms(effects, *both)
+    assert named(fit.terms) == {("coulomb_friction", 1)}
+    assert named(left) == {("viscous_friction", 1)}
+    fit, left = worthy_terms(effects, *both, worth=Worth(gap=0.0, torque=0.0))
+    assert named(fit.terms) == set(both)
+    assert left == []
+
+
+def test_the_joints_that_hardly_bear_a_common_cause_leave_it():
+    effects = [
+        (CoulombFriction(0), [0.6]),
+        (CoulombFriction(1), [0.8]),
+        (CoulombFriction(2), [0.003]),
+    ]
+    every = [("coulomb_friction", j) for j in range(3)]
+    fit, left = worthy_terms(effects, *every)
+    assert named(fit.terms) >= set(every[:2])
+    assert named(left) <= {every[2]}
