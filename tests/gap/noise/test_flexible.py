@@ -93,10 +93,8 @@ def test_a_row_does_not_predict_itself():
     smooth = samples.of([3 * torch.tanh(4 * p.motion.dq).T for p in segments])
     spiked = noise + smooth
     spiked[0, 600] += 5.0
-    a, b = (
-        predict_out_of_fold(motions(segments), samples, r).prediction
-        for r in (noise + smooth, spiked)
-    )
+    found = [predict_out_of_fold(motions(segments), samples, r) for r in (noise + smooth, spiked)]
+    a, b = (f.prediction for f in found)
     assert float((a - b)[0, 598:603].abs().max()) < 0.05
     assert torch.equal(a[1:], b[1:])
 

@@ -15,13 +15,13 @@ from torchid.gap.search.events import contacts
 from torchid.robot.library import load_robot
 
 ALPHA = 0.01
-FRICTION = ((CoulombFriction(j), [0.3]) for j in range(3))
+FRICTION = [(CoulombFriction(j), [0.3]) for j in range(3)]
 PUSH = Contact(13.0, 14.2)  # in the second run, which begins at 11 s
 
 
 @pytest.fixture(scope="module")
 def quiet() -> Data:
-    return measured(list(FRICTION), noise=0.0)
+    return measured(FRICTION, noise=0.0)
 
 
 @pytest.fixture(scope="module")

@@ -47,8 +47,13 @@ def planted(effect: Effect, value: float, name: str, **how) -> tuple[Data, Quest
     data = measured([(effect, [value])], **how)
     question = question_of(data, (name,))
     (joint,) = effect.joints
-    own = [t for t in question.candidates.terms if t.effects[0].joints == (joint,)]
-    return data, question, own[0]
+    return data, question, on_joint(question, joint)
+
+
+def on_joint(question: Question, joint: int) -> Term:
+    """The first candidate that is located at this joint."""
+    found = (t for t in question.candidates.terms if t.effects and t.effects[0].joints == (joint,))
+    return next(found)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +158,7 @@ def test_another_shape_replaces_the_model_s_own(data):
 def test_a_secant_of_the_model_s_own_moves_with_the_sum(data):
     own = EncoderOffset(1, at=0.04)
     question = question_of(data, ("encoder_offset",), given=((own, [0.04]),))
-    found = next(t for t in question.candidates.terms if t.effects[0].joints == (1,))
+    found = on_joint(question, 1)
     ((effect, values),) = fitted([found], [0.02], ((own, [0.04]),)).effects
     assert values == pytest.approx([0.06])
     assert effect.at == pytest.approx(0.06)
@@ -162,7 +167,7 @@ def test_a_secant_of_the_model_s_own_moves_with_the_sum(data):
 def test_base_parameters_and_bodies_are_corrected(data):
     question = question_of(data, ("link_inertia",), inertial=True)
     pi = ROBOT.require_parameters("a test").pi
-    link = next(t for t in question.candidates.terms if t.effects and t.effects[0].joints == (2,))
+    link = on_joint(question, 2)
     change = torch.arange(1.0, 11.0, dtype=torch.float64)
     model = corrected(Model(ROBOT, ()), [link], [change], wanted_of(NAMES))
     found = model.robot.require_parameters("a test").pi
