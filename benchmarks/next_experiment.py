@@ -26,11 +26,8 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS, Valued, effect_from_record, nominal_effects
-from torchid.excitation.ambiguity import read_open
 from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rivals import rivals
-from torchid.excitation.separating_motion import Separation, design_separation
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
 from torchid.gap.diagnose import diagnose
@@ -38,6 +35,9 @@ from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
+from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import closed_loop

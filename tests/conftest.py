@@ -1,5 +1,5 @@
 # ruff: noqa: E402 (threads are set, and types checked, before what they act on is imported)
-"""Tests' surroundings: one thread, checked types, float64, fixed seeds, and the oracles' robots."""
+"""Tests' surroundings: one thread, checked types, fixed seeds, and the oracles' robots."""
 
 import os
 
@@ -53,14 +53,6 @@ def types_unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
-
-
-@pytest.fixture(autouse=True)
-def double_precision() -> Iterator[None]:
-    previous = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(previous)
 
 
 @pytest.fixture(scope="session")

@@ -33,6 +33,20 @@ def links(page: Path) -> list[str]:
     return _LINK.findall(prose(page))
 
 
+def named_files(page: Path) -> list[str]:
+    """Paths in inline code that name a file or folder of the project: with a slash and, unless they
+    end with one, a suffix; patterns and what a command writes (`out/`) left out."""
+    found = [code.strip("`") for code in _INLINE.findall(_FENCE.sub("", page.read_text()))]
+    top = {path.name for path in ROOT.iterdir()}
+    return [
+        name
+        for name in found
+        if re.fullmatch(r"[\w./-]+", name)
+        and "/" in name
+        and (name.split("/")[0] in top or name.endswith((".py", ".md", ".yaml")))
+    ]
+
+
 def anchors(page: Path) -> set[str]:
     """Anchors of the headings, as GitHub makes them."""
     text = _FENCE.sub("", page.read_text())

@@ -52,6 +52,16 @@ class PinocchioOracle:
 
         return self._each(one, q, dq, ddq)
 
+    def tool_jacobian(self, q: Tensor) -> Tensor:
+        """(..., 6, n): linear first, of the tool's origin, in axes of the base."""
+        pin, world = self.pin, self.pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        at_tool = pin.SE3((self.robot.after[-1] @ self.robot.tool).numpy())
+        tool = self.model.addFrame(
+            pin.Frame("tool", self.robot.n, 0, at_tool, pin.FrameType.OP_FRAME)
+        )
+        data = self.model.createData()
+        return self._each(lambda x: pin.computeFrameJacobian(self.model, data, x, tool, world), q)
+
     def mass_matrix(self, q: Tensor) -> Tensor:
         def one(x: np.ndarray) -> np.ndarray:
             upper = np.triu(self.pin.crba(self.model, self.data, x))

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from tests.documents import PAGES, ROOT, anchors, blocks, commands, links
+from tests.documents import PAGES, ROOT, anchors, blocks, commands, links, named_files
 from torchid.app.commands import app
 
 _COMMANDS = [
@@ -27,6 +27,20 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert ROOT in file.parents, f"{page.name} links out of the project: {target}"
         if anchor:
             assert anchor in anchors(file), f"{page.name}: {target} has no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page: Path) -> None:
+    missing = [name for name in named_files(page) if not (ROOT / name).exists()]
+    assert not missing, f"{page.name} names {', '.join(missing)}"
+
+
+def test_a_file_that_is_gone_would_be_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "`torchid/gap/experiments.py`, `torchid/effects/`, `docs/*.md`, `a / b`, `x.py`"
+    )
+    assert named_files(page) == ["torchid/gap/experiments.py", "torchid/effects/"]
 
 
 def test_pages_need_no_other_host() -> None:

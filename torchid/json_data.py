@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,18 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     number = float(value)
     return number if math.isfinite(number) else None
+
+
+def picked(value: object, names: str) -> dict[str, Any]:
+    """Attributes of a result as plain data, in the order of a schema.
+
+    Args:
+        value: the result.
+        names: of the attributes, separated by blanks; `key=attribute` where the schema calls one
+            otherwise, with a dot for an attribute of an attribute.
+    """
+    pairs = (name.partition("=")[::2] for name in names.split())
+    return {key: plain(attrgetter(attribute or key)(value)) for key, attribute in pairs}
 
 
 def write_json(data: Mapping[str, Any], path: Path) -> bytes:

@@ -5,11 +5,17 @@ B base parameters. `*batch` stands for any number of leading axes, the same in a
 call; `*#batch` for leading axes that are broadcast, to the `*batch` of the result.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 Joints = Float[Tensor, "*batch n"]
 BroadcastJoints = Float[Tensor, "*#batch n"]
+Numbers = BroadcastJoints | np.ndarray | Sequence[Any]
+"""(..., n), one column a joint, as users have it: a tensor, an array or lists."""
 JointMatrix = Float[Tensor, "*batch n n"]
 Pi = Float[Tensor, "*batch 10"]
 Wrenches = Float[Tensor, "*batch n 6"]
@@ -29,6 +35,7 @@ __all__ = [
     "JointMatrix",
     "Joints",
     "Matrix3",
+    "Numbers",
     "Pi",
     "Samples",
     "Signals",

@@ -331,7 +331,7 @@ def test_real_urdfs_are_feasible_and_plausible(tmp_path, folder, n):
     (entry,) = data["sets"]
     assert entry["feasible"]
     assert entry["plausibility"] == []
-    densities = torch.tensor([link["density"] for link in entry["links"]])
+    densities = torch.tensor([link["density"] for link in entry["links"]], dtype=torch.float64)
     assert len(densities) == n
     assert 300 < float(densities.min()) < float(densities.max()) < 2500
     # The meshes do not come with the URDF.

@@ -211,7 +211,9 @@ def test_excite_says_what_it_asks_of_the_drives(command, weak_arm, tmp_path, kin
     tau = nominal_torque(load_robot(arm), Motion(log.q, log.dq, log.ddq)).abs().amax(0)
     limits = [joint["limit"][1] for joint in said["joints"]]
     assert limits == [0.6, 3, 0.8]
-    assert (tau / torch.tensor(limits)).tolist() == pytest.approx(shares, rel=0.02)
+    assert (tau / torch.tensor(limits, dtype=torch.float64)).tolist() == pytest.approx(
+        shares, rel=0.02
+    )
     # Table 5.1 is printed as it is, whatever the arm.
     assert (max(shares) < 1) == (kind != "paper")
 

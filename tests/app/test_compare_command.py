@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tests.compare.records import several
-from tests.excitation.test_separation import diagnosis
+from tests.next_motion.test_separation import diagnosis
 from torchid.robot.library import load_robot
 
 

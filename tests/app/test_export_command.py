@@ -103,7 +103,7 @@ def test_links_of_no_material_are_named(tmp_path):
     small = robot.require_parameters("a test")
     inertia = InertialParameters.from_com(
         small.mass, small.com, 1e-4 * small.inertia_about_com.abs().clamp(min=1e-3)
-        * torch.tensor([1.0, 0, 0, 1, 0, 1])
+        * torch.tensor([1.0, 0, 0, 1, 0, 1], dtype=torch.float64)
     )  # fmt: skip
     write_robot(robot.with_parameters(inertia), tmp_path / "points.yaml")
     options = ("--to", "urdf", "--out", tmp_path / "o", "--geometry", "none", "--force")

@@ -25,9 +25,9 @@ def logs(tmp_path_factory):
     robot = load_robot("3r_friction")
     motion = trajectory_log(random_trajectory(robot, 0, count=2, fill=True), 100.0)
     box = InertialParameters.from_com(
-        torch.tensor([1.2]).double(),
-        torch.tensor([[0.03, -0.02, 0.08]]).double(),
-        torch.tensor([[0.005, 0, 0, 0.004, 0, 0.002]]).double(),
+        torch.tensor([1.2], dtype=torch.float64),
+        torch.tensor([[0.03, -0.02, 0.08]], dtype=torch.float64),
+        torch.tensor([[0.005, 0, 0, 0.004, 0, 0.002]], dtype=torch.float64),
     ).pi[0]
     for name, arm, seed in (
         ("empty", robot, 0),

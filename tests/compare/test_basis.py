@@ -20,7 +20,7 @@ def read(paths):
 def regrouped(path, into):
     """The same result with its columns taken from right to left: other independent parameters."""
     data = json.loads(path.read_text())
-    g = torch.tensor(data["grouping"]["matrix"])
+    g = torch.tensor(data["grouping"]["matrix"], dtype=torch.float64)
     rigid = sum(not n.startswith("F") for n in data["grouping"]["parameters"])
     flipped = torch.cat([g[:, :rigid].flip(1), g[:, rigid:]], 1)
     pivots, rows = [], flipped.clone()

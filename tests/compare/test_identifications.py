@@ -98,18 +98,20 @@ def test_the_whole_keeps_its_level_where_covariances_are_singular():
     """Twenty parameters, fifteen degrees of freedom, strong correlations: p-values are uniform."""
     g = torch.Generator().manual_seed(0)
     d, nu, m = 20, 15, 2
-    mix = torch.randn(d, d, generator=g)
-    root = torch.linalg.cholesky(mix @ mix.T / d + 0.05 * torch.eye(d))
+    mix = torch.randn(d, d, generator=g, dtype=torch.float64)
+    root = torch.linalg.cholesky(mix @ mix.T / d + 0.05 * torch.eye(d, dtype=torch.float64))
     true = root @ root.T
     size = true.diagonal().sqrt()
     white = (true / size / size.unsqueeze(1)).expand(m, d, d)
     p = []
     for k in range(60):
-        x = (root @ torch.randn(m, d, 1, generator=g)).squeeze(-1)
-        sample = root @ torch.randn(m, d, nu, generator=g)
+        x = (root @ torch.randn(m, d, 1, generator=g, dtype=torch.float64)).squeeze(-1)
+        sample = root @ torch.randn(m, d, nu, generator=g, dtype=torch.float64)
         c = sample @ sample.transpose(1, 2) / nu
-        p.append(whole(x, c, white, torch.full((m,), float(nu)), seed=k, draws=60).p)
-    p = torch.tensor(p)
+        p.append(
+            whole(x, c, white, torch.full((m,), float(nu), dtype=torch.float64), seed=k, draws=60).p
+        )
+    p = torch.tensor(p, dtype=torch.float64)
     assert 0.35 < float(p.mean()) < 0.65
     assert float((p < 0.1).double().mean()) < 0.25
 
@@ -117,10 +119,12 @@ def test_the_whole_keeps_its_level_where_covariances_are_singular():
 def test_the_whole_sees_what_no_single_parameter_shows():
     """A shift along the direction that is known best, of half a standard deviation of each."""
     d, nu = 10, 60
-    c = 0.02 * torch.eye(d) + 0.98 * torch.ones(d, d)
-    away = torch.tensor([0.5, -0.5] * (d // 2))
-    x = torch.stack([torch.zeros(d), away])
-    found = whole(x, c.expand(2, d, d), c.expand(2, d, d), torch.full((2,), float(nu)))
+    c = 0.02 * torch.eye(d, dtype=torch.float64) + 0.98 * torch.ones(d, d, dtype=torch.float64)
+    away = torch.tensor([0.5, -0.5] * (d // 2), dtype=torch.float64)
+    x = torch.stack([torch.zeros(d, dtype=torch.float64), away])
+    found = whole(
+        x, c.expand(2, d, d), c.expand(2, d, d), torch.full((2,), float(nu), dtype=torch.float64)
+    )
     assert found.pooled < 0.5
     assert found.p < 0.01
 

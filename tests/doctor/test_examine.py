@@ -102,7 +102,8 @@ def test_torque_that_no_arm_makes_is_said_to_be_so_and_nothing_else():
     robot, log = clean("3r", 0)
     t = log.t[:, None]
     hum = torch.sin(
-        t * torch.tensor([3.1, 4.3, 2.7]) + torch.sin(t * torch.tensor([0.9, 0.7, 1.3]))
+        t * torch.tensor([3.1, 4.3, 2.7], dtype=torch.float64)
+        + torch.sin(t * torch.tensor([0.9, 0.7, 1.3], dtype=torch.float64))
     )
     result = examine(robot, log.replace(tau=10 * hum))
     assert [c.name for c in alarms(result)] == ["torque explained"]

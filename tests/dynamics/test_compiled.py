@@ -105,7 +105,7 @@ def test_a_chosen_compiler_that_is_absent_is_named(monkeypatch: pytest.MonkeyPat
 
 def test_one_set_of_parameters_at_a_time() -> None:
     robot = mixed_arm("RP")
-    sets = InertialParameters(torch.zeros(4, 2, 10))
+    sets = InertialParameters(torch.zeros(4, 2, 10, dtype=torch.float64))
     with pytest.raises(TorchidError, match="one set"):
         compiled_dynamics(robot).inverse_dynamics(*states(robot, 4), sets)
 

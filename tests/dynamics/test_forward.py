@@ -49,7 +49,7 @@ def test_forward_inverts_inverse(robot: Robot) -> None:
 def test_forward_equals_peers(name: str) -> None:
     robot = arm(name)
     q, dq, _ = states(robot, 100)
-    tau = 20 * torch.randn(100, robot.n)
+    tau = 20 * torch.randn(100, robot.n, dtype=torch.float64)
     ddq = forward_dynamics(robot, q, dq, tau)
     assert relative(ddq, PinocchioOracle(robot).forward_dynamics(q, dq, tau)) < 1e-9
     assert relative(ddq, MujocoOracle(robot).forward_dynamics(q, dq, tau)) < 1e-9
@@ -73,8 +73,8 @@ def test_parameter_batches_broadcast(robot: Robot) -> None:
 
 def test_a_robot_without_gravity_has_no_gravity_torque(robot: Robot) -> None:
     q, _, _ = states(robot, 5)
-    weightless = replace(robot, gravity=torch.zeros(3))
-    assert torch.equal(gravity_torque(weightless, q), torch.zeros(5, robot.n))
+    weightless = replace(robot, gravity=torch.zeros(3, dtype=torch.float64))
+    assert torch.equal(gravity_torque(weightless, q), torch.zeros(5, robot.n, dtype=torch.float64))
 
 
 def swing(robot: Robot, friction: float, *, seconds: float, step: float) -> tuple[Tensor, ...]:
@@ -90,7 +90,11 @@ def swing(robot: Robot, friction: float, *, seconds: float, step: float) -> tupl
     def along(x: tuple[Tensor, ...], k: tuple[Tensor, ...], h: float) -> tuple[Tensor, ...]:
         return tuple(a + h * b for a, b in zip(x, k, strict=True))
 
-    x: tuple[Tensor, ...] = (torch.full((robot.n,), 0.4), torch.zeros(robot.n), torch.zeros(()))
+    x: tuple[Tensor, ...] = (
+        torch.full((robot.n,), 0.4, dtype=torch.float64),
+        torch.zeros(robot.n, dtype=torch.float64),
+        torch.zeros((), dtype=torch.float64),
+    )
     energies, lost = [], []
     for _ in range(round(seconds / step) + 1):
         q, dq, work = x

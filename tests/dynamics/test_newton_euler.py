@@ -72,7 +72,12 @@ def test_any_leading_batch(robot: Robot, batch: tuple[int, ...]) -> None:
 
 def test_signals_broadcast(robot: Robot) -> None:
     q, dq, ddq = states(robot, 4)
-    tau = inverse_dynamics(robot, q, torch.zeros(robot.n), torch.zeros(1, robot.n))
+    tau = inverse_dynamics(
+        robot,
+        q,
+        torch.zeros(robot.n, dtype=torch.float64),
+        torch.zeros(1, robot.n, dtype=torch.float64),
+    )
     assert tau.shape == (4, robot.n)
     still = inverse_dynamics(robot, q, torch.zeros_like(dq), torch.zeros_like(ddq))
     torch.testing.assert_close(tau, still)

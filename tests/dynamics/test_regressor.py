@@ -34,7 +34,7 @@ def test_columns_are_torques_of_unit_parameters(robot: Robot) -> None:
     motion = states(robot, 3)
     y = regressor(robot, *motion)
     for column in range(10 * robot.n):
-        unit = torch.zeros(10 * robot.n)
+        unit = torch.zeros(10 * robot.n, dtype=torch.float64)
         unit[column] = 1.0
         tau = inverse_dynamics(robot, *motion, InertialParameters.from_paper_order(unit))
         torch.testing.assert_close(y[..., column], tau, rtol=1e-11, atol=1e-11)

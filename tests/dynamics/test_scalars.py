@@ -34,7 +34,7 @@ def number(x: Scalar) -> float:
 
 
 def array(v: Vec3) -> torch.Tensor:
-    return torch.tensor([number(c) for c in v])
+    return torch.tensor([number(c) for c in v], dtype=torch.float64)
 
 
 @pytest.mark.parametrize("kinds", list(itertools.product([float, torch.tensor], repeat=3)))
@@ -47,9 +47,9 @@ def test_fma_in_every_mixture(kinds: tuple, scale: float) -> None:
 
 
 def test_known_products_cost_nothing() -> None:
-    x = torch.randn(3)
-    assert fma(x, torch.randn(3), 0.0) is x
-    assert fma(x, 0.0, torch.randn(3)) is x
+    x = torch.randn(3, dtype=torch.float64)
+    assert fma(x, torch.randn(3, dtype=torch.float64), 0.0) is x
+    assert fma(x, 0.0, torch.randn(3, dtype=torch.float64)) is x
     assert mul(x, 1.0) is x
     assert mul(x, 0.0) == 0.0
     assert add(x, 0.0) is x

@@ -24,7 +24,7 @@ def test_accelerations_equal_pinocchios_articulated_bodies(name: str) -> None:
     found = arm(name)
     robot = found.with_parameters(consistent_parameters(found.n, 5))
     q, dq, _ = states(robot, 100)
-    tau = 20 * torch.randn(100, robot.n)
+    tau = 20 * torch.randn(100, robot.n, dtype=torch.float64)
     ddq = forward_dynamics(robot, q, dq, tau)
     assert relative(ddq, PinocchioOracle(robot).forward_dynamics(q, dq, tau)) < 1e-10
 
@@ -47,16 +47,23 @@ def test_small_and_large_batches_agree() -> None:
 
 
 def test_an_indefinite_mass_matrix_still_has_accelerations() -> None:
-    mass = torch.stack([torch.diag(torch.tensor([2.0, -1.0])), torch.eye(2)])
-    torque = torch.tensor([[4.0, 3.0], [1.0, 2.0]])
-    assert torch.equal(solve_mass(mass, torque), torch.tensor([[2.0, -3.0], [1.0, 2.0]]))
+    mass = torch.stack(
+        [
+            torch.diag(torch.tensor([2.0, -1.0], dtype=torch.float64)),
+            torch.eye(2, dtype=torch.float64),
+        ]
+    )
+    torque = torch.tensor([[4.0, 3.0], [1.0, 2.0]], dtype=torch.float64)
+    assert torch.equal(
+        solve_mass(mass, torque), torch.tensor([[2.0, -3.0], [1.0, 2.0]], dtype=torch.float64)
+    )
 
 
 def test_gravity_of_each_arm_counts() -> None:
     robot = arm("3r")
-    weightless = replace(robot, gravity=torch.zeros(3))
+    weightless = replace(robot, gravity=torch.zeros(3, dtype=torch.float64))
     q, _, _ = states(robot, 2)
     still = torch.zeros_like(q)
     tau = arms_of([robot, weightless], q).at(q).torque(still)
     assert float(tau[0].abs().max()) > 0.1
-    assert torch.equal(tau[1], torch.zeros(3))
+    assert torch.equal(tau[1], torch.zeros(3, dtype=torch.float64))

@@ -62,7 +62,10 @@ def scale(name: str, motion: Motion, joint: int) -> float:
 
 def shape_grid(kind: type[Effect], motion: Motion, joint: int = JOINT) -> list[Tensor]:
     """Per shape parameter its grid (S,), for this motion."""
-    return [torch.tensor(s.grid) * scale(s.scale, motion, joint) for s in kind.shapes]
+    return [
+        torch.tensor(s.grid, dtype=torch.float64) * scale(s.scale, motion, joint)
+        for s in kind.shapes
+    ]
 
 
 def on_joint(kind: type[JointEffect], joint: int = JOINT) -> JointEffect:

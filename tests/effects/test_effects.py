@@ -124,7 +124,9 @@ def test_planted_value_is_recovered(kind: type[Effect]) -> None:
         values = planted(effect)
         tau = effect.all_torques(trajectory(), values, robot()).reshape(-1, 1)
         found = torch.linalg.lstsq(columns / size, tau).solution.squeeze(-1) / size
-        torch.testing.assert_close(found, torch.tensor(values), rtol=1e-8, atol=1e-8)
+        torch.testing.assert_close(
+            found, torch.tensor(values, dtype=torch.float64), rtol=1e-8, atol=1e-8
+        )
     assert found_one
 
 
@@ -147,7 +149,9 @@ def test_any_batch_of_instants(kind: type[JointEffect], batch: tuple) -> None:
     columns = effect.columns(state)
     values = planted(effect)
     assert columns.shape == (*batch, len(values))
-    torch.testing.assert_close(effect.torque(state, values), columns @ torch.tensor(values))
+    torch.testing.assert_close(
+        effect.torque(state, values), columns @ torch.tensor(values, dtype=torch.float64)
+    )
 
 
 @joint_kind
@@ -229,7 +233,7 @@ def test_planted_values_of_all_plain_columns_together() -> None:
     assert [e.joint for e in effects] == list(range(6)) * len(COLUMN_KINDS)
     own = [e for e in effects if e.joint == JOINT]
     a = torch.cat([e.columns(trajectory()) for e in own], -1)
-    values = torch.rand(a.shape[1])
+    values = torch.rand(a.shape[1], dtype=torch.float64)
     found = torch.linalg.lstsq(a, (a @ values).unsqueeze(-1)).solution.squeeze(-1)
     torch.testing.assert_close(found, values, rtol=1e-11, atol=1e-11)
 
@@ -268,7 +272,7 @@ def test_columns_jump_at_reversals_only_where_they_say_so(kind: type[JointEffect
     if kind.memory:
         pytest.skip("the torque of a path")
     at = instants(trajectory())
-    dq = torch.tensor([[-1e-9], [1e-9]]).expand(2, len(at.q))
+    dq = torch.tensor([[-1e-9], [1e-9]], dtype=torch.float64).expand(2, len(at.q))
     both = Motion(*(None if x is None else x.expand(2, *x.shape) for x in at))._replace(dq=dq)
     jump = float(on_joint(kind).columns(both).diff(dim=0).abs().max())
     # The asymmetry jumps at the ends of its dead band instead.
@@ -276,8 +280,8 @@ def test_columns_jump_at_reversals_only_where_they_say_so(kind: type[JointEffect
 
 
 def test_signs_by_hand() -> None:
-    dq = torch.tensor([[0.0, 2.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, 0.0]])
-    state = Motion(torch.zeros(3, 3), dq, 3 * dq)
+    dq = torch.tensor([[0.0, 2.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    state = Motion(torch.zeros(3, 3, dtype=torch.float64), dq, 3 * dq)
 
     def torque(kind: type[Effect]) -> list[float]:
         return kind(1).torque(state, [0.5]).tolist()
@@ -302,7 +306,7 @@ def test_smooth_sign_tends_to_the_sharp_one() -> None:
 
 
 def test_smooth_sign_has_a_gradient_at_rest() -> None:
-    dq = torch.zeros(3, requires_grad=True)
+    dq = torch.zeros(3, requires_grad=True, dtype=torch.float64)
     column = CoulombFriction(1, smoothing=0.1).columns(Motion(dq, dq, dq))
     (slope,) = torch.autograd.grad(column.sum(), dq)
     assert slope.tolist() == [0.0, 10.0, 0.0]

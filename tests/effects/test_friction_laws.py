@@ -17,7 +17,7 @@ from torchid.effects.friction_laws import (
 
 
 def at(*speeds: float, torque: float | None = None) -> Motion:
-    dq = torch.tensor(speeds).unsqueeze(-1)
+    dq = torch.tensor(speeds, dtype=torch.float64).unsqueeze(-1)
     return Motion(
         torch.zeros_like(dq), dq, dq, torque=None if torque is None else torch.full_like(dq, torque)
     )
@@ -27,20 +27,22 @@ def at(*speeds: float, torque: float | None = None) -> Motion:
 def test_stribeck_at_rest_at_its_speed_and_far_above(d: float) -> None:
     effect = StribeckFriction(0, vs=0.2, d=d)
     found = effect.torque(at(0.0, 1e-14, 0.2, -0.2, 1e6), [3.0])
-    expected = torch.tensor([0.0, 3.0, 3.0 / math.e, -3.0 / math.e, 0.0])
+    expected = torch.tensor([0.0, 3.0, 3.0 / math.e, -3.0 / math.e, 0.0], dtype=torch.float64)
     torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-12)
 
 
 def test_stribeck_exponent_in_a_batch_is_the_instance_s() -> None:
     motion = at(0.05, 0.1, 0.4)
-    batch = StribeckFriction.formula(motion, torch.tensor(0.1), torch.tensor(1.0))
+    batch = StribeckFriction.formula(
+        motion, torch.tensor(0.1, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)
+    )
     assert torch.equal(batch[..., 0, :], StribeckFriction(0, vs=0.1, d=1.0).columns(motion))
-    default = StribeckFriction.formula(motion, torch.tensor(0.1))
+    default = StribeckFriction.formula(motion, torch.tensor(0.1, dtype=torch.float64))
     assert torch.equal(default[..., 0, :], StribeckFriction(0, vs=0.1).columns(motion))
 
 
 def test_stribeck_with_coulomb_falls_from_breakaway_to_coulomb() -> None:
-    motion = at(*torch.logspace(-4, 1, 50).tolist())
+    motion = at(*torch.logspace(-4, 1, 50, dtype=torch.float64).tolist())
     total = CoulombFriction(0).torque(motion, [2.0]) + StribeckFriction(0).torque(motion, [1.0])
     assert bool((total.diff() <= 0).all())
     assert float(total[0]) == pytest.approx(3.0, abs=1e-5)
@@ -78,7 +80,9 @@ def test_asymmetry_is_an_offset_unless_the_joint_dwells() -> None:
     offset = TorqueOffset(0).columns(moving)
     assert torch.equal(AsymmetricFriction(0).columns(moving)[:, :1], offset)
     # A joint at rest that keeps the direction it came from, with noise on its speed.
-    resting = at(0.0, 0.9 * RESTING, -0.9 * RESTING)._replace(direction=torch.ones(3, 1))
+    resting = at(0.0, 0.9 * RESTING, -0.9 * RESTING)._replace(
+        direction=torch.ones(3, 1, dtype=torch.float64)
+    )
     assert not AsymmetricFriction(0).columns(resting)[:, 0].any()
 
 
@@ -97,5 +101,5 @@ def test_shapes_without_meaning_are_refused(make) -> None:
 
 @pytest.mark.parametrize("effect", [StribeckFriction(0), CoulombFriction(0)])
 def test_known_direction_wins_over_noise(effect: Effect) -> None:
-    noisy = at(1e-5, -1e-5)._replace(direction=torch.ones(2, 1))
+    noisy = at(1e-5, -1e-5)._replace(direction=torch.ones(2, 1, dtype=torch.float64))
     assert bool((effect.torque_columns(noisy) > 0).all())

@@ -21,14 +21,19 @@ def deflection(q: Tensor, length: float) -> Tensor:
 
 
 def zigzag(amplitude: float, turns: int, each: int) -> Tensor:
-    corners = torch.tensor([0.0] + [amplitude * (-1.0) ** k for k in range(2 * turns + 1)])
-    legs = [torch.linspace(float(a), float(b), each)[:-1] for a, b in corners.unfold(0, 2, 1)]
+    corners = torch.tensor(
+        [0.0] + [amplitude * (-1.0) ** k for k in range(2 * turns + 1)], dtype=torch.float64
+    )
+    legs = [
+        torch.linspace(float(a), float(b), each, dtype=torch.float64)[:-1]
+        for a, b in corners.unfold(0, 2, 1)
+    ]
     return torch.cat([*legs, corners[-1:]])
 
 
 @pytest.mark.parametrize("length", [0.01, 0.3])
 def test_from_rest_it_builds_up_exponentially(length: float) -> None:
-    q = torch.linspace(0, 2, 37) ** 2
+    q = torch.linspace(0, 2, 37, dtype=torch.float64) ** 2
     expected = 1 - torch.exp(-q / length)
     torch.testing.assert_close(deflection(q, length), expected, rtol=1e-12, atol=1e-14)
     torch.testing.assert_close(deflection(-q, length), -expected, rtol=1e-12, atol=1e-14)
@@ -58,7 +63,7 @@ def test_it_solves_dahls_equation() -> None:
     def slope(t: float, z: np.ndarray) -> np.ndarray:
         return (speed(t) - abs(speed(t)) * z) / length
 
-    t = torch.linspace(0, 4, 4001)
+    t = torch.linspace(0, 4, 4001, dtype=torch.float64)
     q = 0.5 / 3 * torch.sin(3 * t) + 0.4 / 7 * torch.sin(7 * t + 1)
     truth = solve_ivp(slope, (0, 4), [0.0], t_eval=t.numpy(), rtol=1e-10, atol=1e-12).y[0]
     # A step that holds a reversal misses its tip, by up to ddq dt^2 / 8 of travel: 2e-5 lengths.
@@ -81,23 +86,30 @@ def test_over_long_travel_it_is_coulomb_friction() -> None:
 
 
 def test_it_never_exceeds_its_limit_and_rests_at_rest() -> None:
-    q = torch.cat([0.3 * torch.randn(500).cumsum(0), torch.full((50,), 7.0)])
+    q = torch.cat(
+        [
+            0.3 * torch.randn(500, dtype=torch.float64).cumsum(0),
+            torch.full((50,), 7.0, dtype=torch.float64),
+        ]
+    )
     z = deflection(q, 0.01)
     assert float(z.abs().max()) <= 1.0
     assert torch.equal(z[501:], z[500].expand(49))
 
 
 def test_an_empty_trajectory_has_no_rows() -> None:
-    none = torch.zeros(0, 2)
+    none = torch.zeros(0, 2, dtype=torch.float64)
     motion = Motion(none, none, none)
     assert PreslidingHysteresis(1).columns(motion).shape == (0, 1)
 
 
 def test_reading_the_torque_is_no_step() -> None:
-    one = torch.ones(3, 2)
+    one = torch.ones(3, 2, dtype=torch.float64)
     motion = Motion(one, one, one)
     state = 0.3 * one
-    columns, after = PreslidingHysteresis.advance(motion, 0.0, state, torch.tensor(0.1))
+    columns, after = PreslidingHysteresis.advance(
+        motion, 0.0, state, torch.tensor(0.1, dtype=torch.float64)
+    )
     assert torch.equal(columns[..., 0], state)
     assert after is not None
     assert torch.equal(after, state)

@@ -27,7 +27,7 @@ def test_nominal_effects_of_built_in_robots(name: str) -> None:
     assert len(found) == len(robot.effects) == 3 * robot.n
     assert {e.name for e, _ in found} == {"viscous_friction", "coulomb_friction", "torque_offset"}
     state = Motion(*states(robot, 6))
-    expected = torch.zeros(6, robot.n)
+    expected = torch.zeros(6, robot.n, dtype=torch.float64)
     for record in robot.effects:
         expected[:, record["joint"] - 1] += by_hand(record, state.dq[:, record["joint"] - 1])
     torch.testing.assert_close(nominal_effect_torque(robot, state), expected)
@@ -46,7 +46,7 @@ def test_a_robot_without_effects_has_no_effect_torque() -> None:
     robot = arm("3r")
     state = Motion(*states(robot, 4))
     assert nominal_effects(robot) == []
-    assert torch.equal(nominal_effect_torque(robot, state), torch.zeros(4, 3))
+    assert torch.equal(nominal_effect_torque(robot, state), torch.zeros(4, 3, dtype=torch.float64))
 
 
 @pytest.mark.parametrize(

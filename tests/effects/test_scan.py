@@ -40,28 +40,32 @@ def test_affine_scan_is_the_loop(length: int, seed: int) -> None:
 
 @pytest.mark.parametrize("length", [1, 2, 3, 8, 1000])
 def test_long_and_short_sequences(length: int) -> None:
-    a, b = torch.rand(length, 2), torch.randn(length, 2)
-    z = torch.tensor([0.5, -2.0])
+    a, b = torch.rand(length, 2, dtype=torch.float64), torch.randn(length, 2, dtype=torch.float64)
+    z = torch.tensor([0.5, -2.0], dtype=torch.float64)
     torch.testing.assert_close(affine_scan(a, b, z), loop(affine, a, b, z), rtol=1e-12, atol=1e-12)
 
 
 def test_a_mean_over_time_by_hand() -> None:
     """a = 1/2, b = 1 from 0: 1, 3/2, 7/4, .. -> 2."""
-    found = affine_scan(torch.tensor(0.5), torch.ones(5, 1), torch.tensor(0.0))
+    found = affine_scan(
+        torch.tensor(0.5, dtype=torch.float64),
+        torch.ones(5, 1, dtype=torch.float64),
+        torch.tensor(0.0, dtype=torch.float64),
+    )
     assert found.flatten().tolist() == [1.0, 1.5, 1.75, 1.875, 1.9375]
 
 
 def test_slopes_and_constants_are_broadcast_over_a_grid() -> None:
-    a, b = torch.rand(5, 1, 1), torch.randn(40, 3)
-    found = affine_scan(a, b, torch.tensor(0.3))
+    a, b = torch.rand(5, 1, 1, dtype=torch.float64), torch.randn(40, 3, dtype=torch.float64)
+    found = affine_scan(a, b, torch.tensor(0.3, dtype=torch.float64))
     assert found.shape == (5, 40, 3)
     for k in range(5):
-        one = loop(affine, a[k].expand(40, 3), b, torch.full((3,), 0.3))
+        one = loop(affine, a[k].expand(40, 3), b, torch.full((3,), 0.3, dtype=torch.float64))
         torch.testing.assert_close(found[k], one, rtol=1e-12, atol=1e-12)
 
 
 def test_gradients_pass_through_the_scan() -> None:
-    a = torch.rand(7, 2, requires_grad=True)
-    b = torch.randn(7, 2, requires_grad=True)
-    z = torch.randn(2, requires_grad=True)
+    a = torch.rand(7, 2, requires_grad=True, dtype=torch.float64)
+    b = torch.randn(7, 2, requires_grad=True, dtype=torch.float64)
+    z = torch.randn(2, requires_grad=True, dtype=torch.float64)
     assert torch.autograd.gradcheck(affine_scan, (a, b, z))

@@ -29,13 +29,13 @@ def misfit(a: Tensor, tau: Tensor) -> float:
 
 
 def test_a_straight_spring_pulls_to_its_rest_position() -> None:
-    q = torch.tensor([0.2, 0.5, 1.2])
+    q = torch.tensor([0.2, 0.5, 1.2], dtype=torch.float64)
     torque = JointSpring(0).torque(along(q), [10.0, -5.0])
     torch.testing.assert_close(torque, 10.0 * (q - 0.5), rtol=1e-14, atol=1e-14)
 
 
 def test_a_counterbalance_is_a_wave_of_one_period_a_turn() -> None:
-    q = torch.linspace(-7, 7, 50)
+    q = torch.linspace(-7, 7, 50, dtype=torch.float64)
     lever = 3.0 * torch.sin(q - 0.4)
     values = [3.0 * math.cos(0.4), -3.0 * math.sin(0.4)]
     found = JointSpring(0, curvature=1.0).torque(along(q), values)
@@ -45,7 +45,7 @@ def test_a_counterbalance_is_a_wave_of_one_period_a_turn() -> None:
 
 @pytest.mark.parametrize("curvature", CURVATURES)
 def test_its_second_derivative_is_minus_curvature_times_itself(curvature: float) -> None:
-    q = torch.linspace(-2, 2, 41, requires_grad=True)
+    q = torch.linspace(-2, 2, 41, requires_grad=True, dtype=torch.float64)
     for k, at_zero in enumerate([(0, 1), (1, 0)]):
         column = columns(q, curvature)[:, k]
         (slope,) = torch.autograd.grad(column.sum(), q, create_graph=True)
@@ -57,7 +57,9 @@ def test_its_second_derivative_is_minus_curvature_times_itself(curvature: float)
 
 @pytest.mark.parametrize("x", [-1.0, 1.0])
 def test_series_and_closed_forms_meet(x: float) -> None:
-    inside, outside = (stumpff(torch.tensor(x * s)) for s in (0.999e-3, 1.001e-3))
+    inside, outside = (
+        stumpff(torch.tensor(x * s, dtype=torch.float64)) for s in (0.999e-3, 1.001e-3)
+    )
     for a, b, slope in zip(inside, outside, (-0.5, -1 / 6), strict=True):
         assert float(b - a) == pytest.approx(slope * x * 2e-6, rel=1e-3)
 
@@ -65,22 +67,25 @@ def test_series_and_closed_forms_meet(x: float) -> None:
 @pytest.mark.parametrize("curvature", CURVATURES)
 def test_the_rest_position_needs_no_search(curvature: float) -> None:
     """A spring about any position is made of the same two columns."""
-    q = torch.linspace(-1.5, 1.0, 80)
-    shifted = columns(q - 0.7, curvature) @ torch.tensor([2.0, 0.0])
+    q = torch.linspace(-1.5, 1.0, 80, dtype=torch.float64)
+    shifted = columns(q - 0.7, curvature) @ torch.tensor([2.0, 0.0], dtype=torch.float64)
     assert misfit(columns(q, curvature), shifted) < 1e-11
 
 
 @pytest.mark.parametrize(("rest", "k3"), [(0.0, 1.0), (0.3, 1.0), (-0.5, 3.0)])
 def test_a_cubic_spring_is_nearly_a_hardening_one(rest: float, k3: float) -> None:
-    q = torch.linspace(-1.5, 1.5, 200)
+    q = torch.linspace(-1.5, 1.5, 200, dtype=torch.float64)
     tau = (q - rest) + k3 * (q - rest) ** 3
     low, high = JointSpring.shapes[0].low, JointSpring.shapes[0].high
-    left = [misfit(columns(q, c), tau) for c in torch.linspace(low, high, 41).tolist()]
+    left = [
+        misfit(columns(q, c), tau)
+        for c in torch.linspace(low, high, 41, dtype=torch.float64).tolist()
+    ]
     assert min(left) < 0.06
     assert min(left) < 0.2 * misfit(columns(q, 0.0), tau)
 
 
 @pytest.mark.parametrize("curvature", JointSpring.shapes[0].grid)
 def test_columns_are_well_conditioned_half_a_turn_away(curvature: float) -> None:
-    a = columns(torch.linspace(2.6, 3.6, 100), curvature)
+    a = columns(torch.linspace(2.6, 3.6, 100, dtype=torch.float64), curvature)
     assert float(torch.linalg.cond(a / a.norm(dim=0))) < 1e6

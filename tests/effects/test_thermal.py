@@ -11,20 +11,20 @@ from torchid.effects.thermal import ThermalFrictionDrift
 
 
 def motion(t: torch.Tensor, *batch: int) -> Motion:
-    dq = torch.randn(*batch, 2)
+    dq = torch.randn(*batch, 2, dtype=torch.float64)
     return Motion(dq, dq, dq, t=t)
 
 
 def test_it_starts_at_nothing_and_ends_as_friction() -> None:
-    state = motion(torch.tensor([0.0, 20.0, 1e6]), 3)
+    state = motion(torch.tensor([0.0, 20.0, 1e6], dtype=torch.float64), 3)
     found = ThermalFrictionDrift(1, T=20.0).torque(state, [-0.2, -0.7])
     full = ViscousFriction(1).torque(state, [-0.2]) + CoulombFriction(1).torque(state, [-0.7])
-    share = torch.tensor([0.0, 1 - 1 / math.e, 1.0])
+    share = torch.tensor([0.0, 1 - 1 / math.e, 1.0], dtype=torch.float64)
     torch.testing.assert_close(found, share * full, rtol=1e-14, atol=1e-14)
 
 
 def test_short_logs_show_the_slope_only() -> None:
-    state = motion(torch.linspace(0, 1, 20), 20)
+    state = motion(torch.linspace(0, 1, 20, dtype=torch.float64), 20)
     for constant in (1e4, 2e4):
         slope = constant * ThermalFrictionDrift(0, T=constant).columns(state)[:, 1]
         expected = state.t * torch.sign(state.dq[:, 0])
@@ -33,7 +33,7 @@ def test_short_logs_show_the_slope_only() -> None:
 
 @pytest.mark.parametrize(("t", "batch"), [((), ()), ((), (4,)), ((4,), (4,)), ((9,), (4, 9))])
 def test_time_has_one_axis_less_than_motion(t: tuple, batch: tuple) -> None:
-    state = motion(60 * torch.rand(t), *batch)
+    state = motion(60 * torch.rand(t, dtype=torch.float64), *batch)
     found = ThermalFrictionDrift(0).columns(state)
     assert found.shape == (*batch, 2)
     warmth = 1 - torch.exp(-state.t / 60)  # type: ignore[operator]
@@ -41,7 +41,7 @@ def test_time_has_one_axis_less_than_motion(t: tuple, batch: tuple) -> None:
 
 
 def test_it_needs_time_and_a_time_constant() -> None:
-    state = motion(torch.tensor(0.0))._replace(t=None)
+    state = motion(torch.tensor(0.0, dtype=torch.float64))._replace(t=None)
     with pytest.raises(ValueError, match="thermal_friction_drift needs the motion's t"):
         ThermalFrictionDrift(0).columns(state)
     with pytest.raises(ValueError, match="positive"):

@@ -1,13 +1,19 @@
 """Clipped torque, contact forces and held samples."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from tests.arms import ARMS, arm
 from tests.effects.exact_logs import smooth_motion
+from tests.oracles import PinocchioOracle
+from torchid.dynamics.forward import gravity_torque
 from torchid.effects.inertia import Payload
 from torchid.effects.transient import RAMP, Contact, DroppedSamples, Saturation
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import tool_pose
+from torchid.robot.placement import pose
 
 
 def test_hard_clip_is_a_clamp() -> None:
@@ -45,6 +51,36 @@ def test_contact_is_the_work_of_the_force(name: str) -> None:
         step[j] = h
         moved = tool_pose(robot, motion.q + step) - tool_pose(robot, motion.q - step)
         torch.testing.assert_close(columns[:, j], moved[:, :3, 3] / (2 * h), rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_contact_equals_pinocchios_jacobian_and_the_weight_of_a_unit_mass(name: str) -> None:
+    robot = replace(arm(name), tool=pose(None, (0.1, -0.2, 0.3)))
+    motion = smooth_motion(robot, 20)
+    columns = Contact().torque_columns(motion, robot)
+    expected = PinocchioOracle(robot).tool_jacobian(motion.q)[:, :3].mT
+    assert (columns - expected).abs().max() < 1e-12
+    # A weightless arm that holds 1 kg at the tool against 1 m/s^2 pushes with 1 N.
+    at = robot.tool[:3, 3][None].repeat(robot.n, 1)
+    mass = torch.zeros(robot.n, dtype=torch.float64)
+    mass[-1] = 1.0
+    held = InertialParameters.from_com(mass, at, torch.zeros(robot.n, 6, dtype=torch.float64))
+    for axis, down in enumerate(-torch.eye(3, dtype=torch.float64)):
+        weight = gravity_torque(replace(robot, gravity=down), motion.q, held)
+        assert (columns[..., axis] - weight).abs().max() < 1e-12
+
+
+def test_contact_keeps_its_digits_in_a_user_s_float32_world() -> None:
+    robot = replace(arm("panda"), tool=pose(None, (0.1, -0.2, 0.3)))
+    motion = smooth_motion(robot, 20)
+    expected = Contact().torque_columns(motion, robot)
+    default = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        again = Contact().torque_columns(motion, replace(robot))
+    finally:
+        torch.set_default_dtype(default)
+    assert torch.equal(again, expected)
 
 
 def test_contact_holds_a_weight() -> None:

@@ -99,7 +99,7 @@ def test_derivatives_agree_with_autograd(ramp):
 
 def test_it_starts_and_ends_at_rest():
     trajectory = series(batch=(2,))
-    motion = trajectory.at(torch.tensor([0.0, 20.0, -1.0, 21.0]))
+    motion = trajectory.at(torch.tensor([0.0, 20.0, -1.0, 21.0], dtype=torch.float64))
     assert motion.dq.abs().max() == 0
     assert motion.ddq.abs().max() < 1e-12
     assert torch.equal(motion.q[:, 0], motion.q[:, 2])
@@ -234,7 +234,9 @@ def test_a_prismatic_joint():
 
 def test_joints_that_turn_for_ever_stay_within_one_turn():
     robot = load_robot("3r")
-    position = torch.tensor([[-math.inf, math.inf], [-1.0, math.inf], [-1.0, 2.0]]).double()
+    position = torch.tensor(
+        [[-math.inf, math.inf], [-1.0, math.inf], [-1.0, 2.0]], dtype=torch.float64
+    )
     free = replace(robot, limits=replace(robot.limits, position=position))
     limits = motion_limits(free)
     one_turn = [[-math.pi, math.pi], [-1.0, 2 * math.pi - 1.0], [-1.0, 2.0]]
@@ -251,7 +253,7 @@ def test_missing_limits_are_named():
     slide = random_arm(5, "PRP")
     with pytest.raises(RobotError, match="position limits, which excitation of a sliding joint"):
         sinusoid(replace(slide, limits=replace(slide.limits, position=None)), 0)
-    pushed = torch.tensor([[0.1, 2.0]] * 3).double()
+    pushed = torch.tensor([[0.1, 2.0]] * 3, dtype=torch.float64)
     with pytest.raises(RobotError, match="do not contain 0"):
         motion_limits(replace(robot, limits=replace(robot.limits, velocity=pushed)))
     with pytest.raises(RobotError, match="share of the limits"):
@@ -354,13 +356,15 @@ def test_the_design_is_that_of_the_seed():
 def test_rows_are_weighted_by_torque_limits():
     robot = load_robot("3r")
     assert row_weights(robot) is None
-    torque = torch.tensor([[-100.0, 50.0], [-50.0, 50.0], [-10.0, 10.0]]).double()
+    torque = torch.tensor([[-100.0, 50.0], [-50.0, 50.0], [-10.0, 10.0]], dtype=torch.float64)
     strong = replace(robot, limits=replace(robot.limits, torque=torque))
     assert row_weights(strong).tolist() == [1.0, 2.0, 10.0]
     base = base_parameters(robot)
     motion = random_trajectory(robot, 0).sample(20).motion
     plain = condition_number(robot, base, motion)
-    assert condition_number(robot, base, motion, torch.full((3,), 7.0)) == pytest.approx(plain)
+    assert condition_number(
+        robot, base, motion, torch.full((3,), 7.0, dtype=torch.float64)
+    ) == pytest.approx(plain)
     assert condition_number(robot, base, motion, row_weights(strong)) != pytest.approx(plain)
 
 

@@ -27,7 +27,10 @@ def prior(robot, tmp_path_factory):
     """A log of 200 random states of noise 0.1 N m."""
     path = identification(tmp_path_factory.mktemp("prior") / "a.json", 0, blocks=100000)
     data = json.loads(path.read_text())
-    data["rows"] = {"per_second": PER_SECOND, "whitening": (10 * torch.eye(3)).tolist()}
+    data["rows"] = {
+        "per_second": PER_SECOND,
+        "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
+    }
     path.write_text(json.dumps(data))
     return read_prior(path, robot)
 
@@ -90,7 +93,10 @@ def test_what_the_log_did_not_determine_is_a_target(robot, tmp_path):
         for row in data[key]:
             row[k] = 0.0
     data["covariance"][k] = [0.0] * len(data["base_names"])
-    data["rows"] = {"per_second": PER_SECOND, "whitening": torch.eye(3).tolist()}
+    data["rows"] = {
+        "per_second": PER_SECOND,
+        "whitening": torch.eye(3, dtype=torch.float64).tolist(),
+    }
     path.write_text(json.dumps(data))
     prior = read_prior(path, robot)
     assert bool(least_known(prior)[k])

@@ -17,14 +17,14 @@ from torchid.errors import RobotError
 from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.informed import design_for
 from torchid.excitation.limits import limit_usage, motion_limits
-from torchid.excitation.rows import Setting
-from torchid.excitation.separating_motion import design_separation
-from torchid.excitation.separation import Explanation, Rival
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, write_trajectory
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.reading import read_prior
 from torchid.log.readers import read_log
+from torchid.next_motion.rows import Setting
+from torchid.next_motion.separating_motion import design_separation
+from torchid.next_motion.separation import Explanation, Rival
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits
 
@@ -108,7 +108,7 @@ def test_a_motion_is_drawn_to_rest_no_further_than_needed(robot, plan):
     assert float(own.max()) < 1.0
     if done is not full:
         assert float(own.max()) > 0.97
-    part = full.towards(torque.rest, torch.tensor(0.3)).sample(50.0)
+    part = full.towards(torque.rest, torch.tensor(0.3, dtype=torch.float64)).sample(50.0)
     whole = full.sample(50.0)
     torch.testing.assert_close(part.q, torque.rest + 0.3 * (whole.q - torque.rest))
     torch.testing.assert_close(part.dq, 0.3 * whole.dq)
@@ -153,7 +153,7 @@ def test_without_limits_or_parameters_the_design_is_the_same():
     robot = limited("3r", LIMITED["3r"])
     free = replace(robot, limits=replace(robot.limits, torque=None))
     infinite = limited("3r", [math.inf] * 3)
-    weights = torch.ones(3)
+    weights = torch.ones(3, dtype=torch.float64)
     made = [
         optimise_trajectory(r, seed=0, restarts=2, iterations=5, weights=weights)
         for r in (free, replace(robot, parameters=None), infinite, robot)
@@ -168,7 +168,10 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     robot = limited("3r_friction", LIMITED["3r_friction"])
     path = identification(tmp_path / "a.json", 0, blocks=1000)
     data = json.loads(path.read_text())
-    data["rows"] = {"per_second": 20.0, "whitening": (10 * torch.eye(3)).tolist()}
+    data["rows"] = {
+        "per_second": 20.0,
+        "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
+    }
     # An arm that needs more: the nominal parameters would not tell.
     data["base_values"] = [1.7 * v for v in data["base_values"]]
     path.write_text(json.dumps(data))
@@ -191,7 +194,7 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
 def test_a_separating_motion_keeps_them_by_the_corrected_model():
     robot = limited("3r", LIMITED["3r"])
     given = (ViscousFriction(1), [0.5])
-    noise = torch.full((3,), 0.1)
+    noise = torch.full((3,), 0.1, dtype=torch.float64)
     setting = Setting(robot, (given,), base_parameters(robot), noise, 20.0, 8.0)
     pair = Rival(Explanation((CoulombFriction(1),), (0.5,)), ((ViscousFriction(1),),), "viscous")
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)

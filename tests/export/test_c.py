@@ -162,7 +162,7 @@ def test_a_joint_that_stands_still(tmp_path):
     dynamics = Dynamics(
         robot.with_parameters(InertialParameters(robot.parameters.pi)), "robot", "t"
     )
-    q = torch.zeros(1, 3)
+    q = torch.zeros(1, 3, dtype=torch.float64)
     motion = Motion(q, q, q)
     found = check_c(c_file(dynamics, "still"), "still", motion, dynamics.torque(motion))
     assert found.difference <= 1e-12

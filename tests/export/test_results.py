@@ -13,10 +13,10 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, folded, nearest_representative, robot_torque, states
-from torchid.export.export import export_dynamics
+from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
-from torchid.export.verdict import check, require_feasible
+from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
@@ -40,8 +40,8 @@ def identification(tmp_path, robot, name="kuka_lwr4"):  # type: ignore[no-untype
         "base_names": list(base.names),
         "base_values": values.tolist(),
         "undetermined": [base.names[3]],
-        "covariance": torch.diag(torch.full((b,), 0.04)).tolist(),
-        "factor": torch.eye(b + 1).tolist(),
+        "covariance": torch.diag(torch.full((b,), 0.04, dtype=torch.float64)).tolist(),
+        "factor": torch.eye(b + 1, dtype=torch.float64).tolist(),
     }
     path = tmp_path / "identification.json"
     path.write_text(json.dumps(data))
@@ -56,7 +56,7 @@ def sets_file(tmp_path, robot, scales=(1.0, 2.0, -1.0), **more):  # type: ignore
         ("a", "b", "c"),
         InertialParameters(torch.stack([s * pi for s in scales])),
         effects,
-        torch.full((3, robot.n), 0.3),
+        torch.full((3, robot.n), 0.3, dtype=torch.float64),
     )
     path = tmp_path / "sets.json"
     path.write_text(json.dumps({**to_record(sets, robot), **more}))
@@ -187,10 +187,11 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     of mass it is none."""
     robot = arm("3r")
     pi = consistent_parameters(3, 4).pi.clone()
-    pi[1] = torch.tensor([1.0, 0.3, 0.0, 0.0, 0.05, 0.0, 0.0, 0.06, 0.0, 0.07])
+    pi[1] = torch.tensor([1.0, 0.3, 0.0, 0.0, 0.05, 0.0, 0.0, 0.06, 0.0, 0.07], dtype=torch.float64)
     dynamics = Dynamics(robot.with_parameters(InertialParameters(pi)), "robot", "a test")
+    checked = check_sets(dynamics.robot, nominal_set(dynamics.robot), geometry="none")
     with pytest.raises(TorchidError) as raised:
-        require_feasible(dynamics, check(dynamics.robot, "none"))
+        require_feasible(dynamics, checked)
     assert raised.value.got.startswith("inertia_2")
 
 

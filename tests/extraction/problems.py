@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.extraction.cma.engines import Engine, SearchState, start
+from torchid.extraction.cma.search import Engine, SearchState, start
 
 
 @dataclass(frozen=True)

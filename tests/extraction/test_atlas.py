@@ -73,16 +73,16 @@ def pendulum(mass: tuple[float, float], side: float) -> Problem:
         joint_names=("joint",),
         link_names=("link",),
         joint_types=(JointType.REVOLUTE,),
-        before=torch.eye(4).unsqueeze(0),
-        after=torch.eye(4).unsqueeze(0),
-        gravity=torch.tensor([0.0, -9.81, 0.0]),
-        tool=torch.eye(4),
+        before=torch.eye(4, dtype=torch.float64).unsqueeze(0),
+        after=torch.eye(4, dtype=torch.float64).unsqueeze(0),
+        gravity=torch.tensor([0.0, -9.81, 0.0], dtype=torch.float64),
+        tool=torch.eye(4, dtype=torch.float64),
     )
-    box = torch.tensor([-side, side]).repeat(1, 3, 1)
-    far = torch.tensor([-10.0, 10.0]).repeat(1, 6, 1)
-    bounds = Bounds("own", torch.tensor([mass]), box, far, {})
+    box = torch.tensor([-side, side], dtype=torch.float64).repeat(1, 3, 1)
+    far = torch.tensor([-10.0, 10.0], dtype=torch.float64).repeat(1, 6, 1)
+    bounds = Bounds("own", torch.tensor([mass], dtype=torch.float64), box, far, {})
     base = base_parameters(robot)
-    x = torch.tensor([2.0, 0.3, -0.4, 0.1, 0.5, 0.01, 0.02, 0.45, 0.03, 0.25])
+    x = torch.tensor([2.0, 0.3, -0.4, 0.1, 0.5, 0.01, 0.02, 0.45, 0.03, 0.25], dtype=torch.float64)
     target = two_step(base, (), base.project(x))
     return extraction_problem(robot, target, bounds, physics_only(1))
 
@@ -168,8 +168,11 @@ def test_sets_of_equal_torque_lie_in_the_ranges(name: str) -> None:
     generator = torch.Generator().manual_seed(1)
     start = inner.vector
     for _ in range(4):
-        step = torch.randn(300, len(null), generator=generator) @ null
-        low, high = torch.zeros(300, 1), torch.full((300, 1), 10.0)
+        step = torch.randn(300, len(null), generator=generator, dtype=torch.float64) @ null
+        low, high = (
+            torch.zeros(300, 1, dtype=torch.float64),
+            torch.full((300, 1), 10.0, dtype=torch.float64),
+        )
         for _ in range(40):
             middle = (low + high) / 2
             good = allowed(given, start + middle * step).unsqueeze(-1)
@@ -189,7 +192,9 @@ def test_the_one_step_loss_has_the_same_ranges() -> None:
     """An invertible weight changes the loss, not what reproduces the target exactly."""
     given = problem("3r")
     t = given.target
-    weight = torch.randn(len(t.base), len(t.base), generator=torch.Generator().manual_seed(0))
+    weight = torch.randn(
+        len(t.base), len(t.base), generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     target = Target(t.base, t.effects, t.values, weight, weight @ t.values, "one-step")
     only = ["m2", "c2x", "J3yy"]
     a = atlas(given, only=only)
@@ -207,8 +212,10 @@ def test_the_confidence_ellipsoid() -> None:
     truth = nominal_set(given.robot).vector
     b = len(base)
     generator = torch.Generator().manual_seed(3)
-    root = torch.randn(b, b, generator=generator) * base.project(truth)[0].abs().clamp(min=1e-3)
-    noise = 1e-2 * torch.randn(b, generator=generator) @ root
+    root = torch.randn(b, b, generator=generator, dtype=torch.float64) * base.project(truth)[
+        0
+    ].abs().clamp(min=1e-3)
+    noise = 1e-2 * torch.randn(b, generator=generator, dtype=torch.float64) @ root
     assert float((1e2 * torch.linalg.solve(root.T, noise)).square().sum()) < stats.chi2.ppf(0.95, b)
     target = two_step(base, given.target.effects, base.project(truth)[0] + noise)
     noisy = replace(given, target=target)
@@ -222,9 +229,11 @@ def test_the_confidence_ellipsoid() -> None:
     assert bool((wider.high - wider.low >= found.high - found.low - 1e-6).all())
     assert float((found.high - found.low).min()) > 0
     exact = atlas(given, only=only)
-    none = atlas(given, covariance=torch.zeros(b, b), only=only)
+    none = atlas(given, covariance=torch.zeros(b, b, dtype=torch.float64), only=only)
     torch.testing.assert_close(none.low, exact.low, rtol=1e-5, atol=1e-7)
-    free = atlas(given, covariance=torch.diag(torch.full((b,), torch.inf)), only=only)
+    free = atlas(
+        given, covariance=torch.diag(torch.full((b,), torch.inf, dtype=torch.float64)), only=only
+    )
     torch.testing.assert_close(free.high, free.bounds_high, rtol=1e-5, atol=1e-7)
 
 
@@ -263,13 +272,13 @@ def test_bad_input() -> None:
     with pytest.raises(TorchidError, match="level"):
         atlas(given, level=1.5)
     with pytest.raises(TorchidError, match="covariance"):
-        atlas(given, covariance=torch.eye(3))
+        atlas(given, covariance=torch.eye(3, dtype=torch.float64))
 
 
 def test_an_ellipsoid_without_a_feasible_set_is_widened() -> None:
     """The report's arm is infeasible by ||1e-2||: a small covariance has no feasible set in it."""
     given = problem("kuka_lwr4")
-    found = atlas(given, covariance=1e-10 * torch.eye(43), only=["m6"])
+    found = atlas(given, covariance=1e-10 * torch.eye(43, dtype=torch.float64), only=["m6"])
     assert (found.kind, found.widened) == ("confidence", True)
     same = atlas(given, only=["m6"])
     assert found.radius * 1e-5 == pytest.approx(same.radius, rel=1e-5)

@@ -17,17 +17,19 @@ def whole(name: str) -> Problem:
     """All conditions at once: boxes, round shapes on some links, total mass."""
     p = problem_of(name)
     n = p.n
-    axes = torch.tensor([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]).repeat(n, 1)[:n]
-    radius = torch.full((n,), 0.4)
+    axes = torch.tensor([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], dtype=torch.float64).repeat(n, 1)[:n]
+    radius = torch.full((n,), 0.4, dtype=torch.float64)
     radius[0] = torch.inf
-    total = p.bounds.mass.sum(0) * torch.tensor([0.0, 0.8]) + torch.tensor([1.0, 0.0])
+    total = p.bounds.mass.sum(0) * torch.tensor([0.0, 0.8], dtype=torch.float64) + torch.tensor(
+        [1.0, 0.0], dtype=torch.float64
+    )
     return asking(p, round_axes=axes, round_radius=radius, total_mass=total)
 
 
 def inside_points(p: Problem, r: Region, barrier: Barrier, count: int = 6) -> Tensor:
     """(count, P) strictly inside, of all distances from the boundary."""
     q = random_vectors(p, count, seed=5)
-    share = torch.linspace(0.1, 1.0, count).unsqueeze(-1)
+    share = torch.linspace(0.1, 1.0, count, dtype=torch.float64).unsqueeze(-1)
     x = barrier.entered(r.inside + share * (q - r.inside), 0.02)
     assert bool(barrier.value(x).isfinite().all())
     return x
@@ -113,14 +115,14 @@ def test_hessian_is_the_true_one_where_inertias_are_free(name: str) -> None:
     p = whole(name)
     n = p.n
     box = p.box.clone()
-    box[4 * n : 10 * n] = torch.tensor([-1e5, 1e5])
+    box[4 * n : 10 * n] = torch.tensor([-1e5, 1e5], dtype=torch.float64)
     p = replace(p, box=box)
     r = region(p, conditions=True)
     inside = r.inside.clone()
-    inside[4 * n : 10 * n] = torch.tensor([0.1, 0, 0, 0.1, 0, 0.1]).repeat(n)
+    inside[4 * n : 10 * n] = torch.tensor([0.1, 0, 0, 0.1, 0, 0.1], dtype=torch.float64).repeat(n)
     r = replace(r, inside=inside)
     barrier = Barrier(p, r)
-    shares = torch.tensor([0.0, 0.3, 0.6]).unsqueeze(-1)
+    shares = torch.tensor([0.0, 0.3, 0.6], dtype=torch.float64).unsqueeze(-1)
     q = random_vectors(problem_of(name), 3)
     x = barrier.entered(inside + shares * (q - inside), 0.02)
     hessian = barrier.derivatives(x)[1]
@@ -149,18 +151,25 @@ def test_infinite_outside(name: str) -> None:
     heavy = r.inside.clone()
     heavy[:n] = 0.99 * high[:n]
     assert float(barrier.value(barrier.point(heavy.unsqueeze(0)))) == torch.inf
-    none = torch.full((1, p.size), torch.nan)
+    none = torch.full((1, p.size), torch.nan, dtype=torch.float64)
     assert float(barrier.value(barrier.point(none))) == torch.inf
 
 
 def test_infinite_outside_a_shape() -> None:
-    p = asking(problem_of("3r", "loose"), com_box=torch.tensor([-0.4, 0.4]).repeat(3, 3, 1))
-    p = asking(p, round_axes=torch.ones(3, 3), round_radius=torch.full((3,), 0.15))
+    p = asking(
+        problem_of("3r", "loose"),
+        com_box=torch.tensor([-0.4, 0.4], dtype=torch.float64).repeat(3, 3, 1),
+    )
+    p = asking(
+        p,
+        round_axes=torch.ones(3, 3, dtype=torch.float64),
+        round_radius=torch.full((3,), 0.15, dtype=torch.float64),
+    )
     r = region(p, conditions=True)
     barrier = Barrier(p, r)
     q = r.inside.clone()
     assert float(barrier.value(barrier.point(q.unsqueeze(0)))) < torch.inf
-    q[3:6] = torch.tensor([0.1, 0.0, 0.12])
+    q[3:6] = torch.tensor([0.1, 0.0, 0.12], dtype=torch.float64)
     assert float(barrier.value(barrier.point(q.unsqueeze(0)))) == torch.inf
 
 
@@ -170,7 +179,9 @@ def test_entered_points_are_inside(name: str, physical: bool) -> None:
     p = whole(name)
     r = region(p, conditions=physical)
     barrier = Barrier(p, r)
-    corners = torch.where(torch.rand(20, p.size) < 0.5, p.box[:, 0], p.box[:, 1])
+    corners = torch.where(
+        torch.rand(20, p.size, dtype=torch.float64) < 0.5, p.box[:, 0], p.box[:, 1]
+    )
     starts = torch.cat([random_vectors(p, 20), corners, 3 * corners, r.inside.unsqueeze(0)])
     for inward in (0.0, 0.01):
         x = barrier.entered(starts, inward)
@@ -265,4 +276,6 @@ def test_reach_of_coefficients_by_hand() -> None:
         step = torch.zeros_like(x)
         step[0, k], step[1, k] = 0.1, -0.1
         up, down = (high - float(x[0, k])) / 0.1, (float(x[1, k]) - low) / 0.1
-        torch.testing.assert_close(barrier.reach(x, step), torch.tensor([up, down]))
+        torch.testing.assert_close(
+            barrier.reach(x, step), torch.tensor([up, down], dtype=torch.float64)
+        )

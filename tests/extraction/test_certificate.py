@@ -171,7 +171,7 @@ def test_shapes_that_exclude_a_box_are_named() -> None:
     given = problem("3r", "tight")
     none = physics_only(3)
     centre, axes, radius = none.round_centre, none.round_axes, none.round_radius
-    centre[1] = torch.tensor([0.3, 0.3, 0.0])
+    centre[1] = torch.tensor([0.3, 0.3, 0.0], dtype=torch.float64)
     axes[1] = 1.0
     radius[1] = 0.1
     asked = Conditions(none.com_box, centre, axes, radius, none.total_mass)
@@ -196,10 +196,10 @@ def test_the_relaxation_leaves_no_set_out(name: str, group: str) -> None:
     given = problem(name, group)
     body = convex_sets(given.robot, (), None, given.bounds)
     generator = torch.Generator().manual_seed(5)
-    p = given.physical(torch.rand(4000, given.size, generator=generator))
+    p = given.physical(torch.rand(4000, given.size, generator=generator, dtype=torch.float64))
     # Most random tensors have no body: bring the off-diagonal entries down until some do.
     mass, com, inertia, rest = given.split(p)
-    shrink = torch.tensor([1.0, 0.05, 0.05, 1.0, 0.05, 1.0])
+    shrink = torch.tensor([1.0, 0.05, 0.05, 1.0, 0.05, 1.0], dtype=torch.float64)
     p = torch.cat([mass, com.flatten(-2), (inertia * shrink).flatten(-2), rest], -1)
     consistent = given.parameters(p).consistency_margin().amin(-1) > 0
     x = given.vector(p[consistent])[:200].numpy()

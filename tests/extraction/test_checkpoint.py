@@ -180,7 +180,12 @@ def test_sigkill_three_times(tmp_path: Path, whole: Extraction) -> None:
 def some_progress(p: Problem) -> Progress:
     g = torch.Generator().manual_seed(1)
     means = torch.rand(3, p.size, generator=g, dtype=torch.float64)
-    return Progress(2, start(means, 0.3), torch.rand(3, 2), torch.rand(3, 2))
+    return Progress(
+        2,
+        start(means, 0.3),
+        torch.rand(3, 2, dtype=torch.float64),
+        torch.rand(3, 2, dtype=torch.float64),
+    )
 
 
 def saved(folder: Path, settings: SearchSettings = SETTINGS) -> tuple[Path, Progress]:
@@ -234,7 +239,7 @@ def test_other_problems_are_refused(tmp_path: Path) -> None:
         problem_of("kuka_lwr4"),
         replace(p, target=target),
         replace(p, target=replace(p.target, weight=2 * p.target.weight)),
-        asking(p, total_mass=torch.tensor([5.0, 6.0])),
+        asking(p, total_mass=torch.tensor([5.0, 6.0], dtype=torch.float64)),
         asking(p, com_box=narrow),
     ]
     for other in others:

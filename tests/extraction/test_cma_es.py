@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from tests.extraction.problems import PROBLEMS, begin, generations_to, problem, same, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma.engines import ENGINES, SearchState, default_population, engine
-from torchid.extraction.cma.search import PERIOD
+from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.search import PERIOD, SearchState, default_population
 from torchid.typing import Tensor
 
 NAMES = sorted(ENGINES)
@@ -38,15 +38,17 @@ def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
 
 def test_one_dimension() -> None:
     state = engine("batched").minimise(sphere, begin(5, 1), generations=60, seed=0)
-    torch.testing.assert_close(state.best, torch.full((5, 1), 0.4), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        state.best, torch.full((5, 1), 0.4, dtype=torch.float64), atol=1e-6, rtol=0
+    )
     with pytest.raises(TorchidError, match="one dimension"):
         engine("cma").minimise(sphere, begin(5, 1), generations=1, seed=0)
 
 
 def test_covariance_becomes_the_inverse_hessian() -> None:
     n = 6
-    q, _ = torch.linalg.qr(torch.randn(n, n))
-    hessian = q @ torch.diag(10.0 ** torch.linspace(0, 4, n)) @ q.mT
+    q, _ = torch.linalg.qr(torch.randn(n, n, dtype=torch.float64))
+    hessian = q @ torch.diag(10.0 ** torch.linspace(0, 4, n, dtype=torch.float64)) @ q.mT
     state = engine("batched").minimise(
         lambda x: torch.einsum("rli,ij,rlj->rl", x - 0.5, hessian, x - 0.5),
         begin(8, n),
@@ -196,7 +198,9 @@ def test_a_grown_penalty_is_met(kind: str) -> None:
     same_best = run(penalised, state, generations=0, seed=0)
     assert torch.equal(same_best.best_value, penalised(state.best))
     after = run(penalised, state, generations=250, seed=0)
-    torch.testing.assert_close(after.best[:, 0], torch.full((4,), 0.7), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        after.best[:, 0], torch.full((4,), 0.7, dtype=torch.float64), atol=1e-4, rtol=0
+    )
 
 
 # Numbers that go wrong.
@@ -205,11 +209,11 @@ def test_a_grown_penalty_is_met(kind: str) -> None:
 @pytest.mark.parametrize(
     "covariance",
     [
-        torch.zeros(4, 4),
-        torch.full((4, 4), float("nan")),
-        torch.ones(4, 4),
-        -torch.eye(4),
-        torch.diag(torch.tensor([1e-300, 1.0, 1.0, 1e300])),
+        torch.zeros(4, 4, dtype=torch.float64),
+        torch.full((4, 4), float("nan"), dtype=torch.float64),
+        torch.ones(4, 4, dtype=torch.float64),
+        -torch.eye(4, dtype=torch.float64),
+        torch.diag(torch.tensor([1e-300, 1.0, 1.0, 1e300], dtype=torch.float64)),
     ],
 )
 def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
@@ -238,12 +242,17 @@ def test_a_collapsed_step_stays_alive(kind: str) -> None:
 def test_far_beyond_convergence() -> None:
     state = engine("batched").minimise(sphere, begin(4, 3), generations=500, seed=0)
     assert all(np.isfinite(a).all() for a in state.to_arrays().values())
-    torch.testing.assert_close(state.best, torch.full((4, 3), 0.4), atol=1e-7, rtol=0)
+    torch.testing.assert_close(
+        state.best, torch.full((4, 3), 0.4, dtype=torch.float64), atol=1e-7, rtol=0
+    )
 
 
 def test_nothing_to_find_does_not_run_away() -> None:
     state = engine("batched").minimise(
-        lambda x: torch.zeros(x.shape[:-1]), begin(6, 5), generations=300, seed=0
+        lambda x: torch.zeros(x.shape[:-1], dtype=torch.float64),
+        begin(6, 5),
+        generations=300,
+        seed=0,
     )
     spread = state.sigma[:, None] * state.covariance.diagonal(dim1=1, dim2=2).sqrt()
     assert ((spread > 0) & (spread <= 0.34)).all()

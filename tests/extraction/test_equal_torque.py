@@ -78,7 +78,7 @@ def boxes_around(start: ParameterSets) -> tuple[Bounds, Bounds]:
     size = 4 * own.inertia_about_link_frame[0].abs().amax(-1, keepdim=True).expand(-1, 6)
     made = []
     for name, room, heaviest in (("normal", 0.05, 3.0), ("loose", 0.2, 6.0)):
-        sides = torch.tensor([-room, room])
+        sides = torch.tensor([-room, room], dtype=torch.float64)
         limits = torch.stack([torch.zeros_like(mass), heaviest * mass], -1)
         made.append(Bounds(name, limits, com + sides, torch.stack([-size, size], -1), {}))
     return made[0], made[1]
@@ -113,7 +113,7 @@ def test_null_space_is_orthonormal_and_changes_no_torque(name: str) -> None:
     directions = null_space(case.base)
     p, b = len(case.base.parameter_names), len(case.base)
     assert directions.shape == (p, p - b)
-    torch.testing.assert_close(directions.T @ directions, torch.eye(p - b))
+    torch.testing.assert_close(directions.T @ directions, torch.eye(p - b, dtype=torch.float64))
     y = stacked_regressor(case.robot, case.start.effects, random_states(case.robot, seed=5))
     assert float((y @ directions).abs().max()) < 1e-11 * float(y.abs().max())
 
@@ -299,13 +299,15 @@ def test_bad_requests_are_refused() -> None:
 def test_draws_are_uniform() -> None:
     """A unit ball times [0, 1]: mean square radius 3/5, mean and variance of the interval, and no
     chain that stays where it began. The ball is the matrix inequality [[E, v], [v', 1]] > 0."""
-    k, eye = 40, torch.eye(4)
-    f = torch.zeros(4, 4, 4)
+    k, eye = 40, torch.eye(4, dtype=torch.float64)
+    f = torch.zeros(4, 4, 4, dtype=torch.float64)
     for axis in range(3):
         f[axis, 3, axis] = f[3, axis, axis] = 1.0
     region = hit_and_run.Region(
-        torch.tensor([[0.0, 0, 0, 1], [0, 0, 0, -1]]).expand(k, 2, 4).contiguous(),
-        torch.tensor([0.5, 0.5]).expand(k, 2).contiguous(),
+        torch.tensor([[0.0, 0, 0, 1], [0, 0, 0, -1]], dtype=torch.float64)
+        .expand(k, 2, 4)
+        .contiguous(),
+        torch.tensor([0.5, 0.5], dtype=torch.float64).expand(k, 2).contiguous(),
         f.reshape(16, 4).expand(k, 16, 4).contiguous(),
         eye.flatten().expand(k, 16).contiguous(),
     )

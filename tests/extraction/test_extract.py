@@ -137,7 +137,7 @@ def test_partial_loss_ignores_gamma() -> None:
 
 def test_partial_loss_does_not_read_the_conditions() -> None:
     p = problem_of("3r")
-    other = asking(p, total_mass=torch.tensor([100.0, 200.0]))
+    other = asking(p, total_mass=torch.tensor([100.0, 200.0], dtype=torch.float64))
     settings = with_settings(penalty="partial")
     a, b = extract(p, settings), extract(other, settings)
     assert torch.equal(a.sets.vector, b.sets.vector)
@@ -219,7 +219,7 @@ def test_impossible_problems_are_named_before_the_search() -> None:
     with pytest.raises(TorchidError, match="'loose'") as caught:
         require_possible(problem_of("kuka_lwr4", "loose"))
     assert caught.value.got == "com_7z"
-    heavy = asking(problem_of("3r"), total_mass=torch.tensor([100.0, 200.0]))
+    heavy = asking(problem_of("3r"), total_mass=torch.tensor([100.0, 200.0], dtype=torch.float64))
     with pytest.raises(TorchidError, match="no feasible set") as caught:
         require_possible(heavy)
     assert caught.value.got == "total_mass"
@@ -232,12 +232,14 @@ def test_impossible_problems_can_be_searched_all_the_same() -> None:
     assert found.contradictions == ("com_7z",)
     reasons = [feasibility(found.sets, p.conditions).reasons(k) for k in range(4)]
     assert reasons == [("com_7z",)] * 4
-    torch.testing.assert_close(found.gamma, torch.full((4,), 1.0), rtol=0, atol=1e-4)
+    torch.testing.assert_close(
+        found.gamma, torch.full((4,), 1.0, dtype=torch.float64), rtol=0, atol=1e-4
+    )
 
 
 def test_bounds_of_negative_masses_end_in_numbers() -> None:
     def negative(b):  # type: ignore[no-untyped-def]
-        b.mass[1] = torch.tensor([-2.0, -1.0])
+        b.mass[1] = torch.tensor([-2.0, -1.0], dtype=torch.float64)
         return b
 
     p = bounded(problem_of("3r"), negative)

@@ -64,7 +64,9 @@ def test_partial_loss_has_the_bounds_alone(name: str, group: str) -> None:
 @pytest.mark.parametrize("group", ["loose", "normal", "tight"])
 def test_with_cylinders_and_total_mass(name: str, group: str) -> None:
     for total in ((5.0, 5.6), (5.0, torch.inf), (-torch.inf, 5.0)):
-        p = asking(problem_of(name, group, True), total_mass=torch.tensor(total))
+        p = asking(
+            problem_of(name, group, True), total_mass=torch.tensor(total, dtype=torch.float64)
+        )
         found = region(p, conditions=True)
         assert found.contradictions == ()
         assert bool(found.round_links.all())
@@ -77,7 +79,7 @@ def test_with_cylinders_and_total_mass(name: str, group: str) -> None:
 
 def set_mass(low: float, high: float, links: slice = slice(None)) -> Callable[[Bounds], Bounds]:
     def change(b: Bounds) -> Bounds:
-        b.mass[links] = torch.tensor([low, high])
+        b.mass[links] = torch.tensor([low, high], dtype=torch.float64)
         return b
 
     return change
@@ -85,7 +87,7 @@ def set_mass(low: float, high: float, links: slice = slice(None)) -> Callable[[B
 
 def set_inertia(link: int, *rows: tuple[float, float]) -> Callable[[Bounds], Bounds]:
     def change(b: Bounds) -> Bounds:
-        b.inertia[link] = torch.tensor(rows)
+        b.inertia[link] = torch.tensor(rows, dtype=torch.float64)
         return b
 
     return change
@@ -97,7 +99,7 @@ ANY, DIAGONAL = (-0.5, 0.5), (0.0, 0.5)
 @pytest.mark.parametrize("total", [(100.0, 120.0), (-5.0, -1.0), (10.0, torch.inf)])
 def test_impossible_total_mass(total: tuple[float, float]) -> None:
     """The bounds of the 3R allow 0 to 10 kg."""
-    p = asking(problem_of("3r"), total_mass=torch.tensor(total))
+    p = asking(problem_of("3r"), total_mass=torch.tensor(total, dtype=torch.float64))
     found = region(p, conditions=True)
     assert found.contradictions == ("total_mass",)
     assert bool(found.total_mass.isinf().all())  # left out, so that the rest can be searched
@@ -176,7 +178,7 @@ def with_sphere(radius: float, centre: list[float], link: int = 1) -> Problem:
     p = problem_of("3r")
     c = p.conditions
     r, axes, at = c.round_radius.clone(), c.round_axes.clone(), c.round_centre.clone()
-    r[link], axes[link], at[link] = radius, 1.0, torch.tensor(centre)
+    r[link], axes[link], at[link] = radius, 1.0, torch.tensor(centre, dtype=torch.float64)
     return asking(p, round_radius=r, round_axes=axes, round_centre=at)
 
 
@@ -214,8 +216,8 @@ def test_several_contradictions_are_all_named() -> None:
     p = bounded(problem_of("3r"), set_mass(-2.0, -1.0))
     p = asking(
         p,
-        total_mass=torch.tensor([1.0, 2.0]),
-        com_box=torch.tensor([5.0, 6.0]).repeat(3, 3, 1),
+        total_mass=torch.tensor([1.0, 2.0], dtype=torch.float64),
+        com_box=torch.tensor([5.0, 6.0], dtype=torch.float64).repeat(3, 3, 1),
     )
     masses = tuple(f"mass_{i}" for i in (1, 2, 3))
     boxes = tuple(f"com_{i}{a}" for i in (1, 2, 3) for a in "xyz")
@@ -231,7 +233,7 @@ def test_excluded_box_leaves_the_nearest_face() -> None:
 
 
 def test_second_moments() -> None:
-    inertia = torch.rand(5, 6) - 0.5
+    inertia = torch.rand(5, 6, dtype=torch.float64) - 0.5
     values = torch.linalg.eigvalsh(symmetric(inertia))
     expected = (values.sum(-1, keepdim=True) / 2 - values).flip(-1)
     torch.testing.assert_close(second_moments(inertia), expected, rtol=1e-10, atol=1e-13)
@@ -239,7 +241,7 @@ def test_second_moments() -> None:
 
 def test_conditions_that_are_not_asked_change_nothing() -> None:
     p = problem_of("3r")
-    free = torch.tensor([-torch.inf, torch.inf]).repeat(3, 3, 1)
+    free = torch.tensor([-torch.inf, torch.inf], dtype=torch.float64).repeat(3, 3, 1)
     found = region(replace(p, conditions=replace(p.conditions, com_box=free)), conditions=True)
     assert torch.equal(found.box, p.box)
     assert bool(found.total_mass.isinf().all())

@@ -49,7 +49,7 @@ def test_the_ten_numbers_are_the_link() -> None:
     torch.testing.assert_close(torch.func.vmap(torch.func.vmap(link_x))(p), parameters.pi)
     # The definition: P = U U'.
     a, d, s, t = theta[0, 0, 0], theta[0, 0, 1:4], theta[0, 0, 4:7], theta[0, 0, 7:]
-    u = torch.eye(4)
+    u = torch.eye(4, dtype=torch.float64)
     u[:3, :3] = torch.diag(d.exp())
     u[0, 1], u[0, 2], u[1, 2] = s
     u[:3, 3] = t
@@ -58,24 +58,30 @@ def test_the_ten_numbers_are_the_link() -> None:
 
 
 def test_any_ten_numbers_are_a_body_and_no_body_has_none() -> None:
-    theta = 2 * torch.randn(200, 3, 10)
+    theta = 2 * torch.randn(200, 3, 10, dtype=torch.float64)
     x = torch.func.vmap(torch.func.vmap(lambda t: link_x(link_p(t))))(theta)
     assert bool((x[..., 0] > 0).all())
     inertia = torch.func.vmap(torch.func.vmap(link_p))(theta)[..., 4:]
     eigenvalues = torch.linalg.eigvalsh(second_moment(inertia))
     assert bool((eigenvalues[..., 0] > -1e-12 * eigenvalues[..., 2]).all())
-    flat = theta_of(torch.ones(1, 1), torch.zeros(1, 1, 3), -torch.eye(3).expand(1, 1, 3, 3))
+    flat = theta_of(
+        torch.ones(1, 1, dtype=torch.float64),
+        torch.zeros(1, 1, 3, dtype=torch.float64),
+        -torch.eye(3, dtype=torch.float64).expand(1, 1, 3, 3),
+    )
     assert bool(torch.isnan(flat).all())
 
 
 def test_steps_are_straight_in_x() -> None:
-    theta = 0.3 * torch.randn(4, 2, 10)
-    turn = 0.1 * torch.randn(4, 2, 10)
+    theta = 0.3 * torch.randn(4, 2, 10, dtype=torch.float64)
+    turn = 0.1 * torch.randn(4, 2, 10, dtype=torch.float64)
 
     def x_of(t: torch.Tensor) -> torch.Tensor:
         return torch.func.vmap(torch.func.vmap(lambda one: link_x(link_p(one))))(t)
 
-    ends = [x_of(along(theta, turn, torch.full((4,), h))) for h in (0.0, 0.1, 0.2)]
+    ends = [
+        x_of(along(theta, turn, torch.full((4,), h, dtype=torch.float64))) for h in (0.0, 0.1, 0.2)
+    ]
     torch.testing.assert_close(ends[2] - ends[1], ends[1] - ends[0], atol=1e-12, rtol=1e-9)
     small = 1e-6
     rate = (x_of(theta + small * turn) - x_of(theta - small * turn)) / (2 * small)
@@ -136,7 +142,9 @@ def test_shapes_and_total_mass_are_kept() -> None:
 
 def test_one_bad_start_leaves_the_others_alone() -> None:
     given = problem("3r")
-    start = given.physical(torch.rand(3, given.size, generator=torch.Generator().manual_seed(0)))
+    start = given.physical(
+        torch.rand(3, given.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    )
     alone = extract_log_cholesky(given, start[:1])
     start[1] = torch.nan
     start[2] = 1e6
@@ -162,6 +170,6 @@ def test_bad_input() -> None:
         extract_log_cholesky(problem("kuka_lwr4", "loose"))
     assert "com_7z" in str(caught.value)
     with pytest.raises(TorchidError, match="search vectors"):
-        extract_log_cholesky(problem("3r"), torch.zeros(2, 7))
+        extract_log_cholesky(problem("3r"), torch.zeros(2, 7, dtype=torch.float64))
     with pytest.raises(TorchidError, match="at least one"):
         extract_log_cholesky(problem("3r"), runs=0)

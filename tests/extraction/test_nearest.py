@@ -23,7 +23,7 @@ def rigid_sets(pi: Tensor) -> ParameterSets:
         tuple(str(k) for k in range(len(pi))),
         InertialParameters(pi),
         (),
-        torch.zeros(len(pi), 0),
+        torch.zeros(len(pi), 0, dtype=torch.float64),
     )
 
 
@@ -31,7 +31,9 @@ def perturbed(robot: Robot, size: float, k: int, seed: int) -> ParameterSets:
     """Sets that are as a rule infeasible: each parameter off by a share of its own size."""
     assert robot.parameters is not None
     pi = robot.parameters.pi
-    noise = torch.randn(k, *pi.shape, generator=torch.Generator().manual_seed(seed))
+    noise = torch.randn(
+        k, *pi.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
     return rigid_sets(pi + size * pi.abs() * noise)
 
 
@@ -41,7 +43,7 @@ def projected_per_link(parameters: InertialParameters, least: float) -> Inertial
     p = vectors @ torch.diag_embed(values.clamp(min=least)) @ vectors.mT
     s = p[..., :3, :3]
     trace = s.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    j = six(trace * torch.eye(3) - s)
+    j = six(trace * torch.eye(3, dtype=torch.float64) - s)
     return InertialParameters(torch.cat([p[..., 3, 3:], p[..., :3, 3], j], -1))
 
 
@@ -107,7 +109,7 @@ def test_where_the_torque_can_be_kept_it_is() -> None:
     robot = arm("3r")
     g = base_parameters(robot).grouping
     null = torch.linalg.svd(g).Vh[len(g) :]
-    x = nominal_set(robot).vector[0] + 0.5 * torch.randn(4, len(null)) @ null
+    x = nominal_set(robot).vector[0] + 0.5 * torch.randn(4, len(null), dtype=torch.float64) @ null
     given = rigid_sets(InertialParameters.from_paper_order(x).pi)
     assert not bool(feasibility(given, physics_only(3)).feasible.any())
     found = nearest_feasible(robot, given)

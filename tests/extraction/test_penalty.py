@@ -54,7 +54,7 @@ def assert_as_lapack(inertia: torch.Tensor) -> None:
 def test_eigenvalues_of_any_tensor(values: list[float], seed: int, exponent: int) -> None:
     g = torch.Generator().manual_seed(seed)
     q = torch.linalg.qr(torch.randn(3, 3, generator=g, dtype=torch.float64)).Q
-    tensor = q @ torch.diag(10.0**exponent * torch.tensor(values)) @ q.T
+    tensor = q @ torch.diag(10.0**exponent * torch.tensor(values, dtype=torch.float64)) @ q.T
     assert_as_lapack(six((tensor + tensor.T) / 2))
 
 
@@ -86,7 +86,7 @@ def test_eigenvalues_of_special_tensors() -> None:
         [-3.0, 0, 0, 0, 0, 0],
         [1e-80, 0, 0, 2e-80, 0, 3e-80],
     ]
-    assert_as_lapack(torch.tensor(rows))
+    assert_as_lapack(torch.tensor(rows, dtype=torch.float64))
 
 
 # ---- gamma ----------------------------------------------------------------------------------
@@ -96,9 +96,16 @@ def whole(name: str, group: str = "normal") -> Problem:
     """All conditions at once: boxes, cylinders or spheres, total mass."""
     p = problem_of(name, group)
     n = p.n
-    axes = torch.tensor([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]).repeat(n, 1)[:n]
-    total = p.bounds.mass.sum(0) * torch.tensor([1.0, 0.6]) + torch.tensor([1.0, 0.0])
-    return asking(p, round_axes=axes, round_radius=torch.full((n,), 0.35), total_mass=total)
+    axes = torch.tensor([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], dtype=torch.float64).repeat(n, 1)[:n]
+    total = p.bounds.mass.sum(0) * torch.tensor([1.0, 0.6], dtype=torch.float64) + torch.tensor(
+        [1.0, 0.0], dtype=torch.float64
+    )
+    return asking(
+        p,
+        round_axes=axes,
+        round_radius=torch.full((n,), 0.35, dtype=torch.float64),
+        total_mass=total,
+    )
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -107,7 +114,7 @@ def test_zero_exactly_where_no_margin_is_negative(name: str) -> None:
     p = whole(name)
     inside = region(p, conditions=True)
     assert inside.contradictions == ()
-    share = torch.linspace(0, 1, 400).unsqueeze(-1) ** 0.3
+    share = torch.linspace(0, 1, 400, dtype=torch.float64).unsqueeze(-1) ** 0.3
     q = random_vectors(p, 400)
     q = q + share * (inside.inside - q)
     # Physics and geometry, not the coefficients, which gamma leaves to their bounds.
@@ -133,7 +140,7 @@ def test_continuous(name: str, exact: bool) -> None:
     a, b = random_vectors(p, 2, seed=3)
     changes = []
     for steps in (1000, 2000, 4000):
-        t = torch.linspace(0, 1, steps + 1).unsqueeze(-1)
+        t = torch.linspace(0, 1, steps + 1, dtype=torch.float64).unsqueeze(-1)
         changes.append(float(gamma(p, a + t * (b - a), exact=exact).diff().abs().max()))
     assert changes[1] < 0.6 * changes[0]
     assert changes[2] < 0.6 * changes[1]
@@ -158,11 +165,11 @@ def test_scaled_violations_by_hand() -> None:
     assert at(1, -0.5) == pytest.approx(0.5 / 2.0)  # mass of link 2, of at most 2 kg
     assert at(n + 3 * 2, 0.03) == pytest.approx(0.03 / 0.15)  # c3x in [-0.15, 0]
     q = good.clone()
-    q[4 * n : 4 * n + 6] = torch.tensor([0.1, 0.0, 0.0, 0.1, 0.0, 0.3])
+    q[4 * n : 4 * n + 6] = torch.tensor([0.1, 0.0, 0.0, 0.1, 0.0, 0.3], dtype=torch.float64)
     assert float(gamma(p, q)) == pytest.approx(0.05 / 0.5)  # tr/2 - 0.3 = -0.05
-    q[4 * n : 4 * n + 6] = torch.tensor([-0.1, 0.0, 0.0, 0.2, 0.0, 0.2])
+    q[4 * n : 4 * n + 6] = torch.tensor([-0.1, 0.0, 0.0, 0.2, 0.0, 0.2], dtype=torch.float64)
     assert float(gamma(p, q)) == pytest.approx((0.1 + 0.05) / 0.5)
-    total = asking(p, total_mass=torch.tensor([6.0, 7.0]))
+    total = asking(p, total_mass=torch.tensor([6.0, 7.0], dtype=torch.float64))
     assert float(gamma(total, good)) == pytest.approx(0.5)  # 5.5 kg
 
 
@@ -179,7 +186,7 @@ def test_scaled_violations_by_hand() -> None:
 )
 def test_total_mass_open_to_one_side(interval: tuple[float, float], expected: float) -> None:
     p, good = feasible_3r()
-    asked = asking(p, total_mass=torch.tensor(interval))
+    asked = asking(p, total_mass=torch.tensor(interval, dtype=torch.float64))
     assert float(gamma(asked, good)) == pytest.approx(expected)
 
 
@@ -198,10 +205,10 @@ def test_never_negative_whatever_the_bounds() -> None:
 
     def negative(b):  # type: ignore[no-untyped-def]
         mass, inertia = b.mass, b.inertia
-        mass[0] = torch.tensor([-2.0, -1.0])
-        mass[1] = torch.tensor([-2.0, 0.0])
-        inertia[2] = torch.tensor([-1.0, -0.5])
-        inertia[1] = torch.tensor([-1.0, 0.0])
+        mass[0] = torch.tensor([-2.0, -1.0], dtype=torch.float64)
+        mass[1] = torch.tensor([-2.0, 0.0], dtype=torch.float64)
+        inertia[2] = torch.tensor([-1.0, -0.5], dtype=torch.float64)
+        inertia[1] = torch.tensor([-1.0, 0.0], dtype=torch.float64)
         return b
 
     p = bounded(problem_of("3r"), negative)
@@ -237,7 +244,9 @@ def test_coefficients_with_a_sign_count_when_the_bounds_let_them_be_negative():
     robot = load_robot("3r_friction")
     found = nominal_base(robot)
     bounds = read_bounds(robot, "normal")
-    wide = {name: torch.tensor([[-50.0, 50.0]] * 3).double() for name in ("Fv", "Fc", "F0")}
+    wide = {
+        name: torch.tensor([[-50.0, 50.0]] * 3, dtype=torch.float64) for name in ("Fv", "Fc", "F0")
+    }
     target = two_step(found.base, found.effects, found.values)
     open_bounds = replace(bounds, coefficients=wide)
     asked = extraction_problem(robot, target, open_bounds, conditions(robot))
@@ -248,7 +257,7 @@ def test_coefficients_with_a_sign_count_when_the_bounds_let_them_be_negative():
         assert float(gamma(asked, worse) - gamma(asked, p)) == pytest.approx(expected)
     inside = region(asked, conditions=True)
     assert inside.box[30:, 0].tolist() == [0.0] * 6 + [-50.0] * 3
-    impossible = {**wide, "Fc": torch.tensor([[-2.0, -1.0]] * 3).double()}
+    impossible = {**wide, "Fc": torch.tensor([[-2.0, -1.0]] * 3, dtype=torch.float64)}
     none = replace(bounds, coefficients=impossible)
     against = region(extraction_problem(robot, target, none, conditions(robot)), conditions=True)
     assert against.contradictions == ("Fc_1", "Fc_2", "Fc_3")

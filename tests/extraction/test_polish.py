@@ -50,7 +50,9 @@ def test_never_up_and_never_out(name: str, group: str, conditions: bool) -> None
     """Also after few steps: whatever it is stopped at is inside and no worse."""
     p = problem_of(name, group)
     r = region(p, conditions=conditions)
-    corners = torch.where(torch.rand(4, p.size) < 0.5, p.box[:, 0], p.box[:, 1])
+    corners = torch.where(
+        torch.rand(4, p.size, dtype=torch.float64) < 0.5, p.box[:, 0], p.box[:, 1]
+    )
     starts = torch.cat([random_vectors(p, 4), corners])
     first = p.phi(entered(p, r, starts))
     before = first
@@ -89,7 +91,10 @@ def test_reaches_the_certificate_from_anywhere(name: str, group: str) -> None:
 
 
 def test_with_shapes_and_total_mass() -> None:
-    p = asking(problem_of("3r", shapes=True), total_mass=torch.tensor([5.4, torch.inf]))
+    p = asking(
+        problem_of("3r", shapes=True),
+        total_mass=torch.tensor([5.4, torch.inf], dtype=torch.float64),
+    )
     r = region(p, conditions=True)
     q = polish(p, r, random_vectors(p, 5))
     found = feasibility(p.sets(q, list("abcde")), p.conditions)
@@ -170,7 +175,7 @@ def test_excluded_box_is_kept_to_its_nearest_face() -> None:
 @pytest.mark.parametrize("conditions", [True, False])
 def test_a_region_without_interior_changes_nothing(conditions: bool) -> None:
     def negative(b):  # type: ignore[no-untyped-def]
-        b.mass[1] = torch.tensor([-2.0, -1.0])
+        b.mass[1] = torch.tensor([-2.0, -1.0], dtype=torch.float64)
         return b
 
     p = bounded(problem_of("3r"), negative)
@@ -180,7 +185,9 @@ def test_a_region_without_interior_changes_nothing(conditions: bool) -> None:
 
 def test_an_impossible_inertia_leaves_the_bounds() -> None:
     def flat(b):  # type: ignore[no-untyped-def]
-        b.inertia[1, [0, 3, 5]] = torch.tensor([[0.4, 0.5], [0.0, 0.1], [0.0, 0.1]])
+        b.inertia[1, [0, 3, 5]] = torch.tensor(
+            [[0.4, 0.5], [0.0, 0.1], [0.0, 0.1]], dtype=torch.float64
+        )
         return b
 
     p = bounded(problem_of("3r"), flat)
@@ -197,7 +204,7 @@ def test_one_step_weights_reach_zero_too() -> None:
     g = torch.Generator().manual_seed(1)
     size = len(p.target.base)
     weight = torch.randn(size, size, generator=g, dtype=torch.float64).triu()
-    weight = weight * torch.logspace(2, -2, size).unsqueeze(-1)
+    weight = weight * torch.logspace(2, -2, size, dtype=torch.float64).unsqueeze(-1)
     target = replace(p.target, weight=weight, offset=weight @ p.target.values)
     p = replace(p, target=target)
     q = polish(p, region(p, conditions=True), random_vectors(p, 4))

@@ -41,7 +41,7 @@ def test_residual_is_the_distance_of_the_base_parameters(name: str) -> None:
         tensors = []
         for m, c, (xx, xy, xz, yy, yz, zz) in zip(mass, com, inertia, strict=True):
             i = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
-            j = i + m * (c @ c * torch.eye(3) - torch.outer(c, c))
+            j = i + m * (c @ c * torch.eye(3, dtype=torch.float64) - torch.outer(c, c))
             tensors.append(torch.stack([j[0, 0], j[0, 1], j[0, 2], j[1, 1], j[1, 2], j[2, 2]]))
         moments = (mass.unsqueeze(-1) * com).flatten()
         pi = torch.cat([mass, moments, torch.stack(tensors).flatten(), q[10 * n :]])
@@ -59,7 +59,7 @@ def test_loss_is_zero_where_torques_are_equal(name: str) -> None:
     motion = states(robot, 200)
     y = regressor(robot, *motion).flatten(0, 1)
     null = torch.linalg.svd(y, full_matrices=True)[2][len(base_of(name)) :]
-    x = sets.vector[0] + 0.1 * torch.randn(5, len(null)) @ null
+    x = sets.vector[0] + 0.1 * torch.randn(5, len(null), dtype=torch.float64) @ null
     assert float(p.residual_of_vector(x).square().sum(-1).max()) < 1e-24
     assert float(p.phi(p.search_vector(sets)).max()) < 1e-24
     tau = inverse_dynamics(robot, *motion)
@@ -70,15 +70,17 @@ def test_loss_is_zero_where_torques_are_equal(name: str) -> None:
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_unit_box_and_back(name: str) -> None:
     p = problem_of(name)
-    u = torch.rand(20, p.size)
+    u = torch.rand(20, p.size, dtype=torch.float64)
     assert relative(p.unit(p.physical(u)), u) < 1e-12
     low, high = p.box.unbind(-1)
-    assert torch.equal(p.physical(torch.zeros(p.size)), low)
-    torch.testing.assert_close(p.physical(torch.ones(p.size)), high, rtol=1e-15, atol=1e-16)
+    assert torch.equal(p.physical(torch.zeros(p.size, dtype=torch.float64)), low)
+    torch.testing.assert_close(
+        p.physical(torch.ones(p.size, dtype=torch.float64)), high, rtol=1e-15, atol=1e-16
+    )
     inside = p.physical(u)
     assert bool(((inside >= low) & (inside <= high)).all())
     assert p.unit(high + 1.0).tolist() == [1.0] * p.size
-    assert torch.equal(p.physical(torch.full((p.size,), 1.0 + 1e-9)), high)
+    assert torch.equal(p.physical(torch.full((p.size,), 1.0 + 1e-9, dtype=torch.float64)), high)
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -135,7 +137,7 @@ def test_one_step_loss_is_that_of_the_log(name: str, noise: bool) -> None:
     motion = Motion(log.q, log.dq, log.ddq)
     y = regressor(robot, log.q, log.dq, log.ddq)
     for effect in result.effects:
-        wide = torch.zeros(*y.shape[:-1], len(effect.coefficients))
+        wide = torch.zeros(*y.shape[:-1], len(effect.coefficients), dtype=torch.float64)
         wide[:, effect.joint] = effect.columns(motion)
         y = torch.cat([y, wide], -1)
     rows, tau = y.flatten(0, 1), log.tau.flatten()
@@ -156,7 +158,7 @@ def test_both_losses_are_least_at_the_identified_values() -> None:
         at = (target.weight @ result.values - target.offset).square().sum()
         assert float(at) < 1e-16
         for k in range(len(result.base)):
-            step = torch.zeros(len(result.base))
+            step = torch.zeros(len(result.base), dtype=torch.float64)
             step[k] = 1e-3
             moved = target.weight @ (result.values + step) - target.offset
             assert float(moved.square().sum()) > float(at)
@@ -180,9 +182,9 @@ def test_bounds_made_for_coefficients() -> None:
     bare = read_bounds(arm("3r"), "normal")
     bounds, added = with_coefficient_bounds(bare, base, effects, values)
     assert added == ("Fv", "Fc", "F0")
-    viscous = torch.tensor([[0.0, 2 * v] for v in (0.0665, 0.1987, 0.0399)])
+    viscous = torch.tensor([[0.0, 2 * v] for v in (0.0665, 0.1987, 0.0399)], dtype=torch.float64)
     torch.testing.assert_close(bounds.coefficients["Fv"], viscous)
-    offsets = torch.tensor([[-2 * v, 2 * v] for v in (0.1073, 0.1566, 0.0686)])
+    offsets = torch.tensor([[-2 * v, 2 * v] for v in (0.1073, 0.1566, 0.0686)], dtype=torch.float64)
     torch.testing.assert_close(bounds.coefficients["F0"], offsets)
     # One that was held at zero keeps room: a tenth of the largest of its kind.
     held = values.clone()
@@ -226,10 +228,14 @@ def test_effects_without_bounds_are_refused() -> None:
 @pytest.mark.parametrize("bad", ["nan", "inf", "short", "long", "matrix"])
 def test_targets_that_are_none_are_refused(bad: str) -> None:
     base = base_of("3r")
-    values = torch.ones(len(base))
+    values = torch.ones(len(base), dtype=torch.float64)
     if bad in ("nan", "inf"):
         values[3] = float(bad)
-    shaped = {"short": values[1:], "long": torch.ones(16), "matrix": values.unsqueeze(0)}
+    shaped = {
+        "short": values[1:],
+        "long": torch.ones(16, dtype=torch.float64),
+        "matrix": values.unsqueeze(0),
+    }
     with pytest.raises(TorchidError, match="not finite"):
         two_step(base, (), shaped.get(bad, values))
 
@@ -239,7 +245,10 @@ def test_targets_that_are_none_are_refused(bad: str) -> None:
 def test_factors_that_are_none_are_refused(bad: str) -> None:
     base = base_of("3r")
     size = len(base) + (3 if bad == "another robot" else 1)
-    values, factor = torch.ones(len(base)), torch.eye(size)
+    values, factor = (
+        torch.ones(len(base), dtype=torch.float64),
+        torch.eye(size, dtype=torch.float64),
+    )
     if bad == "nan value":
         values[0] = torch.nan
     if bad == "nan factor":

@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 
 from tests.extraction.problems import begin, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma.engines import ENGINES, SearchState, default_population, engine, start
-from torchid.extraction.cma.search import MARGIN, PERIOD, from_box, into_box
-from torchid.extraction.cma.strategy import strategy
+from torchid.extraction.cma.batched import strategy
+from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.search import (
+    MARGIN,
+    PERIOD,
+    SearchState,
+    default_population,
+    from_box,
+    into_box,
+    start,
+)
 
 
 @pytest.mark.parametrize("n", [2, 5, 30, 91])
@@ -52,11 +60,14 @@ def test_box_and_back(x: list[float], periods: int) -> None:
 def test_errors_say_what_is_wrong() -> None:
     with pytest.raises(TorchidError, match="batched, cma"):
         engine("annealing")
-    for mean in (torch.tensor([[0.5, 1.01]]), torch.tensor([[float("nan"), 0.5]])):
+    for mean in (
+        torch.tensor([[0.5, 1.01]], dtype=torch.float64),
+        torch.tensor([[float("nan"), 0.5]], dtype=torch.float64),
+    ):
         with pytest.raises(TorchidError, match="inside the unit box"):
             start(mean, 0.3)
     with pytest.raises(TorchidError, match="step size"):
-        start(torch.rand(2, 2), 0.0)
+        start(torch.rand(2, 2, dtype=torch.float64), 0.0)
     arrays = begin(2, 2).to_arrays()
     del arrays["path_sigma"]
     with pytest.raises(TorchidError, match="lacks path_sigma"):

@@ -44,7 +44,7 @@ def test_cylinder_of_the_3r_lies_along_the_long_side() -> None:
     shapes = conditions(load_robot("3r"), shapes=True)
     assert shapes.round_axes.tolist() == [[1, 0, 1], [0, 1, 1], [0, 1, 1]]
     assert shapes.round_radius.tolist() == [0.04, 0.035, 0.03]
-    expected = torch.tensor([[0, -0.15, 0], [-0.11, 0, 0], [-0.075, 0, 0]])
+    expected = torch.tensor([[0, -0.15, 0], [-0.11, 0, 0], [-0.075, 0, 0]], dtype=torch.float64)
     torch.testing.assert_close(shapes.round_centre, expected, rtol=0, atol=1e-15)
 
 

@@ -33,29 +33,34 @@ def shapes_of(boxes):
 @given(st.integers(0, 10**6), st.lists(st.floats(0.01, 2), min_size=3, max_size=3))
 def test_no_cloud_of_points_in_a_box_breaks_the_inertia_bounds(seed, sides):
     g = torch.Generator().manual_seed(seed)
-    size = torch.tensor(sides)
+    size = torch.tensor(sides, dtype=torch.float64)
     # Half of the points at corners: the bounds are reached there.
-    where = torch.rand(50, 8, 3, generator=g)
-    where = torch.where(torch.rand(50, 8, 1, generator=g) < 0.5, where.round(), where) * size
-    mass = torch.rand(50, 8, generator=g)
+    where = torch.rand(50, 8, 3, generator=g, dtype=torch.float64)
+    where = (
+        torch.where(
+            torch.rand(50, 8, 1, generator=g, dtype=torch.float64) < 0.5, where.round(), where
+        )
+        * size
+    )
+    mass = torch.rand(50, 8, generator=g, dtype=torch.float64)
     total = mass.sum(-1)
     com = (mass.unsqueeze(-1) * where).sum(-2) / total.unsqueeze(-1)
     away = where - com.unsqueeze(-2)
     second = torch.einsum("kp,kpa,kpb->kab", mass, away, away)
     trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)
-    inertia = six(trace[:, None, None] * torch.eye(3) - second)
+    inertia = six(trace[:, None, None] * torch.eye(3, dtype=torch.float64) - second)
     low, high = inertia_bounds(total, size.expand(50, 3)).unbind(-1)
     assert (inertia >= low - 1e-12).all()
     assert (inertia <= high + 1e-12).all()
 
 
 def test_inertia_bounds_are_reached():
-    sides = torch.tensor([0.2, 0.4, 0.6])
+    sides = torch.tensor([0.2, 0.4, 0.6], dtype=torch.float64)
     corner = sides / 2
     # Half of the mass in each of two opposite corners.
     second = 3.0 * corner[:, None] * corner[None, :]
-    inertia = six(second.trace() * torch.eye(3) - second)
-    low, high = inertia_bounds(torch.tensor(3.0), sides).unbind(-1)
+    inertia = six(second.trace() * torch.eye(3, dtype=torch.float64) - second)
+    low, high = inertia_bounds(torch.tensor(3.0, dtype=torch.float64), sides).unbind(-1)
     torch.testing.assert_close(inertia[[0, 3, 5]], high[[0, 3, 5]])
     torch.testing.assert_close(inertia[[1, 2, 4]], low[[1, 2, 4]])
     assert low[[0, 3, 5]].tolist() == [0, 0, 0]
@@ -66,25 +71,41 @@ def test_bounds_of_the_3r_without_shapes():
     bounds = derive_bounds(robot)
     nominal = robot.parameters
     assert bounds.name == NAME
-    torch.testing.assert_close(bounds.mass, nominal.mass[:, None] * torch.tensor([0.7, 1.3]))
+    torch.testing.assert_close(
+        bounds.mass, nominal.mass[:, None] * torch.tensor([0.7, 1.3], dtype=torch.float64)
+    )
     half = (link_lengths(robot) / 2).unsqueeze(-1)
     torch.testing.assert_close(bounds.com[..., 0], nominal.com - half)
     torch.testing.assert_close(bounds.com[..., 1], nominal.com + half)
     # Link 1: joints at (0, -0.3, 0) and the origin, centre of mass at (0.001, -0.12, 0.002).
     x, y, z = 0.001 + 0.3, 0.3 + 0.3, 0.002 + 0.3
-    expected = torch.tensor([y**2 + z**2, x * y, x * z, x**2 + z**2, y * z, x**2 + y**2])
+    expected = torch.tensor(
+        [y**2 + z**2, x * y, x * z, x**2 + z**2, y * z, x**2 + y**2], dtype=torch.float64
+    )
     torch.testing.assert_close(bounds.inertia[0, :, 1], 3.5 * 1.3 / 4 * expected)
     assert bounds.coefficients == {}
 
 
 def test_shapes_set_the_boxes_where_they_are_known():
     robot = load_robot("3r")
-    boxes = torch.stack([torch.tensor([[-0.1, 0.3], [-0.2, 0.0], [0.0, 0.5]]), NOWHERE, NOWHERE])
+    boxes = torch.stack(
+        [
+            torch.tensor([[-0.1, 0.3], [-0.2, 0.0], [0.0, 0.5]], dtype=torch.float64),
+            NOWHERE,
+            NOWHERE,
+        ]
+    )
     bounds = derive_bounds(robot, mass_percent=50, com_margin=0.07, shapes=shapes_of(boxes))
     assert torch.equal(bounds.com[0], boxes[0])
-    torch.testing.assert_close(bounds.com[1, :, 1] - bounds.com[1, :, 0], torch.full((3,), 0.14))
-    torch.testing.assert_close(bounds.inertia[0, 0, 1], torch.tensor(3.5 * 1.5 / 4 * 0.29))
-    torch.testing.assert_close(bounds.inertia[0, 4, 0], torch.tensor(-3.5 * 1.5 / 4 * 0.1))
+    torch.testing.assert_close(
+        bounds.com[1, :, 1] - bounds.com[1, :, 0], torch.full((3,), 0.14, dtype=torch.float64)
+    )
+    torch.testing.assert_close(
+        bounds.inertia[0, 0, 1], torch.tensor(3.5 * 1.5 / 4 * 0.29, dtype=torch.float64)
+    )
+    torch.testing.assert_close(
+        bounds.inertia[0, 4, 0], torch.tensor(-3.5 * 1.5 / 4 * 0.1, dtype=torch.float64)
+    )
     notes = bounds_notes(robot, bounds, shapes_of(boxes))
     assert any("links 2, 3: no shape" in note for note in notes)
     # The nominal centre of mass of link 1 is at y = -0.12, z = 0.002: inside.
@@ -93,7 +114,7 @@ def test_shapes_set_the_boxes_where_they_are_known():
 
 def test_a_flat_shape_still_has_lower_below_upper():
     robot = load_robot("3r")
-    flat = torch.tensor([[-0.1, 0.1], [0.0, 0.0], [0.0, 0.2]]).repeat(3, 1, 1)
+    flat = torch.tensor([[-0.1, 0.1], [0.0, 0.0], [0.0, 0.2]], dtype=torch.float64).repeat(3, 1, 1)
     bounds = derive_bounds(robot, shapes=shapes_of(flat))
     box = bounds.box()
     assert (box[:, 0] < box[:, 1]).all()

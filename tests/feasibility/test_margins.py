@@ -33,7 +33,7 @@ def sets_of(
     parameters: InertialParameters, values: Tensor | None = None, effects: tuple = ()
 ) -> ParameterSets:
     count = parameters.pi.shape[0]
-    values = torch.zeros(count, 0) if values is None else values
+    values = torch.zeros(count, 0, dtype=torch.float64) if values is None else values
     return ParameterSets(tuple(f"p_{k}" for k in range(count)), parameters, effects, values)
 
 
@@ -42,7 +42,7 @@ def one_link(
 ) -> ParameterSets:
     return sets_of(
         InertialParameters.from_com(
-            torch.tensor([[mass]]),
+            torch.tensor([[mass]], dtype=torch.float64),
             torch.tensor([[com]]).double(),
             torch.tensor([[inertia]]).double(),
         )
@@ -125,9 +125,9 @@ def test_signs_of_margins_are_the_label(seed: int, n: int) -> None:
     asked = replace(
         physics_only(n),
         com_box=torch.cat([low, -low], -1),
-        total_mass=torch.tensor([2.0 * n, 5.0 * n]),
-        round_axes=torch.ones(n, 3),
-        round_radius=torch.full((n,), 0.3),
+        total_mass=torch.tensor([2.0 * n, 5.0 * n], dtype=torch.float64),
+        round_axes=torch.ones(n, 3, dtype=torch.float64),
+        round_radius=torch.full((n,), 0.3, dtype=torch.float64),
     )
     values = torch.randn(30, 2, generator=g, dtype=torch.float64)
     sets = sets_of(parameters, values, (ViscousFriction(0), TorqueOffset(0)))
@@ -181,7 +181,9 @@ def test_triangle_is_the_stronger_condition(seed: int) -> None:
 @given(seed=st.integers(0, 2**31), scale=st.floats(1e-3, 1e3))
 def test_degrees_do_not_depend_on_the_unit_of_mass(seed: int, scale: float) -> None:
     parameters = random_parameters(seed, 20, 4)
-    asked = replace(physics_only(4), com_box=torch.tensor([-0.2, 0.2]).repeat(4, 3, 1))
+    asked = replace(
+        physics_only(4), com_box=torch.tensor([-0.2, 0.2], dtype=torch.float64).repeat(4, 3, 1)
+    )
     one = feasibility(sets_of(parameters), asked)
     other = feasibility(sets_of(InertialParameters(scale * parameters.pi)), asked)
     torch.testing.assert_close(other.degrees, one.degrees, rtol=1e-8, atol=1e-9)
@@ -192,8 +194,8 @@ def test_degrees_do_not_depend_on_the_unit_of_mass(seed: int, scale: float) -> N
 @given(seed=st.integers(0, 2**31), length=st.floats(0.1, 10.0))
 def test_degrees_do_not_depend_on_the_unit_of_length(seed: int, length: float) -> None:
     parameters = random_parameters(seed, 20, 4)
-    powers = torch.tensor([0.0] + [1.0] * 3 + [2.0] * 6)
-    box = torch.tensor([-0.2, 0.2]).repeat(4, 3, 1)
+    powers = torch.tensor([0.0] + [1.0] * 3 + [2.0] * 6, dtype=torch.float64)
+    box = torch.tensor([-0.2, 0.2], dtype=torch.float64).repeat(4, 3, 1)
     one = feasibility(sets_of(parameters), replace(physics_only(4), com_box=box))
     other = feasibility(
         sets_of(InertialParameters(parameters.pi * length**powers)),
@@ -207,7 +209,7 @@ def test_degrees_do_not_depend_on_the_unit_of_length(seed: int, length: float) -
 def test_inertia_margins_do_not_depend_on_the_frame(seed: int, angles: list[float]) -> None:
     """Turned and moved axes: the same body."""
     parameters = random_parameters(seed, 20, 2)
-    transform = pose(roll_pitch_yaw(angles), torch.tensor([0.3, -0.2, 0.1]))
+    transform = pose(roll_pitch_yaw(angles), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64))
     moved = InertialParameters(move(parameters.pi, transform))
     one, other = physics(sets_of(parameters)), physics(sets_of(moved))
     torch.testing.assert_close(other.margins[..., :3], one.margins[..., :3], rtol=1e-8, atol=1e-9)
@@ -244,7 +246,7 @@ def test_masses(mass: float, reasons: tuple[str, ...]) -> None:
 
 
 def test_all_zero() -> None:
-    found = physics(sets_of(InertialParameters(torch.zeros(1, 2, 10))))
+    found = physics(sets_of(InertialParameters(torch.zeros(1, 2, 10, dtype=torch.float64))))
     assert found.reasons(0) == ("mass_1", "inertia_1", "mass_2", "inertia_2")
     assert float(found.degree) == 0.0
 
@@ -268,7 +270,9 @@ def test_inertias(inertia: tuple[float, ...], how: str | None) -> None:
 
 
 def box_only(low: float, high: float) -> Conditions:
-    return replace(physics_only(1), com_box=torch.tensor([low, high]).repeat(1, 3, 1))
+    return replace(
+        physics_only(1), com_box=torch.tensor([low, high], dtype=torch.float64).repeat(1, 3, 1)
+    )
 
 
 def test_centre_on_a_face_is_inside_and_beyond_it_is_named() -> None:
@@ -285,8 +289,8 @@ def test_centre_on_a_face_is_inside_and_beyond_it_is_named() -> None:
 def test_cylinder_counts_two_axes_and_sphere_three() -> None:
     cylinder = replace(
         physics_only(1),
-        round_axes=torch.tensor([[1.0, 0.0, 1.0]]),
-        round_radius=torch.tensor([0.1]),
+        round_axes=torch.tensor([[1.0, 0.0, 1.0]], dtype=torch.float64),
+        round_radius=torch.tensor([0.1], dtype=torch.float64),
     )
     for com, margin in (((0.06, 5.0, 0.0), 0.04), ((0.06, 0.0, 0.08), 0.0), ((0.3, 0, 0.4), -0.4)):
         found = feasibility(one_link(2.0, com), cylinder)
@@ -295,9 +299,9 @@ def test_cylinder_counts_two_axes_and_sphere_three() -> None:
         assert found.reasons(0) == (("shape_1",) if margin < 0 else ())
     sphere = replace(
         physics_only(1),
-        round_centre=torch.tensor([[0.0, 5.0, 0.0]]),
-        round_axes=torch.ones(1, 3),
-        round_radius=torch.tensor([0.1]),
+        round_centre=torch.tensor([[0.0, 5.0, 0.0]], dtype=torch.float64),
+        round_axes=torch.ones(1, 3, dtype=torch.float64),
+        round_radius=torch.tensor([0.1], dtype=torch.float64),
     )
     inside, outside = (feasibility(one_link(2.0, (0, y, 0)), sphere) for y in (5.05, 5.2))
     assert float(inside.margins[0, 0, SHAPE]) == pytest.approx(0.05)
@@ -325,7 +329,7 @@ def test_total_mass(interval: tuple[float, float], margin: float, degree: float)
 
 
 def conditions_of_total(interval: tuple[float, float]) -> Conditions:
-    return replace(physics_only(1), total_mass=torch.tensor(interval))
+    return replace(physics_only(1), total_mass=torch.tensor(interval, dtype=torch.float64))
 
 
 def test_box_open_to_one_side() -> None:
@@ -350,7 +354,7 @@ def with_coefficients(values: list[float]) -> Feasibility:
     """Fv of joints 1 and 12, F0 of joint 1 on a set that is feasible otherwise."""
     effects = (ViscousFriction(0), ViscousFriction(11), TorqueOffset(0))
     sets = one_link(1.0)
-    return physics(sets_of(sets.parameters, torch.tensor([values]), effects))
+    return physics(sets_of(sets.parameters, torch.tensor([values], dtype=torch.float64), effects))
 
 
 @pytest.mark.parametrize(
@@ -374,7 +378,9 @@ def test_coefficients(values: list[float], reasons: tuple[str, ...]) -> None:
 
 def test_degree_of_a_coefficient_is_its_share_of_its_kind() -> None:
     found = with_coefficients([0.1, -0.3, 7.0])
-    torch.testing.assert_close(found.coefficient_degrees[0, :2], torch.tensor([0.5, -1.5]))
+    torch.testing.assert_close(
+        found.coefficient_degrees[0, :2], torch.tensor([0.5, -1.5], dtype=torch.float64)
+    )
     assert float(found.coefficient_degrees[0, 2]) == math.inf
     assert found.coefficient_names == ("Fv1", "Fv12", "F01")
 

@@ -28,15 +28,19 @@ def uniform_boxes(density=1000.0, sides=SIDES, com=None):
     mass = density * sides.prod(-1)
     square = sides.square()
     i = mass.unsqueeze(-1) / 12 * (square.sum(-1, keepdim=True) - square)
-    zero = torch.zeros(3)
+    zero = torch.zeros(3, dtype=torch.float64)
     inertia = torch.stack([i[:, 0], zero, zero, i[:, 1], zero, i[:, 2]], -1)
-    return InertialParameters.from_com(mass, torch.zeros(3, 3) if com is None else com, inertia)
+    return InertialParameters.from_com(
+        mass, torch.zeros(3, 3, dtype=torch.float64) if com is None else com, inertia
+    )
 
 
 def findings(parameters, robot=None, asked=None, **more):
     robot = load_robot("3r") if robot is None else robot
     pi = parameters.pi
-    sets = ParameterSets(("one",), InertialParameters(pi.unsqueeze(0)), (), torch.zeros(1, 0))
+    sets = ParameterSets(
+        ("one",), InertialParameters(pi.unsqueeze(0)), (), torch.zeros(1, 0, dtype=torch.float64)
+    )
     verdict = feasibility(sets, physics_only(robot.n) if asked is None else asked)
     return plausibility(robot, sets, verdict, **more)[0]
 
@@ -68,14 +72,14 @@ def test_the_papers_arms_have_no_findings(name):
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.01, 1), min_size=3, max_size=3), st.floats(10, 20000))
 def test_a_uniform_ellipsoid_is_found_back(semi_axes, density):
-    semi = torch.tensor(semi_axes)
+    semi = torch.tensor(semi_axes, dtype=torch.float64)
     mass = density * 4 / 3 * math.pi * semi.prod()
     square = semi.square()
     i = mass / 5 * (square.sum() - square)
     inertia = torch.stack([i[0], i.new_zeros(()), i.new_zeros(()), i[1], i.new_zeros(()), i[2]])
     own = bodies(
         InertialParameters.from_com(
-            mass.reshape(1, 1), torch.zeros(1, 1, 3), inertia.expand(1, 1, 6)
+            mass.reshape(1, 1), torch.zeros(1, 1, 3, dtype=torch.float64), inertia.expand(1, 1, 6)
         )
     )
     torch.testing.assert_close(own.semi_axes[0, 0], semi.sort().values, rtol=1e-5, atol=1e-9)
@@ -87,7 +91,9 @@ def test_a_uniform_ellipsoid_is_found_back(semi_axes, density):
 def test_a_shells_density_is_off_by_what_the_module_says():
     # 2/3 m r^2 of a hollow ball of mass 1 and radius 1.
     shell = InertialParameters.from_com(
-        torch.ones(1, 1), torch.zeros(1, 1, 3), 2 / 3 * torch.tensor([[[1.0, 0, 0, 1, 0, 1]]])
+        torch.ones(1, 1, dtype=torch.float64),
+        torch.zeros(1, 1, 3, dtype=torch.float64),
+        2 / 3 * torch.tensor([[[1.0, 0, 0, 1, 0, 1]]], dtype=torch.float64),
     )
     volume = 1 / float(bodies(shell).density)
     assert volume / (4 / 3 * math.pi) == pytest.approx((5 / 3) ** 1.5)
@@ -119,7 +125,7 @@ def test_inertia_that_the_box_cannot_hold():
     wide[1, 1] = 1.7 * SIDES[1, 1]
     assert findings(uniform_boxes(sides=wide), shapes=shapes_of(BOXES)) == ()
     # But not where the centre of mass is at a face.
-    com = torch.zeros(3, 3)
+    com = torch.zeros(3, 3, dtype=torch.float64)
     com[1, 1] = 0.09
     found = findings(uniform_boxes(sides=wide, com=com), shapes=shapes_of(BOXES))
     assert kinds(found) == [("inertia_size", 2)]
@@ -129,7 +135,7 @@ def test_inertia_that_the_box_cannot_hold():
 def test_inertia_larger_than_a_link_without_shape():
     # 8 kg of 1.2 m in a link of 0.22 m.
     sides = SIDES.clone()
-    sides[1] = torch.tensor([0.1, 1.6, 0.05])
+    sides[1] = torch.tensor([0.1, 1.6, 0.05], dtype=torch.float64)
     found = findings(uniform_boxes(sides=sides))
     assert kinds(found) == [("inertia_size", 2)]
     assert found[0].value == pytest.approx(0.8 * (5 / 3) ** 0.5)
@@ -137,7 +143,7 @@ def test_inertia_larger_than_a_link_without_shape():
 
 def test_gyration_beyond_the_arm_and_of_a_point():
     sides = SIDES.clone()
-    sides[0] = torch.tensor([4.0, 0.1, 0.1])
+    sides[0] = torch.tensor([4.0, 0.1, 0.1], dtype=torch.float64)
     sides[2] = 1e-3
     found = findings(uniform_boxes(sides=sides))
     assert ("gyration", 1) in kinds(found)
@@ -150,7 +156,7 @@ def test_gyration_beyond_the_arm_and_of_a_point():
 
 def test_a_point_mass_is_on_the_boundary_and_infinitely_dense():
     pi = uniform_boxes().pi.clone()
-    pi[1] = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    pi[1] = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
     found = findings(InertialParameters(pi))
     assert ("gyration", 2) in kinds(found)
     assert ("boundary", 2) in kinds(found)
@@ -159,7 +165,7 @@ def test_a_point_mass_is_on_the_boundary_and_infinitely_dense():
 
 
 def test_com_distance():
-    com = torch.zeros(3, 3)
+    com = torch.zeros(3, 3, dtype=torch.float64)
     com[0, 0] = 0.35
     found = findings(uniform_boxes(com=com))
     assert kinds(found) == [("com_distance", 1)]
@@ -188,8 +194,10 @@ def test_sets_on_a_boundary():
 
 def test_parameters_on_and_outside_bounds():
     parameters = uniform_boxes()
-    sets = ParameterSets(("a",), InertialParameters(parameters.pi[None]), (), torch.zeros(1, 0))
-    wide = torch.tensor([-1.0, 1.0])
+    sets = ParameterSets(
+        ("a",), InertialParameters(parameters.pi[None]), (), torch.zeros(1, 0, dtype=torch.float64)
+    )
+    wide = torch.tensor([-1.0, 1.0], dtype=torch.float64)
     mass = torch.stack([parameters.mass / 2, parameters.mass * 2], -1)
     mass[1, 1] = parameters.mass[1]
     com = wide.repeat(3, 3, 1)
@@ -205,9 +213,13 @@ def test_parameters_on_and_outside_bounds():
 
 def test_an_arm_too_heavy_for_its_joints():
     robot = load_robot("3r")
-    strong = Limits(torque=torch.tensor([[-1000.0, 1000.0]] * 3))
-    weak = Limits(torque=torch.tensor([[-1000.0, 1000.0], [-1000.0, 1000.0], [-0.01, 0.01]]))
-    com = torch.full((3, 3), 0.05)
+    strong = Limits(torque=torch.tensor([[-1000.0, 1000.0]] * 3, dtype=torch.float64))
+    weak = Limits(
+        torque=torch.tensor(
+            [[-1000.0, 1000.0], [-1000.0, 1000.0], [-0.01, 0.01]], dtype=torch.float64
+        )
+    )
+    com = torch.full((3, 3), 0.05, dtype=torch.float64)
     parameters = uniform_boxes(com=com)
     assert findings(parameters, replace(robot, limits=strong)) == ()
     found = findings(parameters, replace(robot, limits=weak))
@@ -229,7 +241,9 @@ def test_copied_inertias():
 def test_many_sets_are_told_apart():
     robot = load_robot("3r")
     pi = torch.stack([uniform_boxes().pi, uniform_boxes(30.0).pi])
-    sets = ParameterSets(("a", "b"), InertialParameters(pi), (), torch.zeros(2, 0))
+    sets = ParameterSets(
+        ("a", "b"), InertialParameters(pi), (), torch.zeros(2, 0, dtype=torch.float64)
+    )
     first, second = plausibility(robot, sets, feasibility(sets, physics_only(3)))
     assert first == ()
     assert [f.what for f in second] == ["density"] * 3
@@ -240,14 +254,16 @@ def test_numbers_that_are_not_finite_do_no_harm(name):
     robot = arm(name)
     pi = consistent_parameters(robot.n, 0, (2,)).pi
     pi[0, 0] = torch.nan
-    sets = ParameterSets(("a", "b"), InertialParameters(pi), (), torch.zeros(2, 0))
+    sets = ParameterSets(
+        ("a", "b"), InertialParameters(pi), (), torch.zeros(2, 0, dtype=torch.float64)
+    )
     both = plausibility(robot, sets, feasibility(sets, physics_only(robot.n)))
     alone = sets.part([1])
     assert both[1] == plausibility(robot, alone, feasibility(alone, physics_only(robot.n)))[0]
 
 
 def own(inertia, mass=1.0, moving=0, alone=False):
-    return OwnInertial("hand", moving, alone, mass, torch.tensor(inertia))
+    return OwnInertial("hand", moving, alone, mass, torch.tensor(inertia, dtype=torch.float64))
 
 
 @pytest.mark.parametrize(

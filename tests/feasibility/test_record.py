@@ -77,7 +77,9 @@ def test_numbers_that_are_not_finite_are_null_and_infeasible():
     robot = load_robot("3r")
     pi = robot.parameters.pi.clone()
     pi[1, 4] = torch.nan
-    sets = ParameterSets(("x",), InertialParameters(pi[None]), (), torch.zeros(1, 0))
+    sets = ParameterSets(
+        ("x",), InertialParameters(pi[None]), (), torch.zeros(1, 0, dtype=torch.float64)
+    )
     (entry,) = record(check_sets(robot, sets))["sets"]
     json.dumps(entry, allow_nan=False)
     assert entry["reasons"] == ["inertia_2"]

@@ -24,7 +24,7 @@ def some_sets(n: int, count: int = 3) -> ParameterSets:
         tuple(f"p_{k}" for k in range(count)),
         consistent_parameters(n, 5, (count,)),
         effects,
-        torch.rand(count, 2),
+        torch.rand(count, 2, dtype=torch.float64),
     )
 
 
@@ -89,9 +89,12 @@ def test_file_is_lossless(name: str, tmp_path: Path) -> None:
 )
 @given(st.lists(NUMBERS, min_size=30, max_size=30), NUMBERS)
 def test_any_finite_numbers_survive_the_file(tmp_path: Path, pi: list[float], fv: float) -> None:
-    numbers = torch.tensor(pi).reshape(1, 3, 10)
+    numbers = torch.tensor(pi, dtype=torch.float64).reshape(1, 3, 10)
     sets = ParameterSets(
-        ("x",), InertialParameters(numbers), (ViscousFriction(1),), torch.tensor([[fv]])
+        ("x",),
+        InertialParameters(numbers),
+        (ViscousFriction(1),),
+        torch.tensor([[fv]], dtype=torch.float64),
     )
     robot = load_robot("3r")
     again = read_sets(written(tmp_path / "s.json", to_record(sets, robot)), robot)

@@ -33,9 +33,15 @@ def householder(a: Tensor) -> Tensor:
 
 
 def with_condition(rows: int, columns: int, condition: float) -> Tensor:
-    u = torch.linalg.qr(torch.randn(rows, columns)).Q
-    v = torch.linalg.qr(torch.randn(columns, columns)).Q
-    return u * torch.logspace(0, -torch.tensor(condition).log10(), columns) @ v
+    u = torch.linalg.qr(torch.randn(rows, columns, dtype=torch.float64)).Q
+    v = torch.linalg.qr(torch.randn(columns, columns, dtype=torch.float64)).Q
+    return (
+        u
+        * torch.logspace(
+            0, -torch.tensor(condition, dtype=torch.float64).log10(), columns, dtype=torch.float64
+        )
+        @ v
+    )
 
 
 def assert_gram_kept(r: Tensor, a: Tensor, tolerance: float = 1e-13) -> None:
@@ -50,7 +56,7 @@ def assert_gram_kept(r: Tensor, a: Tensor, tolerance: float = 1e-13) -> None:
 
 @pytest.mark.parametrize("size", [1, 3, 10, 41, 64, 1000])
 def test_pieces_of_any_size(size: int) -> None:
-    a = torch.randn(500, 10)
+    a = torch.randn(500, 10, dtype=torch.float64)
     r = streamed(a, size)
     assert_gram_kept(r, a)
     assert relative(r, householder(a)) < 1e-13
@@ -69,7 +75,10 @@ def test_accuracy_of_householder_at_condition_1e6() -> None:
 
 
 def test_columns_of_very_different_size() -> None:
-    a = torch.randn(3000, 12) * torch.logspace(-6, 6, 12)[torch.randperm(12)]
+    a = (
+        torch.randn(3000, 12, dtype=torch.float64)
+        * torch.logspace(-6, 6, 12, dtype=torch.float64)[torch.randperm(12)]
+    )
     r = streamed(a, 500)
     assert_gram_kept(r, a)
     size = torch.linalg.vector_norm(a, dim=0)
@@ -77,8 +86,8 @@ def test_columns_of_very_different_size() -> None:
 
 
 def test_first_piece_that_lacks_rank() -> None:
-    a = torch.randn(2000, 8)
-    a[:300, 4:] = a[:300, :4] @ torch.randn(4, 4)
+    a = torch.randn(2000, 8, dtype=torch.float64)
+    a[:300, 4:] = a[:300, :4] @ torch.randn(4, 4, dtype=torch.float64)
     r = streamed(a, 100)
     assert_gram_kept(r, a)
     assert relative(r, householder(a)) < 1e-12
@@ -86,44 +95,46 @@ def test_first_piece_that_lacks_rank() -> None:
 
 def test_first_piece_at_rest() -> None:
     """A log that starts at standstill: most columns are zero, then everything moves."""
-    a = torch.randn(2000, 8)
+    a = torch.randn(2000, 8, dtype=torch.float64)
     a[:300, 1:] = 0.0
     assert_gram_kept(streamed(a, 100), a)
 
 
 def test_rows_that_grow() -> None:
-    a = torch.randn(2000, 8) * torch.logspace(-6, 6, 2000).unsqueeze(-1)
+    a = torch.randn(2000, 8, dtype=torch.float64) * torch.logspace(
+        -6, 6, 2000, dtype=torch.float64
+    ).unsqueeze(-1)
     r = streamed(a, 100)
     assert_gram_kept(r, a)
     assert relative(r, householder(a)) < 1e-12
 
 
 def test_matrix_without_full_rank() -> None:
-    a = torch.randn(1000, 4) @ torch.randn(4, 7)
+    a = torch.randn(1000, 4, dtype=torch.float64) @ torch.randn(4, 7, dtype=torch.float64)
     r = streamed(a, 100)
     assert_gram_kept(r, a)
     assert float(r.diagonal()[4:].max()) < 1e-6 * float(r.diagonal().max())
 
 
 def test_fewer_rows_than_columns() -> None:
-    a = torch.randn(3, 7)
+    a = torch.randn(3, 7, dtype=torch.float64)
     assert_gram_kept(streamed(a, 2), a)
 
 
 def test_zero_rows_and_no_rows() -> None:
-    assert torch.equal(TriangularFactor(4).factor(), torch.zeros(4, 4))
+    assert torch.equal(TriangularFactor(4).factor(), torch.zeros(4, 4, dtype=torch.float64))
     factor = TriangularFactor(4)
-    factor.add(torch.zeros(0, 4))
-    factor.add(torch.zeros(5, 4))
-    assert torch.equal(factor.factor(), torch.zeros(4, 4))
-    a = torch.randn(50, 4)
-    for rows in (a[:20], torch.zeros(7, 4), a[20:]):
+    factor.add(torch.zeros(0, 4, dtype=torch.float64))
+    factor.add(torch.zeros(5, 4, dtype=torch.float64))
+    assert torch.equal(factor.factor(), torch.zeros(4, 4, dtype=torch.float64))
+    a = torch.randn(50, 4, dtype=torch.float64)
+    for rows in (a[:20], torch.zeros(7, 4, dtype=torch.float64), a[20:]):
         factor.add(rows)
     assert_gram_kept(factor.factor(), a)
 
 
 def test_a_column_that_stays_zero() -> None:
-    a = torch.randn(300, 5)
+    a = torch.randn(300, 5, dtype=torch.float64)
     a[:, 2] = 0.0
     r = streamed(a, 50)
     assert_gram_kept(r, a)
@@ -131,8 +142,8 @@ def test_a_column_that_stays_zero() -> None:
 
 
 def test_residual_and_solution_of_least_squares() -> None:
-    a, x = with_condition(4000, 10, 1e4), torch.randn(10)
-    b = a @ x + 1e-3 * torch.randn(4000)
+    a, x = with_condition(4000, 10, 1e4), torch.randn(10, dtype=torch.float64)
+    b = a @ x + 1e-3 * torch.randn(4000, dtype=torch.float64)
     r = streamed(torch.cat([a, b.unsqueeze(-1)], 1), 300)
     found = torch.linalg.solve_triangular(r[:-1, :-1], r[:-1, -1:], upper=True).squeeze(-1)
     expected = torch.linalg.lstsq(a, b.unsqueeze(-1)).solution.squeeze(-1)
@@ -142,7 +153,7 @@ def test_residual_and_solution_of_least_squares() -> None:
 
 
 def test_factors_on_top_of_each_other() -> None:
-    a = torch.randn(900, 6)
+    a = torch.randn(900, 6, dtype=torch.float64)
     r = stacked_factor([streamed(part, 100) for part in a.split(300)])
     assert relative(r, householder(a)) < 1e-13
 
@@ -168,7 +179,9 @@ def dense_factor(name: str, samples: int) -> tuple[Tensor, tuple[Tensor, ...]]:
     robot = arm(name)
     base = base_parameters(robot)
     motion = states(robot, samples)
-    tau = inverse_dynamics(robot, *motion) + 0.1 * torch.randn(samples, robot.n)
+    tau = inverse_dynamics(robot, *motion) + 0.1 * torch.randn(
+        samples, robot.n, dtype=torch.float64
+    )
     y = regressor(robot, *motion)[..., list(base.independent)]
     return householder(torch.cat([y, tau.unsqueeze(-1)], -1).flatten(0, 1)), (*motion, tau)
 
@@ -205,8 +218,8 @@ def test_streamed_log_takes_compiled_chunks() -> None:
 def test_empty_log_has_a_zero_factor() -> None:
     robot = arm("3r")
     base = base_parameters(robot)
-    r = reduce_to_factor(robot, base, *(torch.zeros(0, 3) for _ in range(4)))
-    assert torch.equal(r, torch.zeros(len(base) + 1, len(base) + 1))
+    r = reduce_to_factor(robot, base, *(torch.zeros(0, 3, dtype=torch.float64) for _ in range(4)))
+    assert torch.equal(r, torch.zeros(len(base) + 1, len(base) + 1, dtype=torch.float64))
 
 
 @pytest.mark.usefixtures("types_unchecked")
@@ -217,4 +230,6 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="without effects"):
         reduce_to_factor(robot, with_friction, *motion, motion[0])
     with pytest.raises(IdentificationError, match="do not match"):
-        reduce_to_factor(robot, base_parameters(robot), *motion, torch.zeros(4, 3))
+        reduce_to_factor(
+            robot, base_parameters(robot), *motion, torch.zeros(4, 3, dtype=torch.float64)
+        )

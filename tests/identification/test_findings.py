@@ -31,9 +31,9 @@ def motion(seed: int = 0, rate: float = 100.0, **options: float) -> Log:
 def with_pauses(log: Log) -> Log:
     """The motion with a pause as long as itself at its end."""
     still = log.select(slice(log.samples - 1, log.samples))
-    times = torch.arange(1, log.samples) * 0.01 + log.t[-1]
+    times = torch.arange(1, log.samples, dtype=torch.float64) * 0.01 + log.t[-1]
     hold = {name: x.expand(len(times), -1) for name, x in still.signals.items()}
-    hold["dq"] = hold["ddq"] = torch.zeros(len(times), 3)
+    hold["dq"] = hold["ddq"] = torch.zeros(len(times), 3, dtype=torch.float64)
     signals = {name: torch.cat([x, hold[name]]) for name, x in log.signals.items()}
     zero = torch.zeros(log.samples + len(times), dtype=torch.int64)
     return log.replace(t=torch.cat([log.t, times]), trajectory=zero, **signals)
@@ -59,7 +59,7 @@ def test_what_one_stretch_determines_is_named_and_not_overconfident():
     start, stop = 902, 914
     q3 = plan.q[:, 2].clone()
     q3[:start], q3[stop:] = q3[start], q3[stop - 1]
-    inside = torch.zeros(plan.samples)
+    inside = torch.zeros(plan.samples, dtype=torch.float64)
     inside[start:stop] = 1.0
     once = plan.replace(
         q=torch.cat([plan.q[:, :2], q3[:, None]], 1),
@@ -74,13 +74,15 @@ def test_what_one_stretch_determines_is_named_and_not_overconfident():
         estimates.append(float(found.values[k]))
         stds.append(float(found.std[k]))
         assert any("one short stretch" in w and "Fv3" in w for w in found.warnings)
-    spread = float(torch.tensor(estimates).std())
-    assert float(torch.tensor(stds).median()) > 0.5 * spread
+    spread = float(torch.tensor(estimates, dtype=torch.float64).std())
+    assert float(torch.tensor(stds, dtype=torch.float64).median()) > 0.5 * spread
 
 
 def test_a_velocity_that_contradicts_position_is_not_used():
     log = synthetic_log(ROBOT, motion(), HonestNoise(include_velocity=True), 0)
-    noise = torch.randn(log.samples, 3, generator=torch.Generator().manual_seed(0))
+    noise = torch.randn(
+        log.samples, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     wrong = log.replace(dq=noise)
     found = identify(ROBOT, wrong, settings=QUICK)
     assert any("so the derivative is used" in w for w in found.warnings)

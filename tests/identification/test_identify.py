@@ -440,3 +440,26 @@ def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
     assert isinstance(pi, InertialParameters)
     rigid = inverse_dynamics(ROBOT, q, dq, ddq, pi)
     assert float((found.predict(q, dq, ddq) - rigid).abs().max()) < 0.1
+
+
+def hardly_moving(amplitude: float) -> Log:
+    """The 3R swinging by so little about a bent pose, with torque noise of 0.02 N m."""
+    robot = load_robot("3r")
+    t = torch.arange(3000, dtype=torch.float64) / 100
+    w = torch.tensor([1.9, 2.7, 3.3], dtype=torch.float64)
+    pose = torch.tensor([0.0, 0.3, 0.5], dtype=torch.float64)
+    angle = t.unsqueeze(1) * w
+    q = pose + amplitude * torch.sin(angle)
+    dq, ddq = amplitude * w * torch.cos(angle), -amplitude * w**2 * torch.sin(angle)
+    noise = torch.randn(q.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    return Log(t, q, dq=dq, ddq=ddq, tau=inverse_dynamics(robot, q, dq, ddq) + 0.02 * noise)
+
+
+def test_a_fit_that_is_lost_in_rounding_is_refused() -> None:
+    """Not a mass of 20 million kilograms with its standard deviation."""
+    settings = Settings(cutoff=None)
+    with pytest.raises(IdentificationError, match="lost in rounding") as caught:
+        identify(load_robot("3r"), hardly_moving(1e-3), settings=settings)
+    assert "0.002" in str(caught.value)
+    found = identify(load_robot("3r"), hardly_moving(0.5), settings=settings)
+    assert found.scaled_condition_number < 1e4

@@ -279,7 +279,9 @@ def test_undetermined_columns_leave_out_those_held():
 @pytest.mark.parametrize("method", ["wls", "huber"])
 def test_a_joint_without_residual_is_no_trouble_for_the_covariance(method):
     """No torque and no rows to fit: a level of zero, a singular covariance."""
-    parts = [replace(m, tau=m.tau * torch.tensor([1.0, 1.0, 0.0])) for m in clean()]
+    parts = [
+        replace(m, tau=m.tau * torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)) for m in clean()
+    ]
     noise = [m.tau + torch.sin(40 * m.t).unsqueeze(-1) * m.tau for m in parts]
     source = RowSource(
         [replace(m, tau=tau) for m, tau in zip(parts, noise, strict=True)], LAYOUT, moving_only=True

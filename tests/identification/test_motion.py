@@ -77,7 +77,10 @@ def test_rounding_at_rest_has_no_direction():
     dq = torch.tensor([0.0, 0.5, 1.0, 0.2, 0.0, 0.0, -0.4], dtype=torch.float64)
     rounded = dq + 1e-13 * torch.tensor([-1.0, 1, 1, 1, -1, 1, -1], dtype=torch.float64)
     both = torch.stack([dq, rounded], -1)
-    assert direction(both, torch.zeros(2)).T.tolist() == [[0, 1, 1, 1, 1, 1, -1]] * 2
+    assert (
+        direction(both, torch.zeros(2, dtype=torch.float64)).T.tolist()
+        == [[0, 1, 1, 1, 1, 1, -1]] * 2
+    )
 
 
 def test_the_direction_is_that_of_a_sharper_motion():
@@ -90,7 +93,9 @@ def test_the_direction_is_that_of_a_sharper_motion():
 
 def test_beyond_the_logs_band_the_direction_is_that_of_the_log():
     found = one(LOG, cutoff=0.1 * RATE)
-    assert torch.equal(found.motion.direction, direction(LOG.dq, torch.zeros(3)))
+    assert torch.equal(
+        found.motion.direction, direction(LOG.dq, torch.zeros(3, dtype=torch.float64))
+    )
 
 
 def test_without_a_cutoff_the_log_is_taken_as_it_is():

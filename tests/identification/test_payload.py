@@ -78,11 +78,13 @@ def test_without_noise_the_box_is_recovered_in_both_frames(name):
     assert bool(found.determined.all())
     torch.testing.assert_close(found.parameters, move(BOX, TOOL), rtol=0, atol=1e-9)
     torch.testing.assert_close(found.tool.parameters.value, BOX, rtol=0, atol=1e-9)
-    torch.testing.assert_close(found.tool.com.value, torch.tensor(COM), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        found.tool.com.value, torch.tensor(COM, dtype=torch.float64), rtol=0, atol=1e-9
+    )
     x, y, z = (s**2 for s in SIDES)
-    box = MASS / 12 * torch.tensor([y + z, 0, 0, x + z, 0, x + y])
+    box = MASS / 12 * torch.tensor([y + z, 0, 0, x + z, 0, x + y], dtype=torch.float64)
     torch.testing.assert_close(found.tool.inertia_about_com.value, box, rtol=0, atol=1e-9)
-    here = TOOL[:3, :3] @ torch.tensor(COM) + TOOL[:3, 3]
+    here = TOOL[:3, :3] @ torch.tensor(COM, dtype=torch.float64) + TOOL[:3, 3]
     torch.testing.assert_close(found.link.com.value, here, rtol=0, atol=1e-9)
     assert found.seen
     assert found.consistent
@@ -140,7 +142,7 @@ def test_only_a_robot_with_parameters_carries():
 def noiseless_change(robot: Robot, payload: torch.Tensor):
     """Base parameters' structure and the change a payload in the last link's frame makes."""
     base = base_parameters(robot)
-    full = torch.zeros(robot.n, 10)
+    full = torch.zeros(robot.n, 10, dtype=torch.float64)
     full[-1] = payload
     return base, base.project(full.flatten()[paper_order(robot.n)])
 
@@ -155,7 +157,7 @@ def test_any_consistent_payload_on_any_arm_with_a_wrist(name, seed):
     payload = consistent_parameters(1, seed).pi[0]
     base, change = noiseless_change(robot, payload)
     b = len(base)
-    found = payload_from_change(robot, base, change, 1e-6 * torch.eye(b), 30.0)
+    found = payload_from_change(robot, base, change, 1e-6 * torch.eye(b, dtype=torch.float64), 30.0)
     assert bool(found.determined.all())
     torch.testing.assert_close(found.parameters, payload, rtol=0, atol=1e-8)
     assert found.consistent
@@ -183,9 +185,11 @@ def test_what_a_planar_arm_cannot_tell_is_said(robot):
     """A parameter is determined exactly if no payload with another value of it has the same
     torques: checked on torques, not on base parameters."""
     base, change = noiseless_change(robot, BOX)
-    found = payload_from_change(robot, base, change, 1e-8 * torch.eye(len(base)), 30.0)
+    found = payload_from_change(
+        robot, base, change, 1e-8 * torch.eye(len(base), dtype=torch.float64), 30.0
+    )
     state = states(robot, 40)
-    unit = torch.zeros(10, robot.n, 10)
+    unit = torch.zeros(10, robot.n, 10, dtype=torch.float64)
     unit[torch.arange(10), -1, torch.arange(10)] = 1.0
     torque = torch.stack([inverse_dynamics(robot, *state, InertialParameters(u)) for u in unit])
     _, sizes, v = torch.linalg.svd(torque.flatten(1).T)
@@ -226,7 +230,7 @@ def test_standard_deviations_are_those_of_a_thousand_repetitions():
     response = torch.stack(
         [
             (payload_from_change(robot, base, change + e, covariance).parameters - zero) / 1e-6
-            for e in 1e-6 * torch.eye(b)
+            for e in 1e-6 * torch.eye(b, dtype=torch.float64)
         ],
         -1,
     )
@@ -264,14 +268,17 @@ def test_the_nearest_consistent_payload_is_that_of_the_semidefinite_programme(se
     g = torch.Generator().manual_seed(seed)
     scale = tensor(0.05, *[0.005] * 3, *[0.002] * 6)
     root = scale.unsqueeze(-1) * (
-        torch.eye(10) + 0.3 * torch.randn(10, 10, generator=g, dtype=torch.float64)
+        torch.eye(10, dtype=torch.float64)
+        + 0.3 * torch.randn(10, 10, generator=g, dtype=torch.float64)
     )
     covariance = root @ root.T
     truth = body(0.5, (0.02, 0.01, 0.05), (0.03, 0.03, 0.01))
     for away in (1.0, 5.0):
         parameters = truth + away * root @ torch.randn(10, generator=g, dtype=torch.float64)
         margin = InertialParameters(parameters.unsqueeze(0)).consistency_margin()
-        found, distance, directions = nearest_consistent(parameters, covariance, torch.zeros(10, 0))
+        found, distance, directions = nearest_consistent(
+            parameters, covariance, torch.zeros(10, 0, dtype=torch.float64)
+        )
         assert directions == 10
         assert float(InertialParameters(found.unsqueeze(0)).consistency_margin()) > -1e-12
         off = found - parameters

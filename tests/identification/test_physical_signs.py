@@ -18,9 +18,9 @@ def points(n: int, count: int) -> torch.Tensor:
     size = 10 ** (4 * torch.rand(count, n, 1, generator=generator, dtype=torch.float64) - 2)
     place = size * torch.randn(count, n, 3, generator=generator, dtype=torch.float64)
     # Only some directions: what matters may lie along one axis.
-    place = place * (torch.rand(count, n, 3, generator=generator) < 0.5)
+    place = place * (torch.rand(count, n, 3, generator=generator, dtype=torch.float64) < 0.5)
     mass = 10 ** (2 * torch.rand(count, n, generator=generator, dtype=torch.float64) - 1)
-    mass = mass * (torch.rand(count, n, generator=generator) < 0.5)
+    mass = mass * (torch.rand(count, n, generator=generator, dtype=torch.float64) < 0.5)
     return InertialParameters.from_link_frame(
         mass, place, parallel_axis(mass, place)
     ).to_paper_order()
@@ -36,7 +36,7 @@ def test_signs_are_those_of_bodies_and_no_others(name):
     generator = torch.Generator().manual_seed(1)
     rest = torch.rand(len(rigid), 3 * robot.n, generator=generator, dtype=torch.float64)
     rest[:, robot.n : 2 * robot.n] -= 0.5  # offsets have either sign
-    rest = rest * (torch.rand(rest.shape, generator=generator) < 0.5)
+    rest = rest * (torch.rand(rest.shape, generator=generator, dtype=torch.float64) < 0.5)
     values = base.project(torch.cat([rigid, rest], -1))
     slack = 1e-3 * values.abs().amax(0)
     for k, sign in enumerate(signs.tolist()):

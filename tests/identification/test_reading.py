@@ -29,8 +29,8 @@ def whole() -> str:
             "base_names": list(base.names),
             "base_values": nominal_values(robot, base).tolist(),
             "undetermined": [base.names[1]],
-            "covariance": torch.eye(count).tolist(),
-            "factor": torch.eye(count + 1).tolist(),
+            "covariance": torch.eye(count, dtype=torch.float64).tolist(),
+            "factor": torch.eye(count + 1, dtype=torch.float64).tolist(),
         }
     )
 

@@ -35,7 +35,7 @@ def result(name: str = "3r_friction", kind: str = "plain") -> Identification:
         q[:, 1] = 0.3
         log = log.replace(q=q)
     elif kind == "joint 3 has no torque":
-        log = log.replace(tau=log.tau * torch.tensor([1.0, 1.0, 0.0]))
+        log = log.replace(tau=log.tau * torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64))
     return identify(robot, log, settings=settings)
 
 

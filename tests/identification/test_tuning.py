@@ -209,7 +209,7 @@ def test_long_logs_are_shortened_by_whole_trajectories(monkeypatch, sizes, longe
     total = sum(sizes)
     t = torch.cat([torch.arange(float(s)) for s in sizes])
     index = torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(sizes))
-    log = Log(t=t, q=torch.zeros(total, 1), trajectory=index)
+    log = Log(t=t, q=torch.zeros(total, 1, dtype=torch.float64), trajectory=index)
     assert lengths(tuning._shortened(log)) == expected
 
 

@@ -97,7 +97,7 @@ def test_everything_in_degrees() -> None:
 def test_degrees_within_known_limits() -> None:
     small = uniform().replace(q=uniform().q * 0.15 * DEGREES, dq=None)  # up to 10 or so
     assert check(small) == ()
-    limits = torch.tensor([[-2.9, 2.9], [-1.0, 1.0]])
+    limits = torch.tensor([[-2.9, 2.9], [-1.0, 1.0]], dtype=torch.float64)
     with pytest.raises(LogError, match="looks like degrees"):
         check(small, position_limits=limits)
     assert check(uniform(), position_limits=limits) == ()
@@ -105,14 +105,19 @@ def test_degrees_within_known_limits() -> None:
 
 def test_joints_that_turn_far() -> None:
     log = uniform(dq=None)
-    wound = log.replace(q=log.q + torch.tensor([20.0, 0.0]))
+    wound = log.replace(q=log.q + torch.tensor([20.0, 0.0], dtype=torch.float64))
     with pytest.raises(LogError, match="q1 looks like degrees"):
         check(wound)
     with pytest.raises(LogError, match="q1 looks like degrees"):
-        check(wound, position_limits=torch.full((2, 2), math.nan))
-    endless = torch.tensor([[-math.inf, math.inf], [-2.0, 2.0]])
+        check(wound, position_limits=torch.full((2, 2), math.nan, dtype=torch.float64))
+    endless = torch.tensor([[-math.inf, math.inf], [-2.0, 2.0]], dtype=torch.float64)
     assert check(wound, position_limits=endless) == ()
-    assert check(wound, position_limits=torch.tensor([[-25.0, 25.0], [-2.0, 2.0]])) == ()
+    assert (
+        check(
+            wound, position_limits=torch.tensor([[-25.0, 25.0], [-2.0, 2.0]], dtype=torch.float64)
+        )
+        == ()
+    )
     with pytest.raises(LogError, match="q1 looks like degrees"):
         check(in_degrees(wound, "q"), position_limits=endless)
 
@@ -129,7 +134,9 @@ def test_a_sliding_joint_has_no_degrees() -> None:
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_velocity_in_degrees(noise: float) -> None:
     log = in_degrees(uniform(), "dq")
-    log = log.replace(dq=log.dq + noise * torch.randn(501, 2, generator=torch.manual_seed(0)))
+    log = log.replace(
+        dq=log.dq + noise * torch.randn(501, 2, generator=torch.manual_seed(0), dtype=torch.float64)
+    )
     with pytest.raises(LogError, match="units of dq1 look like degrees per second") as info:
         check(log)
     assert "57.3 times" in str(info.value)
@@ -155,9 +162,9 @@ def test_time_unit(factor: float, unit: str, step: float) -> None:
 def test_time_counted_in_samples_or_far_too_slow() -> None:
     log = uniform()
     with pytest.raises(LogError, match=r"does not look like seconds.*dq disagrees"):
-        check(log.replace(t=torch.arange(501.0)))
+        check(log.replace(t=torch.arange(501.0, dtype=torch.float64)))
     with pytest.raises(LogError, match=r"does not look like seconds.*too long"):
-        check(log.replace(t=torch.arange(501.0), dq=None))
+        check(log.replace(t=torch.arange(501.0, dtype=torch.float64), dq=None))
 
 
 def test_slow_log_with_fitting_velocity_passes() -> None:
@@ -173,7 +180,7 @@ def test_velocity_off_by_another_factor(factor: float) -> None:
     log = uniform()
     with pytest.raises(LogError, match=f"every measured velocity is {factor:.3g} times"):
         check(log.replace(dq=log.dq * factor))
-    (warning,) = check(log.replace(dq=log.dq * torch.tensor([1.0, factor])))
+    (warning,) = check(log.replace(dq=log.dq * torch.tensor([1.0, factor], dtype=torch.float64)))
     assert f"dq2 is {factor:.3g} times" in warning
 
 
@@ -207,7 +214,7 @@ def test_wrong_arguments() -> None:
     with pytest.raises(ValueError, match="prismatic"):
         check(uniform(), prismatic=[True])
     with pytest.raises(ValueError, match="position_limits"):
-        check(uniform(), position_limits=torch.zeros(3, 2))
+        check(uniform(), position_limits=torch.zeros(3, 2, dtype=torch.float64))
 
 
 @given(

@@ -54,7 +54,9 @@ def test_episodes_are_trajectories(tmp_path: Path, log: Log, version: str, neste
     assert read.names == ("set[traj=0]", "set[traj=1]", "set[traj=2]")
     assert torch.equal(read.trajectory, log.trajectory)
     for part in read.trajectories():
-        assert torch.allclose(part.t, 0.02 * torch.arange(part.samples), rtol=1e-15)
+        assert torch.allclose(
+            part.t, 0.02 * torch.arange(part.samples, dtype=torch.float64), rtol=1e-15
+        )
     assert close(read.q, log.q[:, order])
     assert close(read.signals["tau"], log.signals["tau"][:, order])
     assert read.dq is None

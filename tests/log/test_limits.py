@@ -16,7 +16,7 @@ def test_within_the_limits_nothing_is_said() -> None:
     size = float(log.signals["tau"].abs().max())
     torque = torch.tensor([[-1.0, 1.0]] * 2, dtype=torch.float64) * size / 2
     assert beyond_limits(log, position_limits=WIDE, torque_limits=torque) == ()
-    unknown = torch.tensor([[-torch.inf, torch.inf], [torch.nan, torch.nan]])
+    unknown = torch.tensor([[-torch.inf, torch.inf], [torch.nan, torch.nan]], dtype=torch.float64)
     assert beyond_limits(log, position_limits=unknown, torque_limits=unknown) == ()
 
 

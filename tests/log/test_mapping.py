@@ -151,9 +151,11 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
     )
     for columns in (tmp_path / "map.yaml", str(tmp_path / "map.yaml")):
         log = read_log(tmp_path / "a.csv", columns=columns)
-        assert torch.allclose(log.q, torch.tensor(DEG * np.stack([2 * T, -2 * T], 1)))
+        assert torch.allclose(
+            log.q, torch.tensor(DEG * np.stack([2 * T, -2 * T], 1), dtype=torch.float64)
+        )
         assert log.tau is not None
-        assert torch.equal(log.tau, torch.tensor(np.stack([3 * T, T], 1)))
+        assert torch.equal(log.tau, torch.tensor(np.stack([3 * T, T], 1), dtype=torch.float64))
     text = read_log(tmp_path / "a.csv", columns="t=ms ms,q=p{j0} deg *[2,-1],tau=[right,left]")
     assert same(text, snapshot(log))
     given_ = {"t": "ms ms", "q": {"columns": "p{j0}", "unit": "deg", "factor": [2, -1]},
@@ -190,7 +192,7 @@ def test_our_names_need_no_mapping_and_give_way_to_it(tmp_path: Path) -> None:
     log = read_log(path, columns="tau=better,dq=none")
     assert list(log.signals) == ["q", "tau"]
     assert log.tau is not None
-    assert torch.equal(log.tau[:, 0], torch.tensor(2 * T))
+    assert torch.equal(log.tau[:, 0], torch.tensor(2 * T, dtype=torch.float64))
 
 
 def test_numbering(tmp_path: Path) -> None:

@@ -20,7 +20,11 @@ def three() -> Log:
 
 
 def test_defaults() -> None:
-    log = Log(torch.arange(3.0), torch.zeros(3, 2), source="here")
+    log = Log(
+        torch.arange(3.0, dtype=torch.float64),
+        torch.zeros(3, 2, dtype=torch.float64),
+        source="here",
+    )
     assert (log.n, log.samples, log.trajectory_count) == (2, 3, 1)
     assert log.trajectory.tolist() == [0, 0, 0]
     assert log.trajectory.dtype == torch.int64
@@ -38,12 +42,15 @@ def test_frozen(three: Log) -> None:
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
-        ({"t": torch.zeros(0), "q": torch.zeros(0, 2)}, "at least one"),
-        ({"t": torch.zeros(3, 1)}, "shape"),
-        ({"q": torch.zeros(3, 0)}, "one column a joint"),
-        ({"q": torch.zeros(4, 2)}, "q has another size"),
-        ({"dq": torch.zeros(3, 1)}, "dq has another size"),
-        ({"tau": torch.zeros(2, 2)}, "tau has another size"),
+        (
+            {"t": torch.zeros(0, dtype=torch.float64), "q": torch.zeros(0, 2, dtype=torch.float64)},
+            "at least one",
+        ),
+        ({"t": torch.zeros(3, 1, dtype=torch.float64)}, "shape"),
+        ({"q": torch.zeros(3, 0, dtype=torch.float64)}, "one column a joint"),
+        ({"q": torch.zeros(4, 2, dtype=torch.float64)}, "q has another size"),
+        ({"dq": torch.zeros(3, 1, dtype=torch.float64)}, "dq has another size"),
+        ({"tau": torch.zeros(2, 2, dtype=torch.float64)}, "tau has another size"),
         ({"trajectory": torch.zeros(2, dtype=torch.int64)}, "one trajectory number a sample"),
         ({"trajectory": torch.tensor([1, 1, 1])}, "consecutive runs"),
         ({"trajectory": torch.tensor([0, 2, 2])}, "consecutive runs"),
@@ -54,7 +61,15 @@ def test_frozen(three: Log) -> None:
 @pytest.mark.usefixtures("types_unchecked")
 def test_wrong_sizes(fields: dict, text: str) -> None:
     with pytest.raises(LogError) as info:
-        Log(**({"t": torch.zeros(3), "q": torch.zeros(3, 2)} | fields))
+        Log(
+            **(
+                {
+                    "t": torch.zeros(3, dtype=torch.float64),
+                    "q": torch.zeros(3, 2, dtype=torch.float64),
+                }
+                | fields
+            )
+        )
     assert text in str(info.value)
 
 
@@ -108,7 +123,7 @@ def test_with_torque(three: Log) -> None:
     assert torch.equal(result.tau, three.current * gain)
     assert same(three, before)
     with pytest.raises(LogError, match="one drive gain a joint") as info:
-        three.with_torque(torch.ones(3))
+        three.with_torque(torch.ones(3, dtype=torch.float64))
     assert (info.value.got, info.value.expected) == ((3,), (2,))
     with pytest.raises(LogError, match="no motor currents") as info:
         three.replace(current=None).with_torque(gain)

@@ -71,7 +71,7 @@ def test_real_log(path: Path) -> None:
 def test_a_log_survives_every_format(tmp_path: Path) -> None:
     """The UR10e's, as csv in degrees, MATLAB, HDF5 and bags with joints in alphabetical order."""
     log = read_log(FOLDER / "ur10e" / "log_est_30s_12harm.parquet")
-    log = log.with_torque(torch.tensor([11.0, 11.0, 11.0, 9.0, 9.0, 9.0]))
+    log = log.with_torque(torch.tensor([11.0, 11.0, 11.0, 9.0, 9.0, 9.0], dtype=torch.float64))
     names = load_robot(FOLDER / "ur10e" / "robot.urdf").joint_names
     q, dq, tau = (log.signals[name].numpy() for name in ("q", "dq", "tau"))
     degrees = {"stamp": 1e3 * log.t.numpy()}

@@ -173,7 +173,7 @@ def test_text_without_header(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("".join(f"{t} {2 * t} {3 * t}\n" for t in T))
     log = read_log(path, columns="t=data[:,0],q=data[:,1:3]")
-    assert torch.allclose(log.q, torch.tensor(np.stack([2 * T, 3 * T], 1)))
+    assert torch.allclose(log.q, torch.tensor(np.stack([2 * T, 3 * T], 1), dtype=torch.float64))
     with pytest.raises(LogError, match="no header line") as info:
         read_log(path)
     assert "data[:,0]" in str(info.value)

@@ -152,5 +152,5 @@ def test_one_given_set_is_enough() -> None:
     one = compare_given(s.robot, s.nominal, s.nominal, s.conditions, study().motion, resamples=5)
     assert len(given_sets.tables(one)) == 1
     assert "0 N (3r)" in given_sets.headline(one)
-    assert torch.equal(one.errors.force_rms, torch.zeros(1, 3))
+    assert torch.equal(one.errors.force_rms, torch.zeros(1, 3, dtype=torch.float64))
     assert len(given_sets.figures(one)) == 2

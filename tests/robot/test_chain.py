@@ -117,5 +117,5 @@ def test_jacobian_takes_any_batch(arm_urdf, batch):
     q = positions(6, *batch)
     jacobian = tool_jacobian(robot, q)
     assert jacobian.shape == (*batch, 6, 6)
-    flat = tool_jacobian(robot, q.reshape(-1, 6), to_chain(robot))
+    flat = tool_jacobian(robot, q.reshape(-1, 6))
     assert jacobian.reshape(-1, 6, 6).equal(flat)

@@ -158,7 +158,7 @@ def test_parallel_axis_is_a_point_mass():
 
 
 def test_symmetric_and_six_are_inverse():
-    matrix = symmetric(torch.arange(1.0, 7.0))
+    matrix = symmetric(torch.arange(1.0, 7.0, dtype=torch.float64))
     assert matrix.tolist() == [[1, 2, 3], [2, 4, 5], [3, 5, 6]]
     assert six(matrix).tolist() == [1, 2, 3, 4, 5, 6]
 
@@ -170,7 +170,9 @@ def test_point_masses_are_consistent(seed):
     parameters = InertialParameters(of_points(mass, points)[None])
     expected = sum(
         m * torch.outer(p, p)
-        for m, p in zip(mass, torch.cat([points, torch.ones(6, 1)], -1), strict=True)
+        for m, p in zip(
+            mass, torch.cat([points, torch.ones(6, 1, dtype=torch.float64)], -1), strict=True
+        )
     )
     assert torch.allclose(parameters.pseudo_inertia[0], expected, atol=EXACT)
     assert parameters.consistency_margin().item() > 0

@@ -84,7 +84,9 @@ def box_of(*corners):
 )
 def test_primitives_along_the_axes(tmp_path, geometry, expected, volume):
     shapes = link_shapes(one(tmp_path, at(geometry, "0.3 0 -0.1")))
-    moved = torch.tensor(expected) + torch.tensor([[0.3], [0.0], [-0.1]])
+    moved = torch.tensor(expected, dtype=torch.float64) + torch.tensor(
+        [[0.3], [0.0], [-0.1]], dtype=torch.float64
+    )
     torch.testing.assert_close(shapes.boxes[0], moved)
     assert float(shapes.volumes[0]) == pytest.approx(volume)
     assert shapes.kinds == ("collision",)
@@ -99,18 +101,23 @@ sizes = st.floats(0.01, 2)
 @given(angles, angles, angles, sizes, sizes)
 def test_boxes_of_turned_solids_touch_their_surfaces(roll, pitch, yaw, radius, length):
     turned = pose(roll_pitch_yaw([roll, pitch, yaw]), [0.1, -0.2, 0.3])
-    t = torch.linspace(0, 2 * math.pi, 721)
+    t = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
     ring = torch.stack([radius * t.cos(), radius * t.sin(), torch.zeros_like(t)], -1)
-    top = torch.tensor([0.0, 0.0, length / 2])
+    top = torch.tensor([0.0, 0.0, length / 2], dtype=torch.float64)
     rims = torch.cat([ring + top, ring - top])
     u, v = torch.meshgrid(t[::4], t[:361:2], indexing="ij")
     ball = torch.stack([v.sin() * u.cos(), v.sin() * u.sin(), v.cos()], -1).reshape(-1, 3)
-    semi = torch.tensor([radius, length, 0.5])
+    semi = torch.tensor([radius, length, 0.5], dtype=torch.float64)
     for solid, surface in (
         (cylinder(turned, radius, length), rims),
         (capsule(turned, radius, length), torch.cat([radius * ball + top, radius * ball - top])),
         (ellipsoid(turned, semi), ball * semi),
-        (box(turned, semi), torch.cartesian_prod(*(torch.tensor([-1.0, 1.0]) * s for s in semi))),
+        (
+            box(turned, semi),
+            torch.cartesian_prod(
+                *(torch.tensor([-1.0, 1.0], dtype=torch.float64) * s for s in semi)
+            ),
+        ),
     ):
         sampled = surface @ turned[:3, :3].T + turned[:3, 3]
         found = torch.stack([sampled.amin(0), sampled.amax(0)], -1)
@@ -360,7 +367,7 @@ def test_mjcf_meshes_are_their_corners(tmp_path):
 
 def test_joint_points_are_where_the_joints_are(robot):
     """The next joint's frame from one link is its own joint's from the next, at any position."""
-    q = torch.zeros(robot.n)
+    q = torch.zeros(robot.n, dtype=torch.float64)
     poses = link_poses(robot, q)
     ends = joint_points(robot)
     world = (poses[:, None, :3, :3] @ ends.unsqueeze(-1)).squeeze(-1) + poses[:, None, :3, 3]
@@ -373,14 +380,14 @@ def test_link_lengths_of_the_3r():
     robot = load_robot("3r")
     lengths = link_lengths(robot)
     mean = (0.3 + 0.22 + 0.15) / 3
-    torch.testing.assert_close(lengths, torch.tensor([0.3, mean, mean]))
+    torch.testing.assert_close(lengths, torch.tensor([0.3, mean, mean], dtype=torch.float64))
     assert reach(robot) == pytest.approx(0.67)
 
 
 def test_prismatic_joints_add_their_travel_to_the_reach(arm_urdf):
     robot = load_robot(arm_urdf)
     limits = robot.limits.position.clone()
-    limits[2] = torch.tensor([-1.0, 3.0])
+    limits[2] = torch.tensor([-1.0, 3.0], dtype=torch.float64)
     drawn = replace(robot, limits=replace(robot.limits, position=limits))
     assert reach(drawn) - reach(robot) == pytest.approx(3.0 - 0.4)
 
@@ -391,5 +398,7 @@ def test_vertices_of_unknown_suffix(tmp_path):
 
 
 def test_a_flat_mesh_has_no_volume():
-    flat = points(pose(), torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+    flat = points(
+        pose(), torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=torch.float64)
+    )
     assert flat.volume == 0

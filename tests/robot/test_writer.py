@@ -127,7 +127,9 @@ def test_everything_else_a_description_can_hold(tmp_path: Path) -> None:
         joint_names=("1", "null", "yes"),
         link_names=("a b", "link_2", "-"),
         limits=Limits(
-            position=torch.tensor([[-inf, inf], [-1e-7, 0.1 + 0.2], [0, 1e300]]).double()
+            position=torch.tensor(
+                [[-inf, inf], [-1e-7, 0.1 + 0.2], [0, 1e300]], dtype=torch.float64
+            )
         ),
         drive_gain=torch.tensor([1 / 3, 1e-17, 2.0], dtype=torch.float64),
         bounds=MappingProxyType(

@@ -21,7 +21,7 @@ INERTIA = 0.5
 
 def flywheel() -> Robot:
     """One joint, balanced, without gravity: I ddq = tau."""
-    pi = torch.zeros(1, 10)
+    pi = torch.zeros(1, 10, dtype=torch.float64)
     pi[0, 0], pi[0, 4], pi[0, 7], pi[0, 9] = 1.0, INERTIA, INERTIA, INERTIA
     return Robot(
         name="flywheel",
@@ -30,7 +30,7 @@ def flywheel() -> Robot:
         joint_types=(JointType.REVOLUTE,),
         before=pose().unsqueeze(0),
         after=pose().unsqueeze(0),
-        gravity=torch.zeros(3),
+        gravity=torch.zeros(3, dtype=torch.float64),
         tool=pose(),
         limits=Limits(),
         parameters=InertialParameters(pi),
@@ -49,14 +49,16 @@ def effect(robot: Robot, name: str, **entries: float) -> Valued:
 def reference(robot: Robot, seconds: float, rate: float = 500.0, speed: float = 0.8) -> Log:
     """All joints swing at once, from rest; each with a period of its own."""
     n = robot.n
-    period = torch.linspace(0.9, 1.7, n)
-    start = torch.linspace(-0.4, 0.5, n)
-    return trajectory_log(Sinusoid(torch.full((n,), speed), period, start, seconds), rate)
+    period = torch.linspace(0.9, 1.7, n, dtype=torch.float64)
+    start = torch.linspace(-0.4, 0.5, n, dtype=torch.float64)
+    return trajectory_log(
+        Sinusoid(torch.full((n,), speed, dtype=torch.float64), period, start, seconds), rate
+    )
 
 
 def run(plant: Plant, q: Tensor, dq: Tensor, seconds: float, h: float, tau: Tensor) -> list[State]:
     """States of arms (B, n) under a constant torque."""
-    t = torch.zeros(q.shape[0])
+    t = torch.zeros(q.shape[0], dtype=torch.float64)
     states = [plant.start(q, dq, torch.zeros_like(q), t)]
     for k in range(round(seconds / h)):
         state, _ = plant.step(states[-1], h, t + (k + 0.5) * h, Drive(tau))

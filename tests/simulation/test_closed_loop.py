@@ -153,7 +153,7 @@ def test_slow_motion_sticks_and_slips_without_chatter() -> None:
         effect(robot, "coulomb_friction", joint=1, Fc=0.5),
         effect(robot, "stribeck_friction", joint=1, Fs=0.5, vs=0.05),
     ]
-    t = torch.arange(1200) / 500.0
+    t = torch.arange(1200, dtype=torch.float64) / 500.0
     ramp = 0.03 * t.unsqueeze(-1)
     log = Log(t, ramp, torch.full_like(ramp, 0.03), torch.zeros_like(ramp))
     (out,) = closed_loop(robot, [log], [law], controller=Controller(1.5, 0.3))
@@ -171,7 +171,7 @@ def test_torque_stays_within_its_limit() -> None:
     (free,) = closed_loop(robot, [log], [[]])
     limit = tuple((0.6 * _tau(free).abs().amax(0)).tolist())
     (held,) = closed_loop(robot, [log], [[]], controller=Controller(torque_limit=limit))
-    assert bool((_tau(held).abs() <= torch.tensor(limit) * 1.02).all())
+    assert bool((_tau(held).abs() <= torch.tensor(limit, dtype=torch.float64) * 1.02).all())
     assert float((held.q - log.q).abs().max()) > 1e-3
 
 
@@ -197,8 +197,8 @@ def test_a_rollout_of_the_logged_torque_is_the_logged_motion() -> None:
     (log,) = closed_loop(robot, [reference(robot, 1.0)], [law])
     assert log.dq is not None
     windows = [slice(a, a + 250) for a in (20, 150, 250)]
-    seen = _tau(log) * torch.tensor([1.0, 1.1, 1.0])
-    q, dq = log.q - torch.tensor([0.05, 0, 0]), log.dq
+    seen = _tau(log) * torch.tensor([1.0, 1.1, 1.0], dtype=torch.float64)
+    q, dq = log.q - torch.tensor([0.05, 0, 0], dtype=torch.float64), log.dq
     out = rollout(
         robot,
         law,

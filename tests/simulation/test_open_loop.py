@@ -12,13 +12,13 @@ from torchid.simulation.open_loop import rollout
 def test_a_wheel_under_a_ramp_of_torque() -> None:
     """tau = t: dq = t^2 / 2I, q = t^3 / 6I; held: one step's torque late."""
     robot = flywheel()
-    t = torch.arange(51) * 0.01
-    zero = torch.zeros(1, 1)
+    t = torch.arange(51, dtype=torch.float64) * 0.01
+    zero = torch.zeros(1, 1, dtype=torch.float64)
     linear = rollout(robot, [], zero, zero, t.reshape(1, -1, 1), 0.01)
     assert torch.allclose(linear.dq[0, :, 0], t**2 / (2 * INERTIA), atol=1e-12)
     assert torch.allclose(linear.q[0, :, 0], t**3 / (6 * INERTIA), atol=1e-6)
     held = rollout(robot, [], zero, zero, t.reshape(1, -1, 1), 0.01, hold="zero_order")
-    steps = torch.cat([torch.zeros(1), t[:-1].cumsum(0) * 0.01])
+    steps = torch.cat([torch.zeros(1, dtype=torch.float64), t[:-1].cumsum(0) * 0.01])
     assert torch.allclose(held.dq[0, :, 0], steps / INERTIA, atol=1e-12)
 
 
@@ -26,9 +26,19 @@ def test_the_clock_of_each_window_counts() -> None:
     """Friction that drifts with time: a wheel started later loses another speed."""
     robot = flywheel()
     law = [effect(robot, "thermal_friction_drift", joint=1, **_thermal())]
-    start, tau = torch.zeros(2, 1), torch.zeros(2, 51, 1)
-    out = rollout(robot, law, start, torch.ones(2, 1), tau, 0.01, torch.tensor([0.0, 100.0]))
-    alone = rollout(robot, law, start[:1], torch.ones(1, 1), tau[:1], 0.01, 100.0)
+    start, tau = torch.zeros(2, 1, dtype=torch.float64), torch.zeros(2, 51, 1, dtype=torch.float64)
+    out = rollout(
+        robot,
+        law,
+        start,
+        torch.ones(2, 1, dtype=torch.float64),
+        tau,
+        0.01,
+        torch.tensor([0.0, 100.0], dtype=torch.float64),
+    )
+    alone = rollout(
+        robot, law, start[:1], torch.ones(1, 1, dtype=torch.float64), tau[:1], 0.01, 100.0
+    )
     assert float((out.dq[0, -1] - out.dq[1, -1]).abs()) > 1e-3
     assert torch.equal(alone.dq[0], out.dq[1])
 
@@ -71,10 +81,10 @@ def test_sensors_are_undone_where_they_can_be(
 
 def test_divergence_is_reported_for_its_arm_only() -> None:
     robot = flywheel()
-    tau = torch.ones(3, 40, 1)
+    tau = torch.ones(3, 40, 1, dtype=torch.float64)
     tau[1, 20:] = 1e9
     tau[2, 10] = float("nan")
-    zero = torch.zeros(3, 1)
+    zero = torch.zeros(3, 1, dtype=torch.float64)
     out = rollout(robot, [], zero, zero, tau, 0.01)
     assert out.diverged.tolist() == [False, True, True]
     assert bool(out.q[0].isfinite().all())
@@ -85,11 +95,13 @@ def test_divergence_is_reported_for_its_arm_only() -> None:
 def test_a_gain_that_cannot_be_undone_diverges_without_an_error() -> None:
     robot = flywheel()
     law = [effect(robot, "torque_gain", joint=1, gain=-1.0)]
-    zero = torch.zeros(1, 1)
-    assert rollout(robot, law, zero, zero, torch.ones(1, 5, 1), 0.01).diverged.tolist() == [True]
+    zero = torch.zeros(1, 1, dtype=torch.float64)
+    assert rollout(
+        robot, law, zero, zero, torch.ones(1, 5, 1, dtype=torch.float64), 0.01
+    ).diverged.tolist() == [True]
 
 
 def test_the_time_between_samples_is_positive() -> None:
-    zero = torch.zeros(1, 1)
+    zero = torch.zeros(1, 1, dtype=torch.float64)
     with pytest.raises(TorchidError, match="positive"):
-        rollout(flywheel(), [], zero, zero, torch.ones(1, 5, 1), 0.0)
+        rollout(flywheel(), [], zero, zero, torch.ones(1, 5, 1, dtype=torch.float64), 0.0)

@@ -64,7 +64,9 @@ def test_the_clock_of_effects_starts_with_each_trajectory(robot: Robot, true: Lo
 def test_torque_noise_has_the_given_size(robot: Robot, true: Log) -> None:
     sensors = Sensors(HonestNoise(encoder_step=0.0), torque_std=(0.1, 0.2, 0.4))
     noise = measured_log(robot, true, [], sensors, seed=1).tau - true.tau
-    assert torch.allclose(noise.std(0), torch.tensor([0.1, 0.2, 0.4]), rtol=0.1)
+    assert torch.allclose(
+        noise.std(0), torch.tensor([0.1, 0.2, 0.4], dtype=torch.float64), rtol=0.1
+    )
     coloured = Sensors(HonestNoise(encoder_step=0.0, colour_hz=10.0), torque_std=0.1)
     slow = (measured_log(robot, true, [], coloured, seed=1).tau - true.tau)[:, 0]
     correlation = float((slow[1:] * slow[:-1]).mean() / slow.square().mean())
@@ -82,9 +84,9 @@ def test_jitter_moves_the_instants_and_the_stamps_say_so(robot: Robot, true: Log
     (steps,) = time_steps(seen)
     assert steps.shortest < 1.8e-3 < 2.2e-3 < steps.longest
     # The motion 1 - cos in closed form, at the instants that the stamps name.
-    period = torch.linspace(0.9, 1.7, 3)
+    period = torch.linspace(0.9, 1.7, 3, dtype=torch.float64)
     w = 2 * math.pi / period
-    start = torch.linspace(-0.4, 0.5, 3)
+    start = torch.linspace(-0.4, 0.5, 3, dtype=torch.float64)
     exact = start + 0.8 / w * (1 - torch.cos(w * seen.t.unsqueeze(-1)))
     assert float((seen.q - exact)[2:-2].abs().max()) < 1e-6
 

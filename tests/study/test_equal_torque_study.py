@@ -217,7 +217,7 @@ def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
         robot,
         *states(robot, 6, seed=seed),
         directions,
-        InertialParameters(torch.zeros(robot.n, 10)),
+        InertialParameters(torch.zeros(robot.n, 10, dtype=torch.float64)),
     )
     prismatic = [kind is JointType.PRISMATIC for kind in robot.joint_types]
     assert float(errors.torque_rms[:, prismatic].max()) < 1e-9

@@ -143,7 +143,7 @@ def test_an_effect_of_the_whole_arm_is_on_every_joint() -> None:
 def test_largest_matching_beats_no_assignment() -> None:
     generator = torch.Generator().manual_seed(0)
     for _ in range(50):
-        fits = (torch.rand(4, 4, generator=generator) < 0.35).tolist()
+        fits = (torch.rand(4, 4, generator=generator, dtype=torch.float64) < 0.35).tolist()
         best = max(
             sum(fits[i][j] for i, j in enumerate(order))
             for order in itertools.permutations(range(4))

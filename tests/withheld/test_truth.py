@@ -23,7 +23,7 @@ def corrected(strength, joint=2):
 
 def share(model, spec=Spec(1, 0)):  # noqa: B008
     log = log_from_columns(simulate_case(spec, ideal=True).columns, "ideal.parquet")
-    return closed_share(arm(), log, model, torch.tensor([0.05, 0.05]), 20.0)
+    return closed_share(arm(), log, model, torch.tensor([0.05, 0.05], dtype=torch.float64), 20.0)
 
 
 @pytest.mark.parametrize(

@@ -66,9 +66,11 @@ def planted(seed: int = 0, k: int = 120, resamples: int = 300) -> Comparison:
     """A third each feasible, inertia only, CoM only; the CoM's errors are three times larger."""
     g = torch.Generator().manual_seed(seed)
     reasons = [((), ("inertia_2",), ("com_1x",))[i % 3] for i in range(k)]
-    factor = torch.tensor([1.0, 1.0, 3.0]).repeat(k // 3)
-    errors = factor * torch.exp(0.5 * torch.randn(k, generator=g))
-    degree = torch.tensor([0.0, 1.0, 2.0]).repeat(k // 3) + 0.1 * torch.rand(k, generator=g)
+    factor = torch.tensor([1.0, 1.0, 3.0], dtype=torch.float64).repeat(k // 3)
+    errors = factor * torch.exp(0.5 * torch.randn(k, generator=g, dtype=torch.float64))
+    degree = torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64).repeat(k // 3) + 0.1 * torch.rand(
+        k, generator=g, dtype=torch.float64
+    )
     return compare(errors, reasons, degree, resamples=resamples, seed=seed)
 
 
@@ -101,9 +103,11 @@ def test_intervals_cover() -> None:
     for seed in range(100):
         g = torch.Generator().manual_seed(seed)
         cluster = torch.arange(40).repeat_interleave(5)
-        chain = 0.8 * torch.randn(40, generator=g)[cluster]
+        chain = 0.8 * torch.randn(40, generator=g, dtype=torch.float64)[cluster]
         second = cluster % 2 == 1
-        errors = torch.exp(chain + 0.2 * torch.randn(200, generator=g) + second * np.log(2.0))
+        errors = torch.exp(
+            chain + 0.2 * torch.randn(200, generator=g, dtype=torch.float64) + second * np.log(2.0)
+        )
         reasons = [("com_1x",) if s else () for s in second.tolist()]
         found = compare(errors, reasons, second.double(), cluster=cluster, resamples=300, seed=seed)
         ratio = found.effects[0].ratio
@@ -114,8 +118,8 @@ def test_intervals_cover() -> None:
 def test_clusters_widen_the_interval() -> None:
     """Ten copies of each set are no more evidence than one: alone, they would look like it."""
     g = torch.Generator().manual_seed(0)
-    errors = torch.exp(torch.randn(24, generator=g))
-    degree = torch.rand(24, generator=g)
+    errors = torch.exp(torch.randn(24, generator=g, dtype=torch.float64))
+    degree = torch.rand(24, generator=g, dtype=torch.float64)
     reasons = [() if i % 2 else ("mass_1",) for i in range(24)]
     many = {
         "errors": errors.repeat_interleave(10),
@@ -138,7 +142,12 @@ def test_clusters_widen_the_interval() -> None:
 
 def test_too_few_sets_give_no_numbers() -> None:
     reasons = [()] * 6 + [("inertia_1",)] * 4
-    found = compare(torch.rand(10) + 1, reasons, torch.arange(10.0), resamples=20)
+    found = compare(
+        torch.rand(10, dtype=torch.float64) + 1,
+        reasons,
+        torch.arange(10.0, dtype=torch.float64),
+        resamples=20,
+    )
     assert found.of("feasible").median is not None
     few = found.of("inertia only")
     assert few.median is None
@@ -151,7 +160,13 @@ def test_too_few_sets_give_no_numbers() -> None:
 def test_few_clusters_give_a_value_without_interval() -> None:
     reasons = [(), ("com_1x",)] * 10
     cluster = torch.arange(20) // 10
-    found = compare(torch.rand(20) + 1, reasons, torch.rand(20), cluster=cluster, resamples=20)
+    found = compare(
+        torch.rand(20, dtype=torch.float64) + 1,
+        reasons,
+        torch.rand(20, dtype=torch.float64),
+        cluster=cluster,
+        resamples=20,
+    )
     assert np.isfinite(found.correlation.rho.value)
     assert np.isnan(found.correlation.rho.low)
     assert "clusters" in found.correlation.note
@@ -159,47 +174,61 @@ def test_few_clusters_give_a_value_without_interval() -> None:
 
 
 def test_bad_sets_are_counted_and_left_out() -> None:
-    errors = torch.rand(20) + 1
+    errors = torch.rand(20, dtype=torch.float64) + 1
     errors[3] = torch.nan
     reasons = [(), ("com_1x",)] * 10
-    found = compare(errors, reasons, torch.rand(20), resamples=20)
+    found = compare(errors, reasons, torch.rand(20, dtype=torch.float64), resamples=20)
     assert (found.of("CoM only").sets, found.of("CoM only").usable) == (10, 9)
     assert found.correlation.sets == 19
 
 
 def test_an_error_of_zero_has_no_ratio() -> None:
-    errors = torch.rand(20)
+    errors = torch.rand(20, dtype=torch.float64)
     errors[0] = 0.0
-    found = compare(errors, [(), ("com_1x",)] * 10, torch.rand(20), resamples=20)
+    found = compare(
+        errors, [(), ("com_1x",)] * 10, torch.rand(20, dtype=torch.float64), resamples=20
+    )
     assert np.isnan(found.effects[0].ratio.value)
     assert "zero" in found.effects[0].note
     assert np.isfinite(found.effects[0].delta.low)
 
 
 def test_chosen_pairs() -> None:
-    errors = torch.rand(30) + 1
+    errors = torch.rand(30, dtype=torch.float64) + 1
     reasons = [(), ("com_1x",), ("com_1x", "mass_1")] * 10
-    found = compare(errors, reasons, torch.rand(30), pairs=[("mixed", "CoM only")], resamples=20)
+    found = compare(
+        errors,
+        reasons,
+        torch.rand(30, dtype=torch.float64),
+        pairs=[("mixed", "CoM only")],
+        resamples=20,
+    )
     assert [(e.first, e.second) for e in found.effects] == [("mixed", "CoM only")]
     with pytest.raises(TorchidError, match="available: feasible, CoM only, mixed"):
-        compare(errors, reasons, torch.rand(30), pairs=[("mixed", "mass only")])
+        compare(
+            errors, reasons, torch.rand(30, dtype=torch.float64), pairs=[("mixed", "mass only")]
+        )
     with pytest.raises(TorchidError, match="no set is in this class"):
         found.of("mass only")
 
 
 def test_bad_input_is_refused() -> None:
-    errors = torch.rand(3)
+    errors = torch.rand(3, dtype=torch.float64)
     with pytest.raises(TorchidError, match="2 of reasons"):
-        compare(errors, [(), ()], torch.rand(3))
+        compare(errors, [(), ()], torch.rand(3, dtype=torch.float64))
     with pytest.raises(TorchidError, match="0 errors"):
-        compare(errors[:0], [], torch.rand(0))
+        compare(errors[:0], [], torch.rand(0, dtype=torch.float64))
     with pytest.raises(TorchidError, match="resamples"):
-        compare(errors, [()] * 3, torch.rand(3), resamples=0)
+        compare(errors, [()] * 3, torch.rand(3, dtype=torch.float64), resamples=0)
 
 
 def test_a_string_is_not_a_list_of_reasons(types_unchecked: None) -> None:
     with pytest.raises(TorchidError, match="collection of names"):
-        compare(torch.rand(2), ["inertia_1", ()], torch.rand(2))
+        compare(
+            torch.rand(2, dtype=torch.float64),
+            ["inertia_1", ()],
+            torch.rand(2, dtype=torch.float64),
+        )
 
 
 @settings(max_examples=25, deadline=None)
@@ -207,7 +236,10 @@ def test_a_string_is_not_a_list_of_reasons(types_unchecked: None) -> None:
 def test_units_do_not_matter(seed: int, unit: float) -> None:
     """Errors in another unit: the same ranks, deltas and ratios."""
     g = torch.Generator().manual_seed(seed)
-    errors, degree = torch.rand(24, generator=g) + 0.1, torch.rand(24, generator=g)
+    errors, degree = (
+        torch.rand(24, generator=g, dtype=torch.float64) + 0.1,
+        torch.rand(24, generator=g, dtype=torch.float64),
+    )
     reasons = [(), ("com_1x",)] * 12
     a, b = (compare(e, reasons, degree, resamples=10) for e in (errors, errors * unit))
     assert a.correlation == b.correlation

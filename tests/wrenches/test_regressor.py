@@ -25,7 +25,7 @@ KINDS = ["R", "P", "RP", "PR", "PPP", "RRPPRR", "PRRRPRRP", "RRRRRRR"]
 def any_sets(robot: Robot, k: int, seed: int = 0) -> InertialParameters:
     """Sets without physical sense: the wrenches do not ask for any."""
     g = torch.Generator().manual_seed(seed)
-    return InertialParameters(torch.randn(k, robot.n, 10, generator=g))
+    return InertialParameters(torch.randn(k, robot.n, 10, generator=g, dtype=torch.float64))
 
 
 def one_by_one(robot: Robot, motion: tuple[Tensor, ...], sets: InertialParameters) -> Tensor:
@@ -36,12 +36,12 @@ def same_torques(robot: Robot, reference: InertialParameters, k: int) -> Inertia
     """Sets with the reference's joint torques on every motion: moved along the null space of a
     generic torque regressor made of unit parameters."""
     motion = states(robot, 60, seed=11)
-    units = torch.eye(10 * robot.n).reshape(-1, 1, robot.n, 10)
+    units = torch.eye(10 * robot.n, dtype=torch.float64).reshape(-1, 1, robot.n, 10)
     columns = inverse_dynamics(robot, *motion, InertialParameters(units))
     _, s, v = torch.linalg.svd(columns.flatten(1).T, full_matrices=True)
     null = v[(s > 1e-10 * s[0]).sum() :]
     g = torch.Generator().manual_seed(5)
-    shift = torch.randn(k, null.shape[0], generator=g) @ null
+    shift = torch.randn(k, null.shape[0], generator=g, dtype=torch.float64) @ null
     return InertialParameters(reference.pi + shift.reshape(k, robot.n, 10))
 
 
@@ -72,7 +72,7 @@ def test_equals_pinocchio(robot: Robot, pinocchio: PinocchioOracle) -> None:
     moment = theirs[..., 3:].clone()
     for i, kind in enumerate(robot.joint_types):
         if kind is JointType.PRISMATIC:
-            arm_z = torch.zeros(15, 3)
+            arm_z = torch.zeros(15, 3, dtype=torch.float64)
             arm_z[:, 2] = motion[0][:, i]
             moment[:, i] += torch.linalg.cross(arm_z, theirs[:, i, :3])
     moment = (turn @ moment[..., None])[..., 0]
@@ -130,7 +130,10 @@ def test_norms_do_not_depend_on_the_frames(seed: int, kinds: str) -> None:
     g = torch.Generator().manual_seed(seed)
     other = torch.stack(
         [
-            pose(roll_pitch_yaw(torch.randn(3, generator=g).tolist()), torch.randn(3, generator=g))
+            pose(
+                roll_pitch_yaw(torch.randn(3, generator=g, dtype=torch.float64).tolist()),
+                torch.randn(3, generator=g, dtype=torch.float64),
+            )
             for _ in range(robot.n)
         ]
     )
@@ -151,7 +154,7 @@ def _moved(pi: Tensor, transform: Tensor) -> Tensor:
     pseudo = transform @ InertialParameters(pi).pseudo_inertia @ transform.transpose(-1, -2)
     second, h, m = pseudo[..., :3, :3], pseudo[..., :3, 3], pseudo[..., 3, 3]
     trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    j = trace * torch.eye(3) - second
+    j = trace * torch.eye(3, dtype=torch.float64) - second
     entries = [j[..., a, b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
     return torch.cat([m[..., None], h, torch.stack(entries, -1)], -1)
 

@@ -47,8 +47,8 @@ def read_result(path: Path) -> Mapping[str, Any]:
     Raises:
         TorchidError: another kind of file, or of another version.
     """
-    from torchid.excitation.ambiguity import SCHEMA as GAP
     from torchid.identification.record import SCHEMA as IDENTIFICATION
+    from torchid.next_motion.ambiguity import SCHEMA as GAP
 
     data = read_json(path, "a result")
     schema = data.get("schema")
@@ -80,7 +80,7 @@ def designed_for(
     Raises:
         TorchidError: a result that asks for no motion.
     """
-    from torchid.excitation.ambiguity import SCHEMA as GAP
+    from torchid.next_motion.ambiguity import SCHEMA as GAP
 
     if data["schema"] != GAP:
         return _for_identification(path, robot, seed, criterion, restarts, settings, output)
@@ -131,11 +131,11 @@ def _for_gap(
     settings: dict[str, Any],
     output: Output,
 ) -> "Designed":
-    from torchid.excitation.ambiguity import read_open
     from torchid.excitation.design import optimise_trajectory
-    from torchid.excitation.rivals import rivals
-    from torchid.excitation.separating_motion import design_separation
     from torchid.excitation.torque import corrected_torque_limits
+    from torchid.next_motion.ambiguity import read_open
+    from torchid.next_motion.rivals import rivals
+    from torchid.next_motion.separating_motion import design_separation
     from torchid.report.next_motion import (
         separation_record,
         separation_table,

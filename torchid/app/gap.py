@@ -119,7 +119,7 @@ def gap_command(
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
 
-    with progress_bar(output) as progress:
+    with progress_bar(output, lines=True) as progress:
         result = diagnose(
             found,
             log,

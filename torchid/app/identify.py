@@ -127,7 +127,7 @@ def identify_command(
     found = load_robot(robot, tip=tip)
     files = hashed(output, [robot_input(robot), *log_inputs(logs, held_out)])
     log, apart = read_both(logs, held_out, gain, found, columns, topic)
-    with progress_bar(output) as progress:
+    with progress_bar(output, lines=True) as progress:
         result = identify(
             found,
             log,

@@ -1,6 +1,7 @@
 """Where a command's results go: the terminal, JSON, a folder, a page."""
 
 import logging
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -148,21 +149,53 @@ def _probe(folder: Path) -> None:
         ) from error
 
 
+Progress = Callable[[str, int, int], None]
+
+
 @contextmanager
-def progress_bar(output: Output) -> Iterator[Callable[[str, int, int], None] | None]:
-    """A callback (stage, done, total) that draws one bar; None when there is no terminal."""
-    if output.quiet or not output.console.is_terminal:
+def progress_bar(output: Output, *, lines: bool = False) -> Iterator[Progress | None]:
+    """A callback (stage, done, total) that draws one bar; None when there is no terminal or with
+    `--quiet`.
+
+    Args:
+        output: of the command.
+        lines: without a terminal write one line a stage to standard error, for a log file or a
+            program that waits.
+    """
+    if output.quiet:
         yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    elif output.console.is_terminal:
+        with _bar(output.console) as report:
+            yield report
+    else:
+        yield _line_a_stage(output.started) if lines else None
+
+
+@contextmanager
+def _bar(console: Console) -> Iterator[Progress]:
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, TimeElapsedColumn(), console=output.console, transient=True
-    ) as progress:
-        task = progress.add_task("", total=None)
+    with Bars(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+        task = bars.add_task("", total=None)
 
         def report(stage: str, done: int, total: int) -> None:
-            progress.update(task, description=stage, completed=done, total=total)
+            bars.update(task, description=stage, completed=done, total=total)
 
         yield report
+
+
+def _line_a_stage(started: float) -> Progress:
+    """Seconds since the command started, and the stage, when it is met for the first time."""
+    met: set[str] = set()
+
+    def report(stage: str, done: int, total: int) -> None:
+        if stage in met:
+            return
+        met.add(stage)
+        with suppress(OSError):  # whoever read it has left; the work goes on
+            sys.stderr.write(f"[{time.monotonic() - started:5.0f} s] {stage}\n")
+            sys.stderr.flush()
+
+    return report

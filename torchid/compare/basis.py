@@ -65,9 +65,16 @@ def common_basis(results: Sequence[Identified]) -> Common:
     Raises:
         TorchidError: results of arms with different kinematics.
     """
-    refuse_other_arms(results)
+    first = results[0]
+    for other in results[1:]:
+        if other.n != first.n:
+            raise TorchidError(
+                "the results are of arms with different numbers of joints.",
+                got=f"{first.label}: {first.n}, {other.label}: {other.n}",
+            )
+    refuse_other_kinematics([(r.label, r.robot) for r in results])
     union = list(dict.fromkeys(name for r in results for name in r.base.parameter_names))
-    wide = _absorbing([_embedded(r, union) for r in results], results, union)
+    wide = _groupings(results, union)
     rows, names, units, rigid = _rows(results, wide)
     parts = [_in_basis(r, g, rows, union) for r, g in zip(results, wide, strict=True)]
     values, covariance, correlation, estimated, held, determined = (
@@ -87,18 +94,6 @@ def common_basis(results: Sequence[Identified]) -> Common:
         tuple(names), tuple(units), rigid, values, covariance, correlation, estimated, held,
         determined, _notes(results),
     )  # fmt: skip
-
-
-def refuse_other_arms(results: Sequence[Identified]) -> None:
-    """Raise if joints or recorded kinematics differ."""
-    first = results[0]
-    for other in results[1:]:
-        if other.n != first.n:
-            raise TorchidError(
-                "the results are of arms with different numbers of joints.",
-                got=f"{first.label}: {first.n}, {other.label}: {other.n}",
-            )
-    refuse_other_kinematics([(r.label, r.robot) for r in results])
 
 
 def refuse_other_kinematics(robots: Sequence[tuple[str, Robot | None]]) -> None:
@@ -129,27 +124,24 @@ def _difference(one: Robot, two: Robot) -> str | None:
     return None
 
 
-def _embedded(result: Identified, union: Sequence[str]) -> Float[Tensor, "B U"]:
-    out = torch.zeros(len(result.base), len(union), dtype=torch.float64)
-    out[:, [union.index(name) for name in result.base.parameter_names]] = result.base.grouping
-    return out
-
-
-def _absorbing(
-    wide: list[Tensor], results: Sequence[Identified], union: Sequence[str]
-) -> list[Tensor]:
-    """Groupings that also hold effects the result did not have but whose columns are combinations
-    of its own: what was fitted without Ia1 determines J1zz + Ia1 all the same."""
-    out = [g.clone() for g in wide]
+def _groupings(results: Sequence[Identified], union: Sequence[str]) -> list[Tensor]:
+    """Each result's grouping (B, U) of all parameters. It also holds effects the result did not
+    have but whose columns are combinations of its own: what was fitted without Ia1 determines
+    J1zz + Ia1 all the same."""
+    out = []
+    for result in results:
+        own = torch.zeros(len(result.base), len(union), dtype=torch.float64)
+        own[:, [union.index(name) for name in result.base.parameter_names]] = result.base.grouping
+        out.append(own)
     for source in results:
         base = source.base
+        made_of = [base.parameter_names[k] for k in base.independent]
         for name in base.absorbed_effects():
             column = base.grouping[:, base.parameter_names.index(name)]
-            made_of = [base.parameter_names[k] for k in base.independent]
+            parts = column.nonzero().flatten().tolist()
             for other, grouping in zip(results, out, strict=True):
-                parts = [k for k, v in enumerate(column.tolist()) if v != 0]
-                own = other.base.parameter_names
-                if name in own or any(made_of[k] not in own for k in parts):
+                names = other.base.parameter_names
+                if name in names or any(made_of[k] not in names for k in parts):
                     continue
                 index = [union.index(made_of[k]) for k in parts]
                 grouping[:, union.index(name)] = grouping[:, index] @ column[parts]
@@ -161,10 +153,11 @@ def _rows(
 ) -> tuple[Tensor, list[str], list[str], Tensor]:
     """Combinations to compare (D, U): names, units, which belong to the rigid body."""
     poorest = min(range(len(results)), key=lambda k: results[k].base.n_rigid)
-    picked = [(poorest, b) for b in range(results[poorest].base.n_rigid)]
+    n_rigid = results[poorest].base.n_rigid
+    picked = [(poorest, b) for b in range(n_rigid)]
     for k, result in enumerate(results):
         for b in range(result.base.n_rigid, len(result.base)):
-            known = [wide[i][c] for i, c in picked[results[poorest].base.n_rigid :]]
+            known = [wide[i][c] for i, c in picked[n_rigid:]]
             if not any(torch.allclose(wide[k][b], row, atol=SAME) for row in known):
                 picked.append((k, b))
     rows = torch.stack([wide[k][b] for k, b in picked])
@@ -178,8 +171,7 @@ def _in_basis(
 ) -> tuple[Tensor, ...]:
     """Values, covariance, correlation, and masks of one result in the common basis."""
     names = result.base.parameter_names
-    lead = [union.index(names[k]) for k in result.base.independent]
-    turn = rows[:, lead]
+    turn = rows[:, [union.index(names[k]) for k in result.base.independent]]
     size = torch.linalg.vector_norm(rows, dim=1)
     within = torch.linalg.vector_norm(turn @ wide - rows, dim=1) <= SAME * size
     used = turn.abs() > SAME * size.unsqueeze(1)
@@ -190,17 +182,10 @@ def _in_basis(
     white = turn @ (result.correlation * std * std.unsqueeze(1)) @ turn.T
     scale = white.diagonal().clamp(min=1e-300).sqrt()
     apart = estimated.unsqueeze(1) & estimated
-    correlation = torch.where(
-        apart, white / scale / scale.unsqueeze(1), torch.eye(len(rows)).to(white)
-    )
-    return (
-        turn @ result.values * within,
-        covariance * apart,
-        correlation,
-        estimated,
-        held,
-        within,
-    )
+    eye = torch.eye(len(rows), dtype=white.dtype)
+    correlation = torch.where(apart, white / scale / scale.unsqueeze(1), eye)
+    values = turn @ result.values * within
+    return values, covariance * apart, correlation, estimated, held, within
 
 
 def _notes(results: Sequence[Identified]) -> tuple[str, ...]:

@@ -10,14 +10,7 @@ import torch
 from torchid.compare.basis import refuse_other_kinematics
 from torchid.compare.reading import Result
 from torchid.compare.scatter import Scatter, holm, scatter
-from torchid.compare.torque import (
-    Model,
-    TorqueSpread,
-    described_model,
-    log_motion,
-    random_motion,
-    torque_spread,
-)
+from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
 from torchid.log.model import Log
@@ -128,7 +121,9 @@ def compare_diagnoses(
         entries = [[_named(entry) for entry in r.data["which"]] for r in results]
         statuses = tuple(str(r.data["status"]) for r in results)
         closed = tuple(r.data["how_far"]["closed"] for r in results)
-        hidden = [_hidden(r.data["not_testable"]) for r in results]
+        hidden = [
+            {_where(e): e["smallest_detectable"] for e in r.data["not_testable"]} for r in results
+        ]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TorchidError(
             "a diagnosis is not complete.", got=f"{type(error).__name__}: {error}"
@@ -136,17 +131,28 @@ def compare_diagnoses(
     given = [recorded_robot(r.data, str(r.path)) for r in results]
     refuse_other_kinematics([(r.label, g) for r, g in zip(results, given, strict=True)])
     corrected = [recorded_robot(r.data, str(r.path), "corrected") for r in results]
-    shared = _with_holm([_shared(group, entries, hidden) for group in _groups(entries)])
-    torque = _torque(corrected, results, on, seed)
-    names = dict.fromkeys(r.robot_name for r in results)
+    shared = [_shared(group, entries, hidden) for group in _groups(entries)]
+    # Adjusted over all coefficients of all causes.
+    p = torch.tensor([c.scatter.p for s in shared for c in s.coefficients], dtype=torch.float64)
+    adjusted = iter(holm(p).tolist())
+    shared = [
+        replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
+        for s in shared
+    ]
+    torque = None
+    robots = [r for r in corrected if r is not None and r.parameters is not None]
+    if len(robots) == len(results):
+        cutoff = min(float(r.data["band_hz"]) for r in results) if on is not None else None
+        motion = common_motion(robots[0], on, seed, cutoff)
+        torque = torque_spread([described_model(robot) for robot in robots], motion)
     return GapComparison(
-        tuple(r.label for r in results),
-        " and ".join(names),
-        statuses,
-        closed,
-        tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
-        torque,
-        _notes(results, given, torque),
+        labels=tuple(r.label for r in results),
+        robot=" and ".join(dict.fromkeys(r.robot_name for r in results)),
+        statuses=statuses,
+        closed=closed,
+        shared=tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
+        torque=torque,
+        notes=_notes(results, given, torque),
     )
 
 
@@ -170,21 +176,9 @@ def _named(entry: Mapping[str, Any]) -> Named:
     )
 
 
-def _hidden(entries: Sequence[Mapping[str, Any]]) -> dict[tuple[str, tuple[int, ...]], Any]:
-    """Effects and places that a diagnosis could not test, with the smallest detectable size."""
-    return {
-        (str(e["effect"]), () if e["joint"] is None else (int(e["joint"]),)):
-        e["smallest_detectable"] for e in entries
-    }  # fmt: skip
-
-
-def _same_cause(a: Named, b: Named) -> bool:
-    """The same place, and the same name or one that the other cannot be told from."""
-    if a.place and b.place and a.place != b.place:
-        return False
-    if a.effect == b.effect:
-        return a.place == b.place
-    return a.effect in b.also or b.effect in a.also
+def _where(entry: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
+    """Effect and place that a diagnosis could not test."""
+    return str(entry["effect"]), () if entry["joint"] is None else (int(entry["joint"]),)
 
 
 Member = tuple[int, int]  # number of a diagnosis, and of its entry
@@ -196,17 +190,19 @@ def _groups(entries: Sequence[Sequence[Named]]) -> list[list[Member]]:
     members = [(k, i) for k, own in enumerate(entries) for i in range(len(own))]
     group = {member: {member} for member in members}
 
-    def join(alike: bool) -> None:
+    # First those of one name, then those that cannot be told from each other.
+    for alike in (True, False):
         for one, two in combinations(members, 2):
             a, b = (entries[k][i] for k, i in (one, two))
             both = group[one] | group[two]
             distinct = len({k for k, _ in both}) == len(both)
-            if distinct and (a.effect == b.effect) == alike and _same_cause(a, b):
-                for member in both:
-                    group[member] = both
-
-    join(alike=True)
-    join(alike=False)
+            if a.effect == b.effect:
+                same = a.place == b.place
+            else:
+                same = a.place == b.place or not (a.place and b.place)
+                same &= a.effect in b.also or b.effect in a.also
+            if distinct and same and (a.effect == b.effect) == alike:
+                group.update(dict.fromkeys(both, both))
     return [list(g) for g in dict.fromkeys(tuple(sorted(g)) for g in group.values())]
 
 
@@ -233,59 +229,22 @@ def _shared(
         own[h] if h is not None and n is None else None
         for n, h, own in zip(named, unseen, hidden, strict=True)
     ]
-    return Shared(
-        tuple(effects), place, tuple(states), tuple(named), tuple(smallest),
-        _coefficients(effects[0], named),
-    )  # fmt: skip
-
-
-def _coefficients(effect: str, named: Sequence[Named | None]) -> tuple[Coefficient, ...]:
-    own = [n if n is not None and n.effect == effect else None for n in named]
+    own = [n if n is not None and n.effect == effects[0] else None for n in named]
     first = next(n for n in own if n is not None)
-    out = []
+    coefficients = []
     for name in first.values:
-        pairs = [
-            (n.values[name], n.std[name]) if n is not None and name in n.std else None for n in own
-        ]
-        known = [p for p in pairs if p is not None]
+        known = [n for n in own if n is not None and name in n.std]
         if len(known) < 2:
             continue
-        x, s = torch.tensor(known, dtype=torch.float64).T
+        x, s = torch.tensor([(n.values[name], n.std[name]) for n in known], dtype=torch.float64).T
         found = scatter(x, s, torch.full_like(x, BLOCKS - 1))
-        out.append(
-            Coefficient(
-                name,
-                first.units.get(name, ""),
-                tuple(None if p is None else p[0] for p in pairs),
-                tuple(None if p is None else p[1] for p in pairs),
-                found,
-                found.p,
-            )
-        )
-    return tuple(out)
-
-
-def _with_holm(shared: list[Shared]) -> list[Shared]:
-    """p-values adjusted over all coefficients of all causes."""
-    p = [c.scatter.p for s in shared for c in s.coefficients]
-    adjusted = iter(holm(torch.tensor(p, dtype=torch.float64)).tolist())
-    return [
-        replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
-        for s in shared
-    ]
-
-
-def _torque(
-    corrected: Sequence[Robot | None], results: Sequence[Result], on: Log | None, seed: int
-) -> TorqueSpread | None:
-    robots = [r for r in corrected if r is not None and r.parameters is not None]
-    if len(robots) < len(results):
-        return None
-    models: list[Model] = [described_model(robot) for robot in robots]
-    if on is None:
-        return torque_spread(models, random_motion(robots[0], seed))
-    cutoff = min(float(r.data["band_hz"]) for r in results)
-    return torque_spread(models, log_motion(robots[0], on, cutoff))
+        values = tuple(n.values[name] if n in known else None for n in own)
+        std = tuple(n.std[name] if n in known else None for n in own)
+        unit = first.units.get(name, "")
+        coefficients.append(Coefficient(name, unit, values, std, found, found.p))
+    return Shared(
+        tuple(effects), place, tuple(states), tuple(named), tuple(smallest), tuple(coefficients)
+    )
 
 
 def _notes(

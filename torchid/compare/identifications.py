@@ -108,12 +108,21 @@ def compare_identifications(
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     freedom = torch.tensor([float(max(1, r.blocks - 1)) for r in results], dtype=torch.float64)
     parameters = _parameters(common, freedom)
-    compared = [p for p in parameters if p.scatter is not None]
-    birge = counts = None
-    if compared:
-        ratios = torch.tensor([p.scatter.birge for p in compared if p.scatter is not None])
-        counts = torch.stack([torch.isfinite(p.std).sum() for p in compared]).double()
-        birge = typical_birge(ratios.double(), counts)
+    pairs = [
+        (p.scatter.birge, int(torch.isfinite(p.std).sum()))
+        for p in parameters
+        if p.scatter is not None
+    ]
+    birge = typical_birge(*torch.tensor(pairs, dtype=torch.float64).T) if pairs else None
+    # All parameters that every result estimates.
+    every = (common.estimated.all(0) & (common.std > 0).all(0)).nonzero().flatten()
+    together = None
+    if len(every):
+        covariance, correlation = (
+            x[:, every][:, :, every] for x in (common.covariance, common.correlation)
+        )
+        values = common.values[:, every]
+        together = whole(values, covariance, correlation, freedom, seed=seed)
     fitted = [name for r in results for name in set(r.trajectories)]
     names = list(dict.fromkeys(r.robot.name for r in results if r.robot is not None))
     return Comparison(
@@ -121,7 +130,7 @@ def compare_identifications(
         robot=" and ".join(names) if names else "the arm",
         quantiles=tuple(r.quantile for r in results),
         parameters=parameters,
-        whole=_whole(common, freedom, seed),
+        whole=together,
         birge=birge,
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
         notes=common.notes
@@ -132,48 +141,27 @@ def compare_identifications(
 
 
 def _parameters(common: Common, freedom: Tensor) -> tuple[Compared, ...]:
-    std = common.std
     found: list[Scatter | None] = []
     for k in range(len(common.names)):
         own = common.estimated[:, k]
         many = int(own.sum()) > 1
-        found.append(scatter(common.values[own, k], std[own, k], freedom[own]) if many else None)
+        values, std = common.values[own, k], common.std[own, k]
+        found.append(scatter(values, std, freedom[own]) if many else None)
     p = holm(torch.tensor([s.p for s in found if s is not None], dtype=torch.float64)).tolist()
-    adjusted = [None if s is None else p.pop(0) for s in found]
-    return tuple(
-        _compared(common, k, s, a) for k, (s, a) in enumerate(zip(found, adjusted, strict=True))
-    )
-
-
-def _compared(common: Common, k: int, found: Scatter | None, p: float | None) -> Compared:
-    own = common.estimated[:, k]
-    nan = torch.full_like(common.values[:, k], torch.nan)
-    values = torch.where(common.determined[:, k], common.values[:, k], nan)
-    std = torch.where(own, common.std[:, k], nan)
-    relative = 100 * std[own] / values[own].abs()
-    verdict: Verdict
-    if found is None or p is None:
-        verdict = "not_compared"
-    elif p < ALPHA:
-        verdict = "drift" if bool(own.all()) and monotone(values) else "differ"
-    elif bool((relative > UNKNOWN).all()):
-        verdict = "never_determined"
-    else:
-        verdict = "agree"
-    return Compared(
-        common.names[k], common.units[k], verdict, values, std, common.held[:, k], found, p
-    )
-
-
-def _whole(common: Common, freedom: Tensor, seed: int) -> Whole | None:
-    std = common.std
-    index = (common.estimated.all(0) & (std > 0).all(0)).nonzero().flatten()
-    if len(index) == 0:
-        return None
-    return whole(
-        common.values[:, index],
-        common.covariance[:, index][:, :, index],
-        common.correlation[:, index][:, :, index],
-        freedom,
-        seed=seed,
-    )
+    out = []
+    for k, one in enumerate(found):
+        own = common.estimated[:, k]
+        values = torch.where(common.determined[:, k], common.values[:, k], torch.nan)
+        std = torch.where(own, common.std[:, k], torch.nan)
+        relative = 100 * std[own] / values[own].abs()
+        adjusted = None if one is None else p.pop(0)
+        verdict: Verdict
+        if adjusted is None:
+            verdict = "not_compared"
+        elif adjusted < ALPHA:
+            verdict = "drift" if bool(own.all()) and monotone(values) else "differ"
+        else:
+            verdict = "never_determined" if bool((relative > UNKNOWN).all()) else "agree"
+        name, unit, held = common.names[k], common.units[k], common.held[:, k]
+        out.append(Compared(name, unit, verdict, values, std, held, one, adjusted))
+    return tuple(out)

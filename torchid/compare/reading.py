@@ -102,34 +102,25 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
     same = [p for k, p in enumerate(paths) if p.resolve() in [o.resolve() for o in paths[:k]]]
     if same:
         raise TorchidError("a result is given twice.", got=same[0])
-    loaded = [_load(path) for path in paths]
-    kinds = list(dict.fromkeys(str(data["schema"]) for data in loaded))
-    if len(kinds) > 1:
+    results = []
+    for label, path in zip(_labels(paths), paths, strict=True):
+        data = read_json(path, "a result")
+        schema = data.get("schema")
+        if schema not in KINDS:
+            raise TorchidError(
+                f"'{path}' is not a result that can be compared.",
+                got=f"schema {schema}",
+                available=[f"{name} ({what})" for name, what in KINDS.items()],
+                hint="of an extraction, the file of its sets: sets.json",
+            )
+        results.append(Result(label, path, schema, data))
+    if len({r.schema for r in results}) > 1:
         raise TorchidError(
             "only results of the same kind can be compared.",
-            got=", ".join(
-                f"{path} ({KINDS[str(data['schema'])]})"
-                for path, data in zip(paths, loaded, strict=True)
-            ),
+            got=", ".join(f"{r.path} ({KINDS[r.schema]})" for r in results),
             expected="all of one kind",
         )
-    return [
-        Result(label, path, kinds[0], data)
-        for label, path, data in zip(_labels(paths), paths, loaded, strict=True)
-    ]
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    data = read_json(path, "a result")
-    schema = data.get("schema")
-    if schema not in KINDS:
-        raise TorchidError(
-            f"'{path}' is not a result that can be compared.",
-            got=f"schema {schema}",
-            available=[f"{name} ({what})" for name, what in KINDS.items()],
-            hint="of an extraction, the file of its sets: sets.json",
-        )
-    return data
+    return results
 
 
 def _labels(paths: Sequence[Path]) -> list[str]:
@@ -161,23 +152,25 @@ def read_identification(result: Result) -> Identified:
         factor = _tensor(data["factor"], (b + 1, b + 1))[:, :b]
         unknown = _mask(base, data["undetermined"])
         held = _mask(base, [*data["bounded"], *data["dropped"]])
-        statistics = data["statistics"]
+        contaminated, correlation = _of_factor(factor, unknown, held)
         cutoff = data["cutoff_hz"]
         return Identified(
-            result.label,
-            base,
-            effects,
-            values,
-            covariance,
-            ~(unknown | held | _contaminated(factor, unknown)),
-            held,
-            _correlation(factor, ~(unknown | held)),
-            int(statistics["blocks"]),
-            float(statistics["quantile95"]),
-            None if cutoff is None else float(cutoff),
-            _tensor(data["reversal_speed"], (base.n_rigid_parameters // PARAMETERS_PER_LINK,)),
-            tuple(str(name) for name in data["fit"]["trajectories"]),
-            robot,
+            label=result.label,
+            base=base,
+            effects=effects,
+            values=values,
+            covariance=covariance,
+            estimated=~(unknown | held | contaminated),
+            held=held,
+            correlation=correlation,
+            blocks=int(data["statistics"]["blocks"]),
+            quantile=float(data["statistics"]["quantile95"]),
+            cutoff=None if cutoff is None else float(cutoff),
+            reversal=_tensor(
+                data["reversal_speed"], (base.n_rigid_parameters // PARAMETERS_PER_LINK,)
+            ),
+            trajectories=tuple(str(name) for name in data["fit"]["trajectories"]),
+            robot=robot,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise TorchidError(
@@ -238,24 +231,21 @@ def _mask(base: BaseParameters, names: Sequence[str]) -> Bool[Tensor, " B"]:
     return torch.tensor([name in names for name in base.names])
 
 
-def _contaminated(factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:
-    """Estimates of which this log shows only the sum with an undetermined parameter."""
-    out = torch.zeros_like(unknown)
+def _of_factor(
+    factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"], held: Bool[Tensor, " B"]
+) -> tuple[Bool[Tensor, " B"], Float[Tensor, "B B"]]:
+    """Which estimates are of a sum with an undetermined parameter, as far as this log shows; and
+    the correlation of the estimates under white residuals."""
+    contaminated = torch.zeros_like(unknown)
     size = torch.linalg.vector_norm(factor, dim=0)
-    lost = (unknown & (size > 0)).nonzero().flatten()
-    known = (~unknown).nonzero().flatten()
-    if len(lost) == 0 or len(known) == 0:
-        return out
-    share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
-    out[known] = (share.solution.abs() > CONTAMINATED).any(1)
-    return out
-
-
-def _correlation(factor: Float[Tensor, "C B"], free: Bool[Tensor, " B"]) -> Float[Tensor, "B B"]:
-    out = torch.eye(factor.shape[1], dtype=factor.dtype)
-    index = free.nonzero().flatten()
+    lost, known = unknown & (size > 0), ~unknown
+    if bool(lost.any()) and bool(known.any()):
+        share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
+        contaminated[known] = (share.solution.abs() > CONTAMINATED).any(1)
+    correlation = torch.eye(factor.shape[1], dtype=factor.dtype)
+    index = (~(unknown | held)).nonzero().flatten()
     r = torch.linalg.qr(factor[:, index], mode="r").R
     root = torch.linalg.solve_triangular(r, torch.eye(len(r)).to(r), upper=True)
     root = root / torch.linalg.vector_norm(root, dim=1, keepdim=True)
-    out[index.unsqueeze(-1), index] = root @ root.T
-    return out
+    correlation[index.unsqueeze(-1), index] = root @ root.T
+    return contaminated, correlation

@@ -101,7 +101,7 @@ def holm(p: Float[Tensor, " D"]) -> Float[Tensor, " D"]:
 def typical_birge(birge: Float[Tensor, " D"], counts: Float[Tensor, " D"]) -> float:
     """Birge ratio of the typical parameter: median of Q over its median under chi^2."""
     q = birge.square() * (counts - 1)
-    medians = torch.tensor([float(chi2.median(c - 1)) for c in counts.tolist()])
+    medians = q.new_tensor([float(chi2.median(c - 1)) for c in counts.tolist()])
     return float((q / medians).median().sqrt())
 
 

@@ -8,17 +8,9 @@ import torch
 from torchid.compare.identifications import Verdict
 from torchid.compare.reading import Result
 from torchid.compare.scatter import monotone
-from torchid.compare.torque import (
-    Model,
-    TorqueSpread,
-    described_model,
-    log_motion,
-    random_motion,
-    torque_spread,
-)
-from torchid.effects.registry import Valued
+from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
+from torchid.feasibility.sets import read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
@@ -99,27 +91,33 @@ def compare_sets(
             ),
             expected="the same in all files",
         )
-    effects = sets[0].effects
-    units = [c.unit for e in effects for c in e.coefficients]
-    base = base_parameters(robot, effects)
+    units = [c.unit for e in sets[0].effects for c in e.coefficients]
+    base = base_parameters(robot, sets[0].effects)
     vectors = [s.vector.double() for s in sets]
-    models = [
-        _mean_model(s, robot, read_other_effects(r.path, robot))
-        for s, r in zip(sets, results, strict=True)
-    ]
-    motion = random_motion(robot, seed) if on is None else log_motion(robot, on, None)
+    models = []
+    for s, r in zip(sets, results, strict=True):
+        mean = robot.with_parameters(InertialParameters(s.parameters.pi.mean(0)))
+        values = iter(s.coefficients.mean(0).tolist())
+        records = [effect.record(own) for effect, own in read_other_effects(r.path, robot)]
+        records += [e.record([next(values) for _ in e.coefficients]) for e in s.effects]
+        models.append(described_model(replace(mean, effects=tuple(records))))
+    motion = common_motion(robot, on, seed)
     return SetComparison(
-        tuple(r.label for r in results),
-        tuple(len(s) for s in sets),
-        robot.name,
-        _ranges(
+        labels=tuple(r.label for r in results),
+        counts=tuple(len(s) for s in sets),
+        robot=robot.name,
+        physical=_ranges(
             vectors,
             [*parameter_names(robot.n), *sets[0].coefficient_names()],
             [*parameter_units(robot.n), *units],
         ),
-        _ranges([base.project(v) for v in vectors], base.names, base.units),
-        torque_spread(models, motion),
-        _notes(results, robot),
+        base=_ranges([base.project(v) for v in vectors], base.names, base.units),
+        torque=torque_spread(models, motion),
+        notes=tuple(
+            f"{r.label} says that its sets are of '{r.robot_name}'"
+            for r in results
+            if r.data.get("robot") not in (None, robot.name)
+        ),
     )
 
 
@@ -127,32 +125,15 @@ def _ranges(
     vectors: Sequence[Float[Tensor, "K P"]], names: Sequence[str], units: Sequence[str]
 ) -> tuple[Range, ...]:
     low, high = (torch.stack([getattr(v, f)(0) for v in vectors]) for f in ("amin", "amax"))
-    return tuple(
-        Range(name, unit, _verdict(low[:, k], high[:, k]), low[:, k], high[:, k])
-        for k, (name, unit) in enumerate(zip(names, units, strict=True))
-    )
-
-
-def _verdict(low: Float[Tensor, " m"], high: Float[Tensor, " m"]) -> Verdict:
-    middle, half = (low + high) / 2, (high - low) / 2
-    slack = SAME * float(torch.maximum(low.abs(), high.abs()).max())
-    if float(low.max()) > float(high.min()) + slack:
-        return "drift" if monotone(middle) else "differ"
-    return "never_determined" if bool((half > UNKNOWN * middle.abs()).all()) else "agree"
-
-
-def _mean_model(sets: ParameterSets, robot: Robot, others: Sequence[Valued]) -> Model:
-    mean = sets.parameters.pi.mean(0)
-    values = sets.coefficients.mean(0).tolist()
-    records = [effect.record(own) for effect, own in others]
-    for effect in sets.effects:
-        own, values = values[: len(effect.coefficients)], values[len(effect.coefficients) :]
-        records.append(effect.record(own))
-    return described_model(
-        replace(robot.with_parameters(InertialParameters(mean)), effects=tuple(records))
-    )
-
-
-def _notes(results: Sequence[Result], robot: Robot) -> tuple[str, ...]:
-    other = [r for r in results if r.data.get("robot") not in (None, robot.name)]
-    return tuple(f"{r.label} says that its sets are of '{r.robot_name}'" for r in other)
+    out = []
+    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+        bottom, top = low[:, k], high[:, k]
+        middle, half = (bottom + top) / 2, (top - bottom) / 2
+        slack = SAME * float(torch.maximum(bottom.abs(), top.abs()).max())
+        verdict: Verdict = "agree"
+        if float(bottom.max()) > float(top.min()) + slack:
+            verdict = "drift" if monotone(middle) else "differ"
+        elif bool((half > UNKNOWN * middle.abs()).all()):
+            verdict = "never_determined"
+        out.append(Range(name, unit, verdict, bottom, top))
+    return tuple(out)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
@@ -111,6 +112,17 @@ def log_motion(
     )
 
 
+def common_motion(
+    robot: Robot,
+    on: Log | None,
+    seed: int,
+    cutoff: float | None = None,
+    reversal: Float[Tensor, " n"] | None = None,
+) -> CommonMotion:
+    """Of a log, or random where there is none."""
+    return random_motion(robot, seed) if on is None else log_motion(robot, on, cutoff, reversal)
+
+
 def identified_spread(
     results: Sequence[Identified], robot: Robot, *, on: Log | None = None, seed: int = 0
 ) -> TorqueSpread:
@@ -120,15 +132,19 @@ def identified_spread(
     Raises:
         LogError: a log that does not fit the robot.
     """
-    cutoffs = [r.cutoff for r in results if r.cutoff is not None]
+    cutoff = min((r.cutoff for r in results if r.cutoff is not None), default=None)
     reversal = torch.stack([r.reversal for r in results]).mean(0)
-    if on is None:
-        motion = random_motion(robot, seed)
-    else:
-        motion = log_motion(robot, on, min(cutoffs, default=None), reversal)
-    spread = torque_spread([_model(r, robot) for r in results], motion)
-    claimed = torch.stack([_claimed(r, robot, motion) for r in results]).mean(0).sqrt()
-    return replace(spread, claimed=claimed)
+    motion = common_motion(robot, on, seed, cutoff, reversal)
+    models = [partial(model_torque, robot, r.base, r.effects, r.values) for r in results]
+    # The variance of torque that each covariance claims, averaged over the motion.
+    claimed = []
+    for r in results:
+        rows = torch.cat(
+            [base_regressor(robot, r.base, part, effects=r.effects) for part in motion.motions]
+        )
+        variance = ((rows @ r.covariance) * rows).sum(1).clamp(min=0)
+        claimed.append(variance.reshape(-1, robot.n).mean(0))
+    return replace(torque_spread(models, motion), claimed=torch.stack(claimed).mean(0).sqrt())
 
 
 def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread:
@@ -136,12 +152,23 @@ def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread
     torque = torch.stack([torch.cat([f(part) for part in motion.motions]) for f in models])
     mean = torque.mean(0)
     apart = torque.unsqueeze(0) - torque.unsqueeze(1)
+    spread = ((torque - mean).square().sum(0) / (len(models) - 1)).mean(0).sqrt()
+    # RMS of measured minus modelled torque, through the motion's filter.
+    errors = []
+    for model in models if motion.measured else ():
+        left = []
+        for part in motion.measured:
+            error = part.tau - model(part.motion._replace(t=part.t))
+            if part.cutoff is not None:
+                error = ZeroPhaseFilter(part.rate, part.cutoff).apply(error.T.contiguous()).T
+            left.append(error[part.edge : part.samples - part.edge])
+        errors.append(_rms(torch.cat(left)))
     return TorqueSpread(
         motion.source,
         _rms(mean),
-        ((torque - mean).square().sum(0) / (len(models) - 1)).mean(0).sqrt(),
-        apart.square().mean(2).sqrt(),
-        errors=_errors(models, motion),
+        spread,
+        _rms(apart, 2),
+        errors=torch.stack(errors) if errors else None,
     )
 
 
@@ -155,35 +182,5 @@ def described_model(robot: Robot) -> Model:
     return lambda motion: full_torque(robot, effects, motion)
 
 
-def _model(result: Identified, robot: Robot) -> Model:
-    return lambda motion: model_torque(robot, result.base, result.effects, result.values, motion)
-
-
-def _claimed(result: Identified, robot: Robot, motion: CommonMotion) -> Float[Tensor, " n"]:
-    """Mean variance per joint that the covariance claims."""
-    parts = []
-    for part in motion.motions:
-        y = base_regressor(robot, result.base, part, effects=result.effects)
-        variance = ((y @ result.covariance) * y).sum(1).clamp(min=0)
-        parts.append(variance.reshape(-1, robot.n))
-    return torch.cat(parts).mean(0)
-
-
-def _errors(models: Sequence[Model], motion: CommonMotion) -> Float[Tensor, "m n"] | None:
-    """RMS of measured minus modelled torque through the motion's filter."""
-    if not motion.measured:
-        return None
-    out = []
-    for model in models:
-        left = []
-        for part in motion.measured:
-            error = part.tau - model(part.motion._replace(t=part.t))
-            if part.cutoff is not None:
-                error = ZeroPhaseFilter(part.rate, part.cutoff).apply(error.T.contiguous()).T
-            left.append(error[part.edge : part.samples - part.edge])
-        out.append(_rms(torch.cat(left)))
-    return torch.stack(out)
-
-
-def _rms(x: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
-    return x.square().mean(0).sqrt()
+def _rms(x: Tensor, over: int = 0) -> Tensor:
+    return x.square().mean(over).sqrt()

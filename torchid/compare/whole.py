@@ -67,22 +67,28 @@ def whole(
     shrunk = _shrunk(covariance, correlation, freedom)
     q, pooled = (float(x) for x in _statistics(values, shrunk))
     generator = torch.Generator().manual_seed(seed)
-    null = torch.cat(
-        [
-            _drawn(shrunk, correlation, freedom, generator, min(AT_ONCE, draws - first))
-            for first in range(0, draws, AT_ONCE)
-        ]
-    )
+    # Both statistics in worlds without a difference.
+    root, null = torch.linalg.cholesky(shrunk), torch.empty(0, 2, dtype=torch.float64)
+    while len(null) < draws:
+        count = min(AT_ONCE, draws - len(null))
+        noise = torch.randn(count, m, d, 1, generator=generator, dtype=torch.float64)
+        covariances = []
+        for own, nu in zip(root, freedom.tolist(), strict=True):
+            sample = torch.randn(count, d, int(nu), generator=generator, dtype=torch.float64)
+            covariances.append(own @ (sample @ sample.transpose(1, 2)) @ own.T / int(nu))
+        seen = _shrunk(torch.stack(covariances, 1), correlation, freedom)
+        drawn = torch.stack(_statistics((root @ noise).squeeze(-1), seen), -1)
+        null = torch.cat([null, drawn])
     levels = torch.tensor([0.025, 0.5, 0.975], dtype=torch.float64)
-    low = torch.quantile(null, levels, dim=0)
+    low = torch.quantile(null, levels, dim=0).T.tolist()
     return Whole(
         q=q,
         count=d * (m - 1),
-        expected=(float(low[0, 0]), float(low[1, 0]), float(low[2, 0])),
+        expected=tuple(low[0]),
         p=(1 + int((null[:, 0] >= q).sum())) / (draws + 1),
         birge=(q / float(null[:, 0].mean())) ** 0.5,
         pooled=pooled,
-        pooled_expected=(float(low[0, 1]), float(low[1, 1]), float(low[2, 1])),
+        pooled_expected=tuple(low[1]),
     )
 
 
@@ -106,22 +112,3 @@ def _statistics(values: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
     own = values - ((w * values).sum(-2) / w.sum(-2)).unsqueeze(-2)
     m, d = values.shape[-2:]
     return q, ((w * own.square()).sum((-2, -1)) / (d * (m - 1))).sqrt()
-
-
-def _drawn(
-    shrunk: Float[Tensor, "m D D"],
-    target: Float[Tensor, "m D D"],
-    freedom: Float[Tensor, " m"],
-    generator: torch.Generator,
-    count: int,
-) -> Float[Tensor, "K 2"]:
-    """Both statistics in worlds without a difference."""
-    root = torch.linalg.cholesky(shrunk)
-    m, d = root.shape[:2]
-    noise = torch.randn(count, m, d, 1, generator=generator, dtype=torch.float64)
-    covariances = []
-    for own, nu in zip(root, freedom.tolist(), strict=True):
-        sample = torch.randn(count, d, int(nu), generator=generator, dtype=torch.float64)
-        covariances.append(own @ (sample @ sample.transpose(1, 2)) @ own.T / int(nu))
-    seen = _shrunk(torch.stack(covariances, 1), target, freedom)
-    return torch.stack(_statistics((root @ noise).squeeze(-1), seen), -1)

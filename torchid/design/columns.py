@@ -16,6 +16,7 @@ from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -157,11 +158,19 @@ class Columns:
     def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
         """Columns of a model effect along every segment: in one call where time plays no part."""
         robot = self.model.robot
-        if not effect.needs & {"t", "age"}:
+        if effect.windowed and effect != type(effect)():
+            gates = [effect.window(m.require("t", effect.name)) for m in self.motions]  # type: ignore[attr-defined]
+            return [x * gate for x, gate in zip(self._all_the_time, gates, strict=True)]
+        if effect.windowed or not effect.needs & {"t", "age"}:
             together = effect.torque_columns(self._together, robot).permute(2, 1, 0)
             return list(together.split([len(m.q) for m in self.motions], -1))
         motions = self._smooth if effect.smooth else self.motions
         return [effect.torque_columns(m, robot).permute(2, 1, 0) for m in motions]
+
+    @cached_property
+    def _all_the_time(self) -> list[Float[Tensor, "C n _"]]:
+        """A contact that lasts, of which windows are parts."""
+        return self._signals(Contact())
 
     @cached_property
     def _together(self) -> Motion:

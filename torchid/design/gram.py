@@ -78,7 +78,7 @@ class Normal:
         out = []
         for g, s in zip(self.g, subset.joints, strict=True):
             v = s.target.clone()
-            v[s.at] -= x[s.of]
+            v.index_add_(0, s.at, -x[s.of])
             there = v.nonzero().flatten()
             some = v[there]
             out.append(some @ g[there.unsqueeze(1), there] @ some)

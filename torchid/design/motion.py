@@ -91,7 +91,7 @@ def measurements(
     """
     if log.tau is None:
         raise no_torque(log)
-    threshold = torch.zeros(log.n) if reversal is None else reversal
+    threshold = torch.zeros(log.n, dtype=torch.float64) if reversal is None else reversal
     parts = list(zip(log.trajectories(), sampling_rate(log), strict=True))
     long = [p for p in parts if p[0].samples >= _needed(p[1], cutoff)]
     if not long:

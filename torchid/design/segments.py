@@ -33,6 +33,13 @@ anything."""
 REACH = 0.75
 """How far the filter carries what happens at a reversal, in periods of the cut-off."""
 
+MISTIMED = 0.125
+"""How long the direction of dry friction is wrong at a reversal, in periods of the cut-off: it is
+known as well as the velocity, and a joint that turns may stick."""
+
+STOP = 0.1
+"""Time at less than half the resting speed that makes a dwell [s]."""
+
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
 
@@ -186,23 +193,52 @@ def still_joints(segments: Sequence[Segment]) -> tuple[int, ...]:
     return tuple(((q.amax(0) - q.amin(0)) < NEVER).nonzero().flatten().tolist())
 
 
-def moving_instants(segment: Segment, cutoff: float | None = None) -> Bool[Tensor, "T n"]:
-    """Instants at which a joint moves; all of a joint's if it hardly does. With a cut-off [Hz] those
-    that the filter reaches from a reversal are left out: there the joint may stick, and no law of
-    sliding says with which torque."""
-    moving = segment.motion.dq.abs() > MOVING
-    if cutoff is not None:
-        sign = torch.sign(segment.motion.dq)
-        turns = torch.zeros_like(sign)
-        turns[1:] = (sign[1:] != sign[:-1]).to(sign)
-        moving &= widened(turns, REACH / cutoff * segment.rate) == 0
+def reach_of(samples: Samples, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """How far (n,) the samples' filter carries above the noise what a joint with dry friction did at
+    a reversal while it may have stuck [s].
+
+    Args:
+        samples: whose filter it is.
+        dry: (n,) dry friction relative to the noise.
+    """
+    period = samples.rate / samples.cutoff
+    half = round(0.5 * MISTIMED * period)
+    pulse = torch.zeros(2 * round(8 * period) + 1, 1, dtype=torch.float64)
+    middle = len(pulse) // 2
+    pulse[middle - half : middle + half + 1] = 2.0
+    tail = samples.low_passed(pulse)[middle:, 0].abs()
+    heard = tail.flip(0).cummax(0).values.flip(0) * dry.unsqueeze(1) > 1.0
+    return (heard.sum(1) / period).clamp(min=REACH) / samples.cutoff
+
+
+def moving_instants(
+    segment: Segment, reach: Float[Tensor, " n"] | float | None = None
+) -> Bool[Tensor, "T n"]:
+    """Instants at which a joint moves; all of a joint's if it hardly does. With a reach [s] those so
+    near to a reversal are left out, and those twice as near to a dwell: there the joint may stick,
+    and no law of sliding says with which torque."""
+    dq = segment.motion.dq
+    moving = dq.abs() > MOVING
+    if reach is None:
+        return moving | (moving.double().mean(0) < HARDLY)
+    sign = torch.sign(dq)
+    turns = torch.zeros_like(sign)
+    turns[1:] = (sign[1:] != sign[:-1]).to(sign)
+    slow = (dq.abs() < 0.5 * MOVING).to(sign)
+    dwells = 1 - widened(1 - slow, 0.5 * STOP * segment.rate)
+    for j, own in enumerate(torch.as_tensor(reach).expand(segment.n).tolist()):
+        column = slice(j, j + 1)
+        near = widened(turns[:, column], own * segment.rate)
+        near = near + widened(dwells[:, column], 2 * own * segment.rate)
+        moving[:, column] &= near == 0
     return moving | (moving.double().mean(0) < HARDLY)
 
 
-def moving_samples(samples: Samples, *, sliding: bool = False) -> Bool[Tensor, "n N"]:
-    """Samples in which a joint moves, or also slides: away from its reversals."""
-    cutoff = samples.cutoff if sliding else None
-    return samples.pick([moving_instants(s, cutoff) for s in samples.segments]).T
+def moving_samples(
+    samples: Samples, reach: Float[Tensor, " n"] | float | None = None
+) -> Bool[Tensor, "n N"]:
+    """Samples in which a joint moves; with a reach [s] those in which it surely slides."""
+    return samples.pick([moving_instants(s, reach) for s in samples.segments]).T
 
 
 def widened(mask: Float[Tensor, "T n"], samples: float) -> Float[Tensor, "T n"]:

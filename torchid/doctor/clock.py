@@ -58,7 +58,12 @@ def check_clock(log: Log) -> Check:
         runs += (restarts + offset + 1).tolist()
         back += (np.setdiff1d(np.flatnonzero(step < 0), restarts) + offset).tolist()
         repeated += (np.flatnonzero(step == 0) + offset).tolist()
-        jumped += (_clock_jumps(step, q, median) + offset).tolist()
+        # Long steps of the clock across which the positions make a usual step only.
+        long = np.flatnonzero(step > LONG_GAP_STEPS * median)
+        moved, usual = _steps(q, long)
+        moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
+        further = (moved > USUAL_STEPS * usual) & moving
+        jumped += (long[moving.any(1) & ~further.any(1)] + offset).tolist()
     if not (repeated or back or jumped or runs):
         return Check("clock", "fine", f"{log.samples} stamps increase")
     found = [
@@ -84,15 +89,6 @@ def check_clock(log: Log) -> Check:
         fix=fix_text(repairs),
         repairs=repairs,
     )
-
-
-def _clock_jumps(step: np.ndarray, q: np.ndarray, median: float) -> np.ndarray:
-    """Long steps of the clock across which the positions make a usual step only."""
-    long = np.flatnonzero(step > LONG_GAP_STEPS * median)
-    moved, usual = _steps(q, long)
-    moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
-    further = (moved > USUAL_STEPS * usual) & moving
-    return long[moving.any(1) & ~further.any(1)]
 
 
 def _new_runs(back: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -184,7 +180,17 @@ def check_dropouts(log: Log) -> Check:
 def check_held(log: Log) -> Check:
     """Rows that repeat the one before while the arm moves."""
     held = {name: _held(log, name) for name in ("q", "dq", "tau", "current") if name in log.signals}
-    moving = _moving(log)
+    # Whether some joint is in motion around each step: what five samples either way cover.
+    q = log.q
+    wide = torch.zeros(log.samples - 1, dtype=torch.bool)
+    reach = min(5, (log.samples - 1) // 2)
+    span = (q[2 * reach :] - q[: -2 * reach]).abs()
+    speed = span / max(1, 2 * reach)
+    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.9, dim=0)
+    active = (speed > 0.2 * fast) & (fast > 0)
+    wide[reach : reach + len(active) - 1] = active.any(1)[:-1]
+    same = log.trajectory.diff() == 0
+    moving = wide & same
     usable = max(1, int(moving.sum()))
     shares = {name: float((mask & moving).sum()) / usable for name, mask in held.items()}
     text = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.items())
@@ -221,17 +227,3 @@ def _held(log: Log, name: str) -> Bool[Tensor, " steps"]:
     if not live.any():
         return torch.zeros(log.samples - 1, dtype=torch.bool)
     return (signal.diff(dim=0)[:, live] == 0).all(1)
-
-
-def _moving(log: Log) -> Bool[Tensor, " steps"]:
-    """Whether some joint is in motion around each step: what five samples either way cover."""
-    q = log.q
-    wide = torch.zeros(log.samples - 1, dtype=torch.bool)
-    reach = min(5, (log.samples - 1) // 2)
-    span = (q[2 * reach :] - q[: -2 * reach]).abs()
-    speed = span / max(1, 2 * reach)
-    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.9, dim=0)
-    active = (speed > 0.2 * fast) & (fast > 0)
-    wide[reach : reach + len(active) - 1] = active.any(1)[:-1]
-    same = log.trajectory.diff() == 0
-    return wide & same

@@ -12,7 +12,9 @@ def conclusion(examination: Examination) -> str:
     said = [
         f"{word}: {', '.join(names)}"
         for word, verdict in (("wrong", "wrong"), ("to look at", "doubtful"))
-        if (names := _names(examination, verdict))
+        if (
+            names := list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))
+        )
     ]
     hidden = _hidden(examination)
     if not said and not hidden:
@@ -38,7 +40,3 @@ def _hidden(examination: Examination) -> list[Check]:
 def _untold(check: Check) -> str:
     kind = check.name.removeprefix("unseen ")
     return f"{kind} of {joint_list(check.joints)}" if kind != check.name else kind
-
-
-def _names(examination: Examination, verdict: str) -> list[str]:
-    return list(dict.fromkeys(c.name for c in examination.checks if c.verdict == verdict))

@@ -122,7 +122,14 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
         result = Examination(robot, log, tuple(checks))
     else:
         result = _with_model(robot, log, now, checks, fixes)
-    _known(fixes, result)
+    offered = [choice.name for c in result.checks for choice in c.choices]
+    unknown = [name for name in fixes if name not in offered]
+    if unknown:
+        raise LogError(
+            f"log '{result.log.source}': there is no such fix to choose.",
+            got=", ".join(unknown),
+            available=offered,
+        )
     return result
 
 
@@ -142,17 +149,6 @@ def by_torque(robot: Robot, log: Log, checks: Sequence[Check]) -> str | None:
         losses[choice.name] = float(np.log(errors).sum())
     best, second, *_ = sorted(losses, key=lambda name: losses[name])
     return best if losses[second] - losses[best] > CLEAR else None
-
-
-def _known(fixes: Sequence[str], result: Examination) -> None:
-    offered = [choice.name for c in result.checks for choice in c.choices]
-    unknown = [name for name in fixes if name not in offered]
-    if unknown:
-        raise LogError(
-            f"log '{result.log.source}': there is no such fix to choose.",
-            got=", ".join(unknown),
-            available=offered,
-        )
 
 
 def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[list[Check], Log]:

@@ -127,7 +127,15 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
     interval = None
     text = improvement(found)
     if move.kind == "gain":
-        factor, interval = _gain(judge, result, move)
+        # The joint's torque over what it should be, refined with everything else mended.
+        one = move.joints[0]
+        end = result.final.hypothesis
+        fine = profile(
+            judge, lambda x: end.scaled((one,), tau=math.exp(x)), (-0.3, 0.3), start=0.0, step=0.1
+        )
+        share = next(r for r in move.repairs if isinstance(r, Scale)).factors[one]
+        values = [1.0 / (share * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
+        factor, interval = values[0], (min(values[1:]), max(values[1:]))
         joint = move.joints[0]
         factors = tuple(1.0 / factor if k == joint else 1.0 for k in range(judge.robot.n))
         scale = within(Scale(TORQUE, factors), judge.samples.signals)
@@ -181,18 +189,6 @@ def improvement(found: Found) -> str:
         for k in worst
     )
     return f"held-out error {changes}, better in {found.blocks[0]} of {found.blocks[1]} blocks"
-
-
-def _gain(judge: Judge, result: Search, move: Move) -> tuple[float, tuple[float, float]]:
-    """The joint's torque over what it should be, refined with everything else mended."""
-    joint = move.joints[0]
-    end = result.final.hypothesis
-    fine = profile(
-        judge, lambda x: end.scaled((joint,), tau=math.exp(x)), (-0.3, 0.3), start=0.0, step=0.1
-    )
-    scale = next(r for r in move.repairs if isinstance(r, Scale)).factors[joint]
-    values = [1.0 / (scale * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
-    return values[0], (min(values[1:]), max(values[1:]))
 
 
 def _name(move: Move) -> str:

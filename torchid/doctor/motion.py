@@ -40,7 +40,14 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
         if not (far or degrees):
             continue
         if bool((q == q.round()).all()) and max(-low, high) > COUNTS:
-            scale = _counts(ratio.get(k))
+            # Radians per count from dq in rad/s; a power of two per turn where that is near.
+            measured = ratio.get(k)
+            if measured is None or measured > 0.05:
+                scale = None
+            else:
+                turn = 2.0 * math.pi / measured
+                power = 2.0 ** round(math.log2(turn))
+                scale = 2.0 * math.pi / (power if near(turn, power) else round(turn))
             if scale is None:
                 unknown.append(k)
             else:
@@ -50,29 +57,15 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             factors[k] = 1.0 / DEGREES
             why = f", dq{k + 1} is 1/{1 / ratio[k]:.1f} of its derivative" if degrees else ""
             evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
-    factors = _same_for_all(factors, log, evidence)
-    return _position_check(factors, unknown, evidence, log, ratio)
-
-
-def _counts(ratio: float | None) -> float | None:
-    """Radians per count from dq in rad/s; a power of two per turn where that is near."""
-    if ratio is None or ratio > 0.05:
-        return None
-    turn = 2.0 * math.pi / ratio
-    power = 2.0 ** round(math.log2(turn))
-    return 2.0 * math.pi / (power if near(turn, power) else round(turn))
-
-
-def _same_for_all(factors: list[float], log: Log, evidence: list[str]) -> list[float]:
-    """Where most joints are in degrees, the others are too: they only stayed near zero."""
+    # Where most joints are in degrees, the others are too: they only stayed near zero.
     in_degrees = sum(f == 1.0 / DEGREES for f in factors)
-    if in_degrees == 0 or in_degrees == len(factors):
-        return factors
-    clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
-    return [
-        1.0 / DEGREES if f == 1.0 and (2 * in_degrees >= len(factors)) and k not in clear else f
-        for k, f in enumerate(factors)
-    ]
+    if not (in_degrees == 0 or in_degrees == len(factors)):
+        clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
+        factors = [
+            1.0 / DEGREES if f == 1.0 and (2 * in_degrees >= len(factors)) and k not in clear else f
+            for k, f in enumerate(factors)
+        ]
+    return _position_check(factors, unknown, evidence, log, ratio)
 
 
 def _position_check(
@@ -109,7 +102,20 @@ def _position_check(
 
 def check_jumps(robot: Robot, log: Log) -> Check:
     """Angles wrapped at a whole turn, or other steps that no motion makes."""
-    found = [*_wraps(robot, log), *position_jumps(log)]
+    # Angles within one turn that step by a whole one, however often.
+    turn = 2.0 * math.pi
+    step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
+    extent = log.q.amax(0) - log.q.amin(0)
+    found = [
+        *[
+            f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
+            for k, kind in enumerate(robot.joint_types)
+            if kind is JointType.REVOLUTE
+            and float(extent[k]) < 1.01 * turn
+            and bool((step[:, k] > 0.9 * turn).any())
+        ],
+        *position_jumps(log),
+    ]
     if not found:
         return Check("position jumps", "fine", "no jumps")
     joints = []
@@ -131,20 +137,6 @@ def check_jumps(robot: Robot, log: Log) -> Check:
         fix=fix,
         repairs=repairs,
     )
-
-
-def _wraps(robot: Robot, log: Log) -> list[str]:
-    """Angles within one turn that step by a whole one, however often."""
-    turn = 2.0 * math.pi
-    step = torch.cat([part.q.diff(dim=0).abs() for part in log.trajectories()])
-    extent = log.q.amax(0) - log.q.amin(0)
-    return [
-        f"q{k + 1} steps by a whole turn {int((step[:, k] > 0.9 * turn).sum())} times"
-        for k, kind in enumerate(robot.joint_types)
-        if kind is JointType.REVOLUTE
-        and float(extent[k]) < 1.01 * turn
-        and bool((step[:, k] > 0.9 * turn).any())
-    ]
 
 
 def check_standstill(log: Log) -> Check:

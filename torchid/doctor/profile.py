@@ -47,7 +47,15 @@ def profile(
         return judge.score(family(x)).loss
 
     best = minimum(loss, (*grid, start), step)
-    low, high = _jackknife(judge, family, best, step)
+    values = (best - step, best, best + step)
+    normals = [judge.normal(family(x)) for x in values]
+    weights = fit(normals[1], judge.cone).weights
+    estimates = []
+    for b in range(BLOCKS):
+        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
+        estimates.append(_vertex(values, losses))
+    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
+    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
     return Profile(best, low, high, loss(start) - loss(best))
 
 
@@ -71,19 +79,6 @@ def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
     if curve <= 0:
         return values[int(np.argmin(losses))]
     return float(values[1] + np.clip(0.5 * (a - c) / curve, -2.0, 2.0) * step)
-
-
-def _jackknife(judge: Judge, family: Family, best: float, step: float) -> tuple[float, float]:
-    values = (best - step, best, best + step)
-    normals = [judge.normal(family(x)) for x in values]
-    weights = fit(normals[1], judge.cone).weights
-    estimates = []
-    for b in range(BLOCKS):
-        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
-        estimates.append(_vertex(values, losses))
-    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
-    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
-    return low, high
 
 
 def _loss(normal: Normal, judge: Judge, weights: np.ndarray) -> float:

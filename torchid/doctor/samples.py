@@ -106,7 +106,12 @@ def samples(log: Log) -> Samples | str:
     kept = [s for s in made if s is not None]
     count = sum(len(s.t[s.inside]) for s in kept)
     if count < 10 * BLOCKS:
-        return _too_short(total, cutoff)
+        # The length that the rows of all blocks and the ends of a trajectory need.
+        least = 10 * BLOCKS / (_PER_PERIOD * cutoff) + 2 * max(1.0 / cutoff, 0.25)
+        return (
+            f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at "
+            "least, better 20 s, with all joints moving"
+        )
     rows = {
         name: torch.cat([getattr(s, name)[s.inside] for s in kept])
         for name in ("q", "dq", "ddq", "sign", "moving")
@@ -122,19 +127,10 @@ def samples(log: Log) -> Samples | str:
     )
 
 
-def _too_short(total: float, cutoff: float) -> str:
-    """The length that the rows of all blocks and the ends of a trajectory need."""
-    least = 10 * BLOCKS / (_PER_PERIOD * cutoff) + 2 * max(1.0 / cutoff, 0.25)
-    return (
-        f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at least, "
-        "better 20 s, with all joints moving"
-    )
-
-
 def _cutoff(log: Log, rate: float) -> float:
     dq = central_difference(log.q.T, rate)
     power = torch.fft.rfft(dq - dq.mean(-1, keepdim=True)).abs() ** 2
-    frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate)
+    frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate, dtype=dq.dtype)
     power = power[:, frequency < min(_LOOK_HZ, 0.3 * rate)]
     share = power / power.sum(-1, keepdim=True).clamp(min=1e-300)
     top = float(frequency[int((share.mean(0).cumsum(0) < _MOTION_SHARE).sum())])

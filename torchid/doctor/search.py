@@ -86,23 +86,19 @@ def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Sear
     held = judge.held_out(now)
     found: list[Found] = []
     while True:
-        costs = _costs(judge, now)
+        # Every move with the weights of the present fit, then those near or below it properly.
+        base = judge.score(now)
+        quick = [(judge.score(m.after, base.fit.weights).loss, m) for m in moves(judge, now)]
+        looked = [
+            ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)
+            for loss, m in quick
+        ]
+        costs = tuple(sorted(looked, key=lambda x: x[0]))
         best = _best(judge, held, costs, fixes)
         if best is None or len(found) == MOST_FAULTS:
             return Search(tuple(found), judge.score(now), held, costs)
         found.append(best[0])
         now, held = best[0].move.after, best[1]
-
-
-def _costs(judge: Judge, now: Hypothesis) -> tuple[tuple[float, Move], ...]:
-    """Every move with the weights of the present fit, then those near or below it properly."""
-    base = judge.score(now)
-    scores = [(judge.score(m.after, base.fit.weights).loss, m) for m in moves(judge, now)]
-    costs = [
-        ((judge.score(m.after).loss if loss < base.loss + _LOOK else loss) - base.loss, m)
-        for loss, m in scores
-    ]
-    return tuple(sorted(costs, key=lambda x: x[0]))
 
 
 def _best(

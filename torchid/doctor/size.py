@@ -94,7 +94,32 @@ def check_size(
 ) -> Check:
     """The unit of the torque as a whole."""
     if log.tau is None:
-        return _currents(judge, robot, hypothesis)
+        # Currents without gains; nominal parameters suggest some.
+        text = "the log has currents [A] and no drive gains"
+        fix = "--gain {} or Log.with_torque [N m/A], or drive_gain in the robot's yaml"
+        if robot.parameters is None:
+            return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
+        slopes = nominal_slopes(judge, hypothesis)
+        clear = [
+            (j, 1.0 / v)
+            for j, v, low, high in zip(
+                slopes.joints, slopes.value, slopes.low, slopes.high, strict=True
+            )
+            if v > 0 and high - low < 0.6 * v
+        ]
+        if clear:
+            guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
+            text += f"; nominal parameters suggest [N m/A] {guess}"
+        every = ",".join(f"{gain:.4g}" for _, gain in clear)
+        return Check(
+            "torque unit",
+            "doubtful",
+            text,
+            joints=tuple(j for j, _ in clear),
+            estimate=tuple(gain for _, gain in clear) or None,
+            unit="N m/A",
+            fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
+        )
     if robot.parameters is not None and robot.parameters.pi.abs().sum() > 0:
         found = _against_nominal(judge, robot, hypothesis)
         if found is not None:
@@ -204,35 +229,6 @@ def _too_large(
             repair = Scale(("tau",), (1.0 / factor,) * robot.n)
             choices.append(Choice(name, str(repair), (repair,)))
     return among(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
-
-
-def _currents(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check:
-    """Currents without gains; nominal parameters suggest some."""
-    text = "the log has currents [A] and no drive gains"
-    fix = "--gain {} or Log.with_torque [N m/A], or drive_gain in the robot's yaml"
-    if robot.parameters is None:
-        return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
-    slopes = nominal_slopes(judge, hypothesis)
-    clear = [
-        (j, 1.0 / v)
-        for j, v, low, high in zip(
-            slopes.joints, slopes.value, slopes.low, slopes.high, strict=True
-        )
-        if v > 0 and high - low < 0.6 * v
-    ]
-    if clear:
-        guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
-        text += f"; nominal parameters suggest [N m/A] {guess}"
-    every = ",".join(f"{gain:.4g}" for _, gain in clear)
-    return Check(
-        "torque unit",
-        "doubtful",
-        text,
-        joints=tuple(j for j, _ in clear),
-        estimate=tuple(gain for _, gain in clear) or None,
-        unit="N m/A",
-        fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
-    )
 
 
 def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> list[Check]:

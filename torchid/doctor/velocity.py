@@ -14,7 +14,6 @@ from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreemen
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
-from torchid.typing import Tensor
 
 RPM = 30.0 / math.pi
 LATE_S = 0.015
@@ -79,7 +78,20 @@ def _ratios(factors: list[float], joints: list[int]) -> tuple[float, ...] | None
 
 def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]) -> Log:
     """Velocity columns back to the positions whose derivative they are."""
-    matrix = _correlations(log)
+    # Of each position with the integral of each velocity (n, n); NaN where nothing moves.
+    assert log.dq is not None
+    moved, positions = [], []
+    for part in log.trajectories():
+        assert part.dq is not None
+        area = torch.zeros_like(part.q)
+        area[1:] = torch.cumulative_trapezoid(part.dq, part.t[:, None], dim=0)
+        moved.append(area - area.mean(0))
+        positions.append(part.q - part.q.mean(0))
+    a, q = torch.cat(moved), torch.cat(positions)
+    extent = log.q.amax(0) - log.q.amin(0)
+    a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
+    matrix = q.T @ a
+    matrix[extent < MOVING] = torch.nan
     moving = ~torch.isnan(matrix).all(1)
     usable = torch.nan_to_num(matrix.abs(), nan=0.0)
     _, order = linear_sum_assignment(-usable.numpy())
@@ -105,24 +117,6 @@ def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]
     joints += wrong
     repairs.append(Reorder(("dq",), full))
     return repairs[-1].apply(log)
-
-
-def _correlations(log: Log) -> Tensor:
-    """Of each position with the integral of each velocity (n, n); NaN where nothing moves."""
-    assert log.dq is not None
-    moved, positions = [], []
-    for part in log.trajectories():
-        assert part.dq is not None
-        area = torch.zeros_like(part.q)
-        area[1:] = torch.cumulative_trapezoid(part.dq, part.t[:, None], dim=0)
-        moved.append(area - area.mean(0))
-        positions.append(part.q - part.q.mean(0))
-    a, q = torch.cat(moved), torch.cat(positions)
-    extent = log.q.amax(0) - log.q.amin(0)
-    a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
-    matrix = q.T @ a
-    matrix[extent < MOVING] = torch.nan
-    return matrix
 
 
 def _velocity_factors(log: Log, said: list[str], joints: list[int]) -> list[float] | float:

@@ -10,7 +10,8 @@ from torchid.dynamics.recursion import chain_geometry, forces, kinematics
 from torchid.dynamics.scalars import Scalar
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import BroadcastJoints, Float, Joints, Wrenches
+from torchid.tensors import joint_signals
+from torchid.typing import Float, Joints, Numbers, Wrenches
 
 CHUNK = 12280
 """Samples at a time: long enough to hide the cost of a kernel call, short enough for the cache, and
@@ -21,16 +22,17 @@ _KEEP_FREED_BYTES = 31 * 2**20
 
 def inverse_dynamics(
     robot: Robot,
-    q: BroadcastJoints,
-    dq: BroadcastJoints,
-    ddq: BroadcastJoints,
+    q: Numbers,
+    dq: Numbers,
+    ddq: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Joints:
     """Joint torques of the rigid body, tau = M(q) ddq + S(q, dq) dq + g(q) (eq. 2.15).
 
     Args:
         robot: kinematics and gravity.
-        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; arrays and lists too,
+            in float64. Of tensors the widest dtype counts.
         parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
             ones if None.
 
@@ -39,6 +41,7 @@ def inverse_dynamics(
 
     Raises:
         RobotError: no parameters given and none in the robot.
+        TorchidError: not numbers of all joints.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("kuka_lwr4")
@@ -47,6 +50,7 @@ def inverse_dynamics(
     >>> upright.shape, bool(upright[0].abs() < 1e-9)  # joint 1 is vertical: it carries none
     (torch.Size([7]), True)
     """
+    q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
     pi = _parameters(robot, parameters, "inverse dynamics").pi.to(q)
     geometry = chain_geometry(robot)
 
@@ -61,9 +65,9 @@ def inverse_dynamics(
 
 def joint_wrenches(
     robot: Robot,
-    q: BroadcastJoints,
-    dq: BroadcastJoints,
-    ddq: BroadcastJoints,
+    q: Numbers,
+    dq: Numbers,
+    ddq: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Wrenches:
     """Internal wrenches: what link i-1 exerts on link i through joint i (eqs. 2.13, 2.32).
@@ -75,6 +79,7 @@ def joint_wrenches(
         (..., n, 6): force [N], then moment [N m] about the origin of joint frame i (O_{i-1} for
         classical DH), both in axes of link frame i. The component along the axis is the torque.
     """
+    q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
     pi = _parameters(robot, parameters, "internal wrenches").pi.to(q)
     geometry = chain_geometry(robot)
 

@@ -24,7 +24,8 @@ from torchid.dynamics.recursion import (
 )
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
-from torchid.typing import BroadcastJoints, Float
+from torchid.tensors import joint_signals
+from torchid.typing import Float, Numbers
 
 Method = Literal["closed", "autograd"]
 CHUNK = 12280
@@ -96,9 +97,9 @@ def regressor_chunks(
 
 def regressor(
     robot: Robot,
-    q: BroadcastJoints,
-    dq: BroadcastJoints,
-    ddq: BroadcastJoints,
+    q: Numbers,
+    dq: Numbers,
+    ddq: Numbers,
     *,
     method: Method = "closed",
 ) -> Float[Tensor, "*batch n P"]:
@@ -106,11 +107,15 @@ def regressor(
 
     Args:
         robot: kinematics and gravity.
-        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints].
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; arrays and lists too,
+            in float64. Of tensors the widest dtype counts.
         method: `closed` or `autograd`.
 
     Returns:
         (..., n, 10 n), dense. For long logs prefer `regressor_chunks`, which keeps the non-zeros.
+
+    Raises:
+        TorchidError: not numbers of all joints.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -120,10 +125,10 @@ def regressor(
     >>> y.shape, torch.allclose(tau, torchid.inverse_dynamics(robot, q, dq, ddq))
     (torch.Size([50, 3, 30]), True)
     """
-    q, dq, ddq = torch.broadcast_tensors(q, dq, ddq)
-    batch, n = q.shape[:-1], q.shape[-1]
-    flat = [x.reshape(-1, n) for x in (q, dq, ddq)]
-    dense = q.new_zeros(flat[0].shape[0], n, PARAMETERS_PER_LINK * n)
+    motion = torch.broadcast_tensors(*joint_signals(robot.n, q=q, dq=dq, ddq=ddq))
+    batch, n = motion[0].shape[:-1], motion[0].shape[-1]
+    flat = [x.reshape(-1, n) for x in motion]
+    dense = flat[0].new_zeros(flat[0].shape[0], n, PARAMETERS_PER_LINK * n)
     start = 0
     for chunk in regressor_chunks(robot, *flat, method=method):
         stop = start + chunk.like.shape[0]

@@ -262,6 +262,16 @@ class JointEffect(Effect):
         axes = [s.around(v, level, s.size(motions, self.joint)) for s, v in values]
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
+    def at_an_end(self, motions: Sequence[Motion]) -> bool:
+        """Whether a shape is at an end of its range on this joint's motions: there the effect has
+        become another, simpler one."""
+        for shape, value in zip(self.shapes, self.shape_values, strict=True):
+            size = shape.size(motions, self.joint)
+            near = 1e-3 * (shape.high - shape.low) * size
+            if not shape.low * size + near < value < shape.high * size - near:
+                return True
+        return False
+
     @classmethod
     def initial(cls, motion: Motion, *shapes: Tensor) -> Tensor | None:
         """State (..., n) before the first instant; None where there is no memory."""
@@ -288,7 +298,10 @@ class JointEffect(Effect):
 
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
         """Columns (..., C) of the torque of joint `joint`, one a coefficient."""
-        shapes = (torch.as_tensor(v).to(motion.dq) for v in self.shape_values)
+        shapes = (
+            torch.as_tensor(v, dtype=motion.dq.dtype, device=motion.dq.device)
+            for v in self.shape_values
+        )
         return self.formula(motion, *shapes)[..., self.joint, :]
 
     def torque_columns(

@@ -128,7 +128,10 @@ class StribeckFriction(JointEffect):
 
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:
         """Column (..., 1) of the joint, with its own exponent."""
-        shapes = (torch.as_tensor(v).to(motion.dq) for v in (self.vs, self.d))
+        shapes = (
+            torch.as_tensor(v, dtype=motion.dq.dtype, device=motion.dq.device)
+            for v in (self.vs, self.d)
+        )
         return self.formula(motion, *shapes)[..., self.joint, :]
 
     def c_code(self, values: Sequence[float]) -> list[str]:

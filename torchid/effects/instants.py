@@ -45,7 +45,11 @@ def shifted(
         return x.clone()
     points = min(POINTS, total)
     index = torch.arange(total, dtype=x.dtype, device=x.device).unsqueeze(-1)
-    position = (index + torch.as_tensor(by).to(x) / interval(t)).clamp(0, total - 1).expand_as(x)
+    position = (
+        (index + torch.as_tensor(by, dtype=x.dtype, device=x.device) / interval(t))
+        .clamp(0, total - 1)
+        .expand_as(x)
+    )
     first = (position.floor().long() - (points // 2 - 1)).clamp(0, total - points)
     u = position - first
     out = torch.zeros_like(x)

@@ -1,7 +1,7 @@
 """Effects of some instants only: torque that clips, contact, and samples that were held."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
 
@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.dynamics.forward import gravity_torque
 from torchid.effects.base import (
     Coefficient,
     Example,
@@ -22,7 +21,6 @@ from torchid.effects.base import (
 from torchid.effects.c_text import add
 from torchid.effects.instants import interval, shifted
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed, on_joint, with_joint
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
@@ -133,7 +131,10 @@ class Contact(ModelEffect):
         self, motion: Motion, robot: Robot | None = None
     ) -> Float[Tensor, "*batch n C"]:
         """J' of the tool's position, in the window (T, n, 3)."""
-        columns = tool_jacobian_transposed(needed(robot, self.name), motion.q)
+        # Loading pytorch-kinematics takes a second, so it waits for the first contact.
+        from torchid.robot.chain import tool_jacobian
+
+        columns = tool_jacobian(needed(robot, self.name), motion.q)[..., :3, :].mT
         if self.start is None and self.stop is None:
             return columns
         return columns * self.window(motion.require("t", self.name))[:, None, None].to(columns)
@@ -170,24 +171,6 @@ class Contact(ModelEffect):
         if self.stop is not None:
             inside = torch.minimum(inside, ((self.stop - t) / RAMP).clamp(0, 1))
         return inside**2 * (3 - 2 * inside)
-
-
-def tool_jacobian_transposed(
-    robot: Robot, q: Float[Tensor, "*batch n"]
-) -> Float[Tensor, "*batch n 3"]:
-    """J' (..., n, 3): torque of all joints per unit force that the tool exerts, base axes.
-
-    A weightless arm that holds a unit point mass at the tool against a unit gravity exerts just
-    that; so the one recursion serves, and no Jacobian is written a second time.
-    """
-    body = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
-    x, y, z = robot.tool[:3, 3].tolist()
-    body[-1] = torch.tensor(
-        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
-    )
-    mass = InertialParameters(body)
-    pulls = -torch.eye(3, dtype=torch.float64)
-    return torch.stack([gravity_torque(replace(robot, gravity=g), q, mass) for g in pulls], -1)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchid import __version__
 from torchid.digits import number
 from torchid.effects.registry import nominal_effects
-from torchid.export.c_effects import EffectCode, effect_code
+from torchid.export.c_effects import effect_code
 from torchid.export.c_rigid import HELPERS, RECURSION
 from torchid.export.dynamics import Dynamics
 from torchid.robot.model import JointType, Robot
@@ -61,14 +61,25 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
     robot, name = dynamics.robot, identifier(file_name)
     code = effect_code(robot, nominal_effects(robot), f"{name}_rigid")
     left_out = tuple(words for _, words in code.left_out)
+    about = _about(dynamics, file_name, left_out).replace("*/", "* /").replace("/*", "/ *")
+    # A line that ends in a backslash would continue in the next.
+    words = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in about.splitlines()]
+    body, local = [f"{name}_rigid(q, dq, ddq, tau);", *code.first], []
+    if code.later:
+        body += [f"for (i = 0; i < {robot.n}; i++) loaded[i] = tau[i];", *code.later]
+        local.append("double loaded[{n}];")
+    if code.uses_rigid:
+        local.append("double moved[{n}], here[{n}], there[{n}];")
+    local += ["int i;"] if local else []
+    torque = "".join(f"    {line}\n" for line in [*(x.format(n=robot.n) for x in local), *body])
     parts = [
-        _comment(_about(dynamics, file_name, left_out)),
+        "\n".join(["/*", *words, " */"]),
         f'#include <math.h>\n\n#include "{file_name}.h"\n\n#define N {robot.n}\n',
         _constants(robot),
         HELPERS,
         RECURSION.format(name=name, n=robot.n),
         *([_SIGN] if any("sign(" in line for line in code.first + code.later) else []),
-        _torque(name, robot.n, code),
+        f"{_signature(name, robot.n)}\n{{\n{torque}}}\n",
     ]
     return CFile("\n".join(parts), _header(name, dynamics), left_out)
 
@@ -90,29 +101,19 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[str]) -> str:
         "of joint frame i in link frame i-1 (the base for i = 0), AFTER[i] that of link frame i in",
         "the moved joint frame. GRAVITY is in axes of the base [m/s^2].",
         "",
-        *_numbers(dynamics),
     ]
+    # What LINK[][] holds.
+    if dynamics.base is None:
+        lines += _SET.format(title=dynamics.title).splitlines()
+    else:
+        base = dynamics.base.base
+        lines += _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
+        rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
+        lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:
         lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
         lines += [f"  {words}" for words in left_out]
     return "\n".join(lines)
-
-
-def _numbers(dynamics: Dynamics) -> list[str]:
-    """What LINK[][] holds."""
-    if dynamics.base is None:
-        return _SET.format(title=dynamics.title).splitlines()
-    base = dynamics.base.base
-    said = _REPRESENTATIVE.format(b=len(base), p=len(base.parameter_names)).splitlines()
-    rows = zip(base.names, dynamics.base.values.tolist(), base.units, strict=True)
-    return said + [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
-
-
-def _comment(words: str) -> str:
-    safe = words.replace("*/", "* /").replace("/*", "/ *")
-    # A line that ends in a backslash would continue in the next.
-    lines = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in safe.splitlines()]
-    return "/*\n" + "\n".join(lines) + "\n */"
 
 
 def _constants(robot: Robot) -> str:
@@ -143,20 +144,6 @@ def _poses(poses: Tensor) -> str:
         for pose in poses.double().tolist()
     ]
     return "{\n" + ",\n".join(rows) + "\n}"
-
-
-def _torque(name: str, n: int, code: EffectCode) -> str:
-    body = [f"{name}_rigid(q, dq, ddq, tau);", *code.first]
-    local = []
-    if code.later:
-        body += [f"for (i = 0; i < {n}; i++) loaded[i] = tau[i];", *code.later]
-        local.append(f"double loaded[{n}];")
-    if code.uses_rigid:
-        local.append(f"double moved[{n}], here[{n}], there[{n}];")
-    if local:
-        local.append("int i;")
-    lines = "".join(f"    {line}\n" for line in [*local, *body])
-    return f"{_signature(name, n)}\n{{\n{lines}}}\n"
 
 
 def _signature(name: str, n: int) -> str:

@@ -20,6 +20,23 @@ COMPILED = 1e-12
 """The same of compiled code, which repeats the library's own operations."""
 _SMALL = 1e-6
 """Share of the largest joint's torque below which a joint's own does not count as its scale."""
+_MAIN = """\
+#include <stdio.h>
+#include "{file}.h"
+
+int main(void)
+{{
+    double x[{states}], tau[{n}];
+    int k;
+    for (;;) {{
+        for (k = 0; k < {states}; k++)
+            if (scanf("%la", &x[k]) != 1) return 0;
+        {function}(x, x + {n}, x + {last}, tau);
+        for (k = 0; k < {n}; k++) printf("%a\\n", tau[k]);
+    }}
+}}
+"""
+"""A program that reads states and prints torques, as hexadecimal floats."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +112,9 @@ def check_c(code: CFile, file_name: str, motion: Motion, expected: Joints) -> Co
         folder = Path(name)
         (folder / f"{file_name}.c").write_text(code.source, encoding="utf-8")
         (folder / f"{file_name}.h").write_text(code.header, encoding="utf-8")
-        (folder / "main_.c").write_text(_main(file_name, motion.q.shape[-1]), encoding="utf-8")
+        n, function = motion.q.shape[-1], f"{identifier(file_name)}_torque"
+        main = _MAIN.format(file=file_name, function=function, n=n, states=3 * n, last=2 * n)
+        (folder / "main_.c").write_text(main, encoding="utf-8")
         command = [cc, "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2", "-o", "run_"]
         sources = ["main_.c", f"{file_name}.c", "-lm"]
         made = subprocess.run(
@@ -110,28 +129,7 @@ def check_c(code: CFile, file_name: str, motion: Motion, expected: Joints) -> Co
             [str(folder / "run_")], input=text, capture_output=True, text=True, check=False
         )
         values = [float.fromhex(word) for word in ran.stdout.split()]
-    complete = ran.returncode == 0 and len(values) == expected.numel()
-    found = torch.tensor(values if complete else [math.nan], dtype=torch.float64)
-    found = found.reshape(expected.shape) if complete else found.expand(expected.shape)
-    reader = f"C99 ({Path(cc).name})"
-    return compared(reader, what, motion, expected, found, COMPILED)
-
-
-def _main(file_name: str, n: int) -> str:
-    """A program that reads states and prints torques, as hexadecimal floats."""
-    return f"""\
-#include <stdio.h>
-#include "{file_name}.h"
-
-int main(void)
-{{
-    double x[{3 * n}], tau[{n}];
-    int k;
-    for (;;) {{
-        for (k = 0; k < {3 * n}; k++)
-            if (scanf("%la", &x[k]) != 1) return 0;
-        {identifier(file_name)}_torque(x, x + {n}, x + {2 * n}, tau);
-        for (k = 0; k < {n}; k++) printf("%a\\n", tau[k]);
-    }}
-}}
-"""
+    found = torch.full_like(expected, math.nan, dtype=torch.float64)
+    if ran.returncode == 0 and len(values) == expected.numel():
+        found = torch.tensor(values, dtype=torch.float64).reshape(expected.shape)
+    return compared(f"C99 ({Path(cc).name})", what, motion, expected, found, COMPILED)

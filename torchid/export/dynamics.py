@@ -125,14 +125,14 @@ def states(robot: Robot, seed: int, count: int = STATES) -> Motion:
     generator = torch.Generator().manual_seed(seed)
     revolute = torch.tensor([kind is JointType.REVOLUTE for kind in robot.joint_types])
     free = {
-        "position": torch.where(revolute, torch.pi, 1.0),
-        "velocity": torch.full((robot.n,), 2.0),
-        "acceleration": torch.full((robot.n,), 5.0),
+        "position": torch.where(revolute, torch.pi, torch.ones(robot.n, dtype=torch.float64)),
+        "velocity": torch.full((robot.n,), 2.0, dtype=torch.float64),
+        "acceleration": torch.full((robot.n,), 5.0, dtype=torch.float64),
     }
     signals = []
     for name, size in free.items():
         known = getattr(robot.limits, name)
-        span = torch.stack([-size, size], -1).double()
+        span = torch.stack([-size, size], -1)
         if known is not None:
             span = torch.where(torch.isfinite(known).all(-1, keepdim=True), known, span)
         share = torch.rand(count, robot.n, generator=generator, dtype=torch.float64)

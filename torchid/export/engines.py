@@ -5,7 +5,8 @@ armature, damping and springs. Dry friction is a constraint there, whose force d
 the state; so its coefficients are compared, and constraints are turned off.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -56,11 +57,17 @@ def check_pinocchio(
         return missing(reader, what, "does not have all of the joints")
     if not bool((robot.require_parameters("an export").mass > 0).all()):
         return missing(reader, what, "takes positive masses only")
-    aside = _only_chain(pin, model, robot, ids)
+    # Gravity as the robot's, and no masses off the chain.
+    model.gravity.linear = robot.gravity.numpy()
+    aside = []
+    for k in [k for k in range(1, model.njoints) if k not in ids]:
+        if model.inertias[k].mass > 0 and model.parents[k] in ids:
+            aside.append(f"what joint '{model.names[k]}' moves, off the chain")
+        model.inertias[k] = pin.Inertia.Zero()
+    dry = model.friction if hasattr(model, "friction") else model.upperDryFrictionLimit
+    read = {"damping": model.damping, "armature": model.armature, "friction": dry}
     rows = [model.joints[k].idx_v for k in ids]
-    read = {"damping": model.damping, "armature": model.armature, "friction": _friction(model)}
-    written = {name: [getattr(j, name) for j in joints] for name in names}
-    wrong = _attributes_differ({k: (read[k], rows, v) for k, v in written.items()})
+    wrong = _wrong(joints, {name: [read[name][row] for row in rows] for name in names})
     model.armature = np.zeros(model.nv)
     torque = _pinocchio_torque(pin, model, ids, motion)
     found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
@@ -68,17 +75,6 @@ def check_pinocchio(
     if mjcf and not found.ok:
         return missing(reader, what, "reads the file otherwise than MuJoCo does")
     return found
-
-
-def _only_chain(pin: Any, model: Any, robot: Robot, ids: Sequence[int]) -> list[str]:
-    """Gravity as the robot's, and no masses off the chain; what these were, in words."""
-    model.gravity.linear = robot.gravity.numpy()
-    aside = []
-    for k in [k for k in range(1, model.njoints) if k not in ids]:
-        if model.inertias[k].mass > 0 and model.parents[k] in ids:
-            aside.append(f"what joint '{model.names[k]}' moves, off the chain")
-        model.inertias[k] = pin.Inertia.Zero()
-    return aside
 
 
 def _pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:
@@ -95,10 +91,6 @@ def _pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) 
         tau = pin.rnea(model, data, position, rates, accelerations)
         out.append([float(tau[model.joints[i].idx_v]) for i in ids])
     return torch.tensor(out, dtype=torch.float64)
-
-
-def _friction(model: Any) -> Any:
-    return model.friction if hasattr(model, "friction") else model.upperDryFrictionLimit
 
 
 def check_mujoco(
@@ -121,7 +113,10 @@ def check_mujoco(
     urdf = path.suffix.lower() == ".urdf"
     try:
         if urdf:
-            model = mujoco.MjModel.from_xml_string(_without_shapes(path))
+            root = read_xml(path).root
+            for node in [n for n in root.iter() if local(n) in ("visual", "collision")]:
+                node.getparent().remove(node)
+            model = mujoco.MjModel.from_xml_string(etree.tostring(root, encoding="unicode"))
         else:
             model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
@@ -129,26 +124,28 @@ def check_mujoco(
     note = _bare(mujoco, model, robot)
     if urdf:
         model.opt.gravity[:] = robot.gravity.numpy()
-    ids = [_joint_id(mujoco, model, name) for name in robot.joint_names]
+    ids = []
+    for name in robot.joint_names:
+        k = int(mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name))
+        # By its number where the file gives no name (joint_3).
+        ids.append(k if k >= 0 else int(name.rstrip("_").rpartition("_")[2]))
     rows = [int(model.jnt_dofadr[k]) for k in ids]
-    friction = [j.friction for j in joints]
-    wrong = _attributes_differ({"friction": (model.dof_frictionloss, rows, friction)})
+    wrong = _wrong(joints, {"friction": [model.dof_frictionloss[row] for row in rows]})
     model.dof_frictionloss[:] = 0.0
-    torque = _mujoco_torque(mujoco, model, ids, rows, motion)
-    expected = _known_torque(robot, joints, motion)
-    found = compared(reader, what, motion, expected, torque)
+    data, places = mujoco.MjData(model), [int(model.jnt_qposadr[k]) for k in ids]
+    torque = []
+    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
+        data.qpos[places], data.qvel[rows], data.qacc[rows] = q, dq, ddq
+        mujoco.mj_inverse(model, data)
+        torque.append(data.qfrc_inverse[rows].copy())
+    # What is expected: the rigid body with the attributes that MuJoCo knows, without dry friction.
+    damping, armature, stiffness, offset = torch.tensor(
+        [[j.damping, j.armature, j.stiffness, j.offset] for j in joints], dtype=torch.float64
+    ).T
+    expected = inverse_dynamics(robot, *motion.state) + damping * motion.dq + armature * motion.ddq
+    expected = expected + stiffness * motion.q + offset
+    found = compared(reader, what, motion, expected, torch.from_numpy(np.stack(torque)))
     return _with_note(found, wrong, note)
-
-
-def _known_torque(robot: Robot, joints: Sequence[JointDynamics], motion: Motion) -> Joints:
-    """The rigid body with the attributes that MuJoCo knows, dry friction left out."""
-
-    def each(name: str) -> torch.Tensor:
-        return torch.tensor([getattr(j, name) for j in joints], dtype=torch.float64)
-
-    tau = inverse_dynamics(robot, *motion.state)
-    tau = tau + each("damping") * motion.dq + each("armature") * motion.ddq
-    return tau + each("stiffness") * motion.q + each("offset")
 
 
 def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:
@@ -162,9 +159,12 @@ def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:
     others = [b for b in range(1, model.nbody) if names[b] not in robot.link_names]
     moved = {int(b) for b in model.jnt_bodyid}
     for b in others:
-        carried = b in moved and names[_carrier(model, b, moved)] in robot.link_names
-        if carried and model.body_mass[b] > 0:
-            said.append(f"body '{names[b]}' off the chain")
+        if b in moved and model.body_mass[b] > 0:
+            # Said where a moving link carries it; whatever else moves it is off the chain, too.
+            carrier = int(model.body_parentid[b])
+            while carrier > 0 and carrier not in moved:
+                carrier = int(model.body_parentid[carrier])
+            said += [f"body '{names[b]}' off the chain"] * (names[carrier] in robot.link_names)
         model.body_mass[b], model.body_inertia[b] = 0.0, 0.0
     if model.body_gravcomp.any():
         said.append("gravcomp")
@@ -178,60 +178,21 @@ def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:
     return said
 
 
-def _carrier(model: Any, body: int, moved: set[int]) -> int:
-    """The moving body that carries a body; the world where there is none."""
-    body = int(model.body_parentid[body])
-    while body > 0 and body not in moved:
-        body = int(model.body_parentid[body])
-    return body
-
-
-def _joint_id(mujoco: Any, model: Any, name: str) -> int:
-    """A joint by its name, or by its number where the file gives none (joint_3)."""
-    found = int(mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name))
-    return found if found >= 0 else int(name.rstrip("_").rpartition("_")[2])
-
-
-def _mujoco_torque(
-    mujoco: Any, model: Any, ids: Sequence[int], rows: Sequence[int], motion: Motion
-) -> Joints:
-    data = mujoco.MjData(model)
-    places = [int(model.jnt_qposadr[k]) for k in ids]
-    out = []
-    for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
-        data.qpos[places], data.qvel[rows], data.qacc[rows] = q, dq, ddq
-        mujoco.mj_inverse(model, data)
-        out.append(data.qfrc_inverse[rows].copy())
-    return torch.from_numpy(np.stack(out))
-
-
-def _without_shapes(path: Path) -> str:
-    """A URDF without <visual> and <collision>, as text."""
-    file = read_xml(path)
-    for node in [n for n in file.root.iter() if local(n) in ("visual", "collision")]:
-        node.getparent().remove(node)
-    return str(etree.tostring(file.root, encoding="unicode"))
-
-
-def _attributes_differ(read: dict[str, tuple[Any, Sequence[int], Sequence[float]]]) -> str:
+def _wrong(joints: Sequence[JointDynamics], read: Mapping[str, Sequence[float]]) -> str:
     """A sentence on the first attribute that was read otherwise than written; empty if none."""
-    for name, (values, rows, written) in read.items():
-        found = torch.tensor([[float(values[r]) for r in rows]], dtype=torch.float64)
-        expected = torch.tensor([list(written)], dtype=torch.float64)
-        if relative_difference(found, expected) > EXACT:
-            return f"{name} read as {found[0].tolist()}, written as {list(written)}"
+    for name, values in read.items():
+        written = [getattr(joint, name) for joint in joints]
+        found, expected = torch.tensor([[float(v) for v in values], written], dtype=torch.float64)
+        if relative_difference(found.unsqueeze(0), expected.unsqueeze(0)) > EXACT:
+            return f"{name} read as {found.tolist()}, written as {written}"
     return ""
 
 
 def _with_note(found: Comparison, wrong: str, aside: Sequence[str]) -> Comparison:
     """The comparison with what went wrong, which fails it, or what was left aside."""
-    difference = found.difference
     if wrong:
-        return Comparison(
-            found.reader, found.compared, found.states, float("inf"), found.limit, wrong
-        )
-    note = f"left aside: {', '.join(aside)}" if aside else ""
-    return Comparison(found.reader, found.compared, found.states, difference, found.limit, note)
+        return replace(found, difference=float("inf"), note=wrong)
+    return replace(found, note=f"left aside: {', '.join(aside)}" if aside else "")
 
 
 def _line(error: BaseException) -> str:

@@ -9,11 +9,11 @@ from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
 from torchid.export.results import dynamics_of
-from torchid.export.verdict import check, require_feasible
-from torchid.export.write_plain import Written, write_c, write_table, write_yaml
+from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
-from torchid.feasibility.record import Check
-from torchid.feasibility.sets import ParameterSets
+from torchid.feasibility.findings import by_percent
+from torchid.feasibility.record import Check, check_sets
+from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.identification.result import Identification
 from torchid.robot.model import Robot
 
@@ -93,23 +93,41 @@ def export_dynamics(
     (['3r.urdf'], True)
     """
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
-    path = folder / f"{_file_name(name, nominal)}{SUFFIXES[to]}"
+    if name is None:
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in nominal.name)
+    elif not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("the name is that of a file, without folder.", got=name)
+    path = folder / f"{name}{SUFFIXES[to]}"
     model = nominal if original is None else original
-    _refuse_overwriting(path, [*keep, Path(nominal.source), Path(model.source)])
+    sources = [*keep, Path(nominal.source), Path(model.source)]
+    if path.resolve() in [source.resolve() for source in sources]:
+        raise TorchidError(
+            f"the export would take the place of the original '{path}'.",
+            hint="another --name, or another folder by --out",
+        )
     same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
     edited = model if same_format else None
     physical = dynamics.base is None or to not in ("csv", "c")
     written = dynamics.robot
     if dynamics.base is not None and physical:
         written = nearest_representative(nominal, dynamics.base)
-    found = check(written, geometry) if physical else None
-    if found is not None and not force:
-        require_feasible(dynamics, found)
+    found = None
+    if physical:
+        found = check_sets(written, nominal_set(written), geometry=geometry)
+        if not force:
+            require_feasible(dynamics, found)
     folder.mkdir(parents=True, exist_ok=True)
-    draft, comparisons = _write(dynamics, written, to, path, edited, seed)
-    robot = dynamics.robot
+    motion = states(dynamics.robot, seed)
+    if to == "yaml":
+        draft, comparisons = write_yaml(dynamics, written, path, motion)
+    elif to == "csv":
+        draft, comparisons = write_table(dynamics, path, motion)
+    elif to == "c":
+        draft, comparisons = write_c(dynamics, path, motion)
+    else:
+        draft, comparisons = write_xml(dynamics, written, path, edited, motion)
     in_file, beside, left_out = (
-        tuple(described(effect, values, robot) for effect, values in pairs)
+        tuple(described(effect, values, dynamics.robot) for effect, values in pairs)
         for pairs in (draft.in_file, draft.beside, draft.left_out)
     )
     return Export(
@@ -126,30 +144,45 @@ def export_dynamics(
     )
 
 
-def _file_name(name: str | None, robot: Robot) -> str:
-    if name is None:
-        return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
-    if not name or Path(name).name != name or name.startswith("."):
-        raise TorchidError("the name is that of a file, without folder.", got=name)
-    return name
-
-
-def _refuse_overwriting(path: Path, sources: Sequence[Path]) -> None:
-    if any(path.resolve() == source.resolve() for source in sources):
-        raise TorchidError(
-            f"the export would take the place of the original '{path}'.",
-            hint="another --name, or another folder by --out",
+def require_feasible(dynamics: Dynamics, found: Check) -> None:
+    """Raise TorchidError where the parameters are infeasible: why, and what to do."""
+    reasons = found.feasibility.reasons(0)
+    if not reasons:
+        return
+    if dynamics.kind == "base parameters":
+        hint = (
+            "many sets have these base parameters, and the one nearest to the robot's own is no "
+            "body's: `torchid extract ROBOT RESULT --out DIR` finds feasible ones, of which "
+            "`torchid export DIR/extraction.json` takes the best; --to csv and --to c need none"
         )
+    else:
+        hint = (
+            "`torchid check ... --nearest FILE` writes the feasible set nearest in torque; "
+            "--geometry none asks for physics alone; --force writes it as it is"
+        )
+    raise TorchidError(
+        f"{dynamics.title}: infeasible, so not exported.",
+        got="; ".join(explained(found, reason) for reason in reasons),
+        expected="a set that a real arm can have",
+        hint=hint,
+    )
 
 
-def _write(
-    dynamics: Dynamics, written: Robot, to: Format, path: Path, original: Robot | None, seed: int
-) -> Written:
-    motion = states(dynamics.robot, seed)
-    if to == "yaml":
-        return write_yaml(dynamics, written, path, motion)
-    if to == "csv":
-        return write_table(dynamics, path, motion)
-    if to == "c":
-        return write_c(dynamics, path, motion)
-    return write_xml(dynamics, written, path, original, motion)
+def explained(found: Check, reason: str) -> str:
+    """A label with its evidence: `inertia_3 (triangle inequality broken, by 4 %)`."""
+    kind, _, place = reason.rpartition("_")
+    parameters = found.sets.parameters
+    if kind == "inertia":
+        link = int(place) - 1
+        values = found.eigenvalues[0, link].tolist()
+        if found.feasibility.inertia_violation(0, link) == "eigenvalue":
+            return f"{reason} (not positive definite: {values[0]:.3g} kg m^2)"
+        return f"{reason} (breaks the triangle inequality{by_percent(values)})"
+    if kind == "mass":
+        return f"{reason} ({float(parameters.mass[0, int(place) - 1]):.3g} kg)"
+    if kind == "com":
+        link, axis = int(place[:-1]) - 1, "xyz".index(place[-1])
+        low, high = found.conditions.com_box[link, axis].tolist()
+        at = float(parameters.com[0, link, axis])
+        return f"{reason} ({at:.3g} m, outside {low:.3g} to {high:.3g})"
+    return reason

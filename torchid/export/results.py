@@ -83,15 +83,39 @@ def set_dynamics(
     Raises:
         TorchidError: no such set, or a file without parameters.
     """
-    file = _with_parameters(path, data)
+    # The parameters are in the result itself, or in the sets.json beside it.
+    entries, file = data["sets"], path
+    if not isinstance(entries, list) or not all(
+        isinstance(entry, Mapping) and "mass" in entry for entry in entries
+    ):
+        file = path.parent / "sets.json"
+        if not file.is_file() or file == path:
+            raise TorchidError(
+                f"'{path}' lists sets without their parameters, and there is no sets.json beside "
+                "it.",
+                hint="export the sets.json that the command wrote into --out",
+            )
     sets = read_sets(file, robot)
-    k, why = _chosen(sets, _losses(path, data), asked, robot, geometry)
-    warnings = _other_torque(path, data, sets.ids[k])
-    title = f"the set '{sets.ids[k]}' of {path.name}{why}"
+    k, why = _chosen(path, data, sets, asked, robot, geometry)
+    name = sets.ids[k]
+    title = f"the set '{name}' of {path.name}{why}"
     found = of_set(robot, sets.part([k]), title, read_other_effects(file, robot))
+    warnings = list(found.warnings)
+    # An extraction says how far a set's torque is from the one that was asked for.
+    errors, source = _beside(path, data, "torque_error_percent")
+    percent = [0.0 if v is None else float(v) for v in errors.get(name) or ()]
+    worst = max(percent, default=0.0)
+    if worst > 100 * FAR:
+        instead = "; `torchid extract --loss one-step` asks for the log's torque"
+        warnings.append(
+            f"the set's torque is up to {worst:.2g} % from the one asked for (joint "
+            f"{percent.index(worst) + 1}){instead if source.get('loss') == 'two-step' else ''}"
+        )
     if data.get("robot") not in (None, robot.name):
-        warnings += (f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'",)
-    return replace(found, warnings=(*found.warnings, *warnings))
+        warnings.append(
+            f"the sets belong to '{data['robot']}', and the robot here is '{robot.name}'"
+        )
+    return replace(found, warnings=tuple(warnings))
 
 
 def of_set(
@@ -136,40 +160,6 @@ def robot_dynamics(robot: Robot) -> Dynamics:
     return Dynamics(robot, "robot", f"the parameters of {Path(robot.source).name or robot.name}")
 
 
-def _with_parameters(path: Path, data: Mapping[str, Any]) -> Path:
-    """The file that holds the sets' parameters: the result, or the sets.json beside it."""
-    entries = data["sets"]
-    if isinstance(entries, list) and all(isinstance(e, Mapping) and "mass" in e for e in entries):
-        return path
-    beside = path.parent / "sets.json"
-    if beside.is_file() and beside != path:
-        return beside
-    raise TorchidError(
-        f"'{path}' lists sets without their parameters, and there is no sets.json beside it.",
-        hint="export the sets.json that the command wrote into --out",
-    )
-
-
-def _losses(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
-    """Losses by the sets' ids, from the result or from the extraction or study beside it."""
-    found = _beside(path, data, "phi")[0]
-    return {k: math.inf if v is None else float(v) for k, v in found.items()}
-
-
-def _other_torque(path: Path, data: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    """Says that a set's torque is far from the one that the extraction asked for."""
-    found, source = _beside(path, data, "torque_error_percent")
-    percent = [0.0 if v is None else float(v) for v in found.get(name) or ()]
-    worst = max(percent, default=0.0)
-    if worst <= 100 * FAR:
-        return ()
-    instead = "; `torchid extract --loss one-step` asks for the log's torque"
-    return (
-        f"the set's torque is up to {worst:.2g} % from the one asked for (joint "
-        f"{percent.index(worst) + 1}){instead if source.get('loss') == 'two-step' else ''}",
-    )
-
-
 def _beside(
     path: Path, data: Mapping[str, Any], key: str
 ) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -187,8 +177,9 @@ def _beside(
 
 
 def _chosen(
+    path: Path,
+    data: Mapping[str, Any],
     sets: ParameterSets,
-    losses: Mapping[str, float],
     asked: str | None,
     robot: Robot,
     geometry: str | None,
@@ -204,6 +195,8 @@ def _chosen(
     feasible = found.feasible.nonzero().flatten().tolist()
     among = feasible or list(range(len(sets)))
     words = f"of {len(sets)} sets" if not feasible else f"of {len(feasible)} feasible sets"
+    phi = _beside(path, data, "phi")[0]
+    losses = {name: math.inf if v is None else float(v) for name, v in phi.items()}
     if set(sets.ids) <= set(losses):
         return min(among, key=lambda k: losses[sets.ids[k]]), f", the least loss {words}"
     return max(among, key=lambda k: float(found.degree[k])), f", the largest degree {words}"

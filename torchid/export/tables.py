@@ -12,10 +12,9 @@ from torchid.digits import number
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics
-from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Tensor
+from torchid.typing import Tensor
 
 COLUMNS = ("parameter", "value", "std", "unit", "meaning")
 _ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -24,55 +23,53 @@ Row = tuple[str, str, str, str, str]
 
 def table(dynamics: Dynamics) -> str:
     """The text of the csv; a standard deviation that is not known is empty."""
-    rows = _base_rows(dynamics.base) if dynamics.base else _physical_rows(dynamics.robot)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(rows)
-    return out.getvalue()
-
-
-def _base_rows(values: BaseValues) -> Iterator[Row]:
-    base = values.base
-    std = [0.0] * len(base)
+    values = dynamics.base
+    if values is None:
+        writer.writerows(_physical_rows(dynamics.robot))
+        return out.getvalue()
+    base, std = values.base, [0.0] * len(values.base)
     if values.covariance is not None:
         std = values.covariance.diagonal().clamp(min=0).sqrt().tolist()
     for k, (name, unit) in enumerate(zip(base.names, base.units, strict=True)):
         kind = "base parameter" if k < base.n_rigid else "coefficient of an effect"
         meaning = kind if values.known[k] else f"{kind}, not determined by the log"
         deviation = number(std[k]) if std[k] > 0 else ""
-        yield name, number(values.values[k]), deviation, unit, meaning
+        writer.writerow((name, number(values.values[k]), deviation, unit, meaning))
+    return out.getvalue()
 
 
 def _physical_rows(robot: Robot) -> Iterator[Row]:
     p = robot.require_parameters("an export")
+    kinds = (
+        ("m{}", ("",), p.mass.unsqueeze(-1), "kg", "mass of {}"),
+        ("c{}", "xyz", p.com, "m", "centre of mass of {}, in its frame"),
+        ("I{}", _ENTRIES, p.inertia_about_com, "kg m^2", "inertia of {} about its centre of mass"),
+        ("m{0}c{0}", "xyz", p.first_moment, "kg m", "first moment of {}"),
+        (
+            "J{}",
+            _ENTRIES,
+            p.inertia_about_link_frame,
+            "kg m^2",
+            "inertia of {} about its frame's origin",
+        ),
+    )
     for i, link in enumerate(robot.link_names):
-        at = f"of {link}"
-        k = i + 1
-        yield f"m{k}", number(p.mass[i]), "", "kg", f"mass {at}"
-        for axis, c in zip("xyz", p.com[i].tolist(), strict=True):
-            yield f"c{k}{axis}", number(c), "", "m", f"centre of mass {at}, in its frame"
-        for entry, v in zip(_ENTRIES, p.inertia_about_com[i].tolist(), strict=True):
-            yield f"I{k}{entry}", number(v), "", "kg m^2", f"inertia {at} about its centre of mass"
-        for axis, h in zip("xyz", p.first_moment[i].tolist(), strict=True):
-            yield f"m{k}c{k}{axis}", number(h), "", "kg m", f"first moment {at}"
-        for entry, v in zip(_ENTRIES, p.inertia_about_link_frame[i].tolist(), strict=True):
-            yield f"J{k}{entry}", number(v), "", "kg m^2", f"inertia {at} about its frame's origin"
-    yield from _effect_rows(robot)
-
-
-def _effect_rows(robot: Robot) -> Iterator[Row]:
+        for stem, tails, numbers, unit, meaning in kinds:
+            for tail, value in zip(tails, numbers[i].tolist(), strict=True):
+                yield stem.format(i + 1) + tail, number(value), "", unit, meaning.format(link)
     seen: Counter[str] = Counter()
     for effect, values in nominal_effects(robot):
         place = "".join(f"[{j + 1}]" for j in effect.joints)
         seen[effect.name + place] += 1
         if seen[effect.name + place] > 1:  # two springs on one joint, say
             place += f"#{seen[effect.name + place]}"
-        kinds = [robot.joint_types[j] is JointType.PRISMATIC for j in effect.joints]
-        prismatic = bool(kinds) and all(kinds)
+        kinds_of_joint = {robot.joint_types[j] for j in effect.joints}
         for c, value in zip(effect.coefficients, values, strict=True):
-            name = f"{effect.name}{place}.{c.name}"
-            yield name, number(value), "", c.unit_for(prismatic), c.meaning
+            unit = c.unit_for(kinds_of_joint == {JointType.PRISMATIC})
+            yield f"{effect.name}{place}.{c.name}", number(value), "", unit, c.meaning
         for s, value in zip(effect.shapes, effect.shape_values, strict=True):
             yield f"{effect.name}{place}.{s.name}", number(value), "", s.unit, s.meaning
 
@@ -88,11 +85,6 @@ def read_values(text: str) -> dict[str, float]:
     if len(out) != len(rows):
         raise TorchidError("two parameters of the table have the same name.")
     return out
-
-
-def base_values(values: dict[str, float], names: Sequence[str]) -> Float[Tensor, " B"]:
-    """Base values (B,) of a table."""
-    return torch.tensor([values[name] for name in names], dtype=torch.float64)
 
 
 def physical(values: dict[str, float], n: int) -> tuple[InertialParameters, InertialParameters]:

@@ -3,15 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from torchid import __version__
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.export.c_code import c_file
 from torchid.export.checks import Comparison, check_c, compared
-from torchid.export.draft import Draft, kept
 from torchid.export.dynamics import Dynamics, described, records, robot_torque
-from torchid.export.staging import staged
-from torchid.export.tables import base_values, physical, read_values, table
+from torchid.export.keeping import Draft, kept, staged
+from torchid.export.tables import physical, read_values, table
 from torchid.identification.validation import model_torque
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -25,35 +26,31 @@ def write_yaml(dynamics: Dynamics, written: Robot, path: Path, motion: Motion) -
     """The robot's yaml, with its effects; read back and compared."""
     draft = Draft({path.name: robot_yaml(written).encode()}, tuple(nominal_effects(written)))
     with staged(path.parent, draft.files) as files:
-        again = load_robot(files[path.name])
-        found = compared(
-            READER, "torque with all effects", motion, dynamics.torque(motion),
-            robot_torque(again, motion),
-        )  # fmt: skip
-        return draft, kept([found])
+        torque = robot_torque(load_robot(files[path.name]), motion)
+        what = "torque with all effects"
+        return draft, kept([compared(READER, what, motion, dynamics.torque(motion), torque)])
 
 
 def write_table(dynamics: Dynamics, path: Path, motion: Motion) -> Written:
     """A csv; its numbers are read back and compared."""
-    effects = tuple(nominal_effects(dynamics.robot))
-    draft = Draft({path.name: table(dynamics).encode()}, effects)
+    robot, base = dynamics.robot, dynamics.base
+    draft = Draft({path.name: table(dynamics).encode()}, tuple(nominal_effects(robot)))
     with staged(path.parent, draft.files) as files:
-        again = read_values(files[path.name].read_text(encoding="utf-8"))
-        return draft, kept(_table_torque(dynamics, again, motion))
-
-
-def _table_torque(dynamics: Dynamics, values: dict[str, float], motion: Motion) -> list[Comparison]:
-    robot, expected = dynamics.robot, dynamics.torque(motion)
-    if dynamics.base is not None:
-        base, effects = dynamics.base.base, dynamics.base.effects
-        read = base_values(values, base.names)
-        torque = model_torque(robot, base, effects, read, motion)
-        return [compared(READER, "torque of the base parameters", motion, expected, torque)]
-    words = ("torque of m, m c, J (link frames)", "torque of m, c, I (centres of mass)")
-    return [
-        compared(READER, what, motion, expected, robot_torque(robot.with_parameters(p), motion))
-        for what, p in zip(words, physical(values, robot.n), strict=True)
-    ]
+        values = read_values(files[path.name].read_text(encoding="utf-8"))
+        if base is not None:
+            read = torch.tensor([values[name] for name in base.base.names], dtype=torch.float64)
+            torque = model_torque(robot, base.base, base.effects, read, motion)
+            found = {"torque of the base parameters": torque}
+        else:
+            words = ("torque of m, m c, J (link frames)", "torque of m, c, I (centres of mass)")
+            found = {
+                what: robot_torque(robot.with_parameters(p), motion)
+                for what, p in zip(words, physical(values, robot.n), strict=True)
+            }
+        expected = dynamics.torque(motion)
+        return draft, kept(
+            [compared(READER, what, motion, expected, torque) for what, torque in found.items()]
+        )
 
 
 def write_c(dynamics: Dynamics, path: Path, motion: Motion) -> Written:

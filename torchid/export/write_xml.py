@@ -1,24 +1,20 @@
 """Exports to URDF and MJCF: an edited copy of the user's file, or a new one."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from torchid import __version__
 from torchid.effects.base import Motion
-from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
-from torchid.export.draft import Draft, kept
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
 from torchid.export.engines import check_mujoco, check_pinocchio
-from torchid.export.joint_dynamics import JointDynamics, split
-from torchid.export.mjcf_edit import edited_mjcf
-from torchid.export.mjcf_new import new_mjcf
-from torchid.export.staging import staged
-from torchid.export.urdf_edit import edited_urdf
-from torchid.export.urdf_new import in_joint_frames, new_urdf
-from torchid.export.xml_tree import XmlFile, set_head
+from torchid.export.joint_dynamics import split
+from torchid.export.keeping import Draft, kept, staged
+from torchid.export.mjcf import edited_mjcf, new_mjcf
+from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
+from torchid.export.xml_tree import set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
@@ -48,36 +44,38 @@ def write_xml(
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)
-    file = _file(robot, joints, mjcf, path.parent, original)
+    if original is None:
+        file = new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
+    elif mjcf:
+        turned = robot.gravity.tolist() != original.gravity.tolist()
+        file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
+    else:
+        file = edited_urdf(Path(original.source), original.tip, robot, joints, path.parent)
     # A URDF has no gravity; its reader takes -9.81 along z.
     usual = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
     gravity = None if usual else robot.gravity.tolist()
     beside = bool(rest) or gravity is not None
     side = sidecar_path(path)
-    set_head(file.root, _head(dynamics, robot, rest, side.name if beside else None))
+    head = f"dynamics of {dynamics.title}; torchid {__version__}."
+    if beside:
+        head += f" What this format cannot say is in {side.name}, which torchid reads with it."
+    set_head(file.root, "\n    ".join([head, *(described(*pair, robot) for pair in rest)]))
     sidecar = sidecar_yaml(path.name, robot.joint_names, records(rest), gravity)
-    draft = Draft(
-        {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None},
-        known,
-        rest,
-        notes=_notes(robot, original),
-    )
+    contents = {path.name: file.to_bytes(), side.name: sidecar.encode() if beside else None}
+    draft = Draft(contents, known, rest, notes=_notes(robot, original))
     with staged(path.parent, draft.files) as files:
-        tip = None if original is None else original.tip
-        again = _read_back(files[path.name], path, tip)
-        own = compared(
-            f"torchid {__version__}", "torque with all effects", motion, dynamics.torque(motion),
-            robot_torque(again, motion),
-        )  # fmt: skip
         main = files[path.name]
+        torque = robot_torque(_read_back(main, path, original), motion)
+        reader, what = f"torchid {__version__}", "torque with all effects"
+        own = compared(reader, what, motion, dynamics.torque(motion), torque)
         engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
         return draft, kept([own, *engines])
 
 
-def _read_back(staged_path: Path, path: Path, tip: str | None) -> Robot:
+def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:
     """The robot of the file, under its hidden name."""
     try:
-        return load_robot(staged_path, tip=tip)
+        return load_robot(staged_path, tip=None if original is None else original.tip)
     except MissingExtraError:
         raise
     except TorchidError as error:
@@ -88,21 +86,6 @@ def _read_back(staged_path: Path, path: Path, tip: str | None) -> Robot:
             if path.suffix == ".xml"
             else None,
         ) from error
-
-
-def _file(
-    robot: Robot,
-    joints: Sequence[JointDynamics],
-    mjcf: bool,
-    folder: Path,
-    original: Robot | None,
-) -> XmlFile:
-    if original is None:
-        return new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
-    if not mjcf:
-        return edited_urdf(Path(original.source), original.tip, robot, joints, folder)
-    gravity = robot.gravity.tolist() != original.gravity.tolist()
-    return edited_mjcf(Path(original.source), robot, joints, gravity, folder)
 
 
 def _require_same_frames(robot: Robot, other: Robot) -> None:
@@ -122,16 +105,6 @@ def _require_same_frames(robot: Robot, other: Robot) -> None:
             got=f"links {', '.join(str(i + 1) for i in apart)}",
             hint="identify with this file as the robot; without --robot a new file is written",
         )
-
-
-def _head(dynamics: Dynamics, robot: Robot, rest: Sequence[Valued], sidecar: str | None) -> str:
-    """The comment at the top of the file."""
-    words = f"dynamics of {dynamics.title}; torchid {__version__}."
-    if sidecar is not None:
-        words += f" What this format cannot say is in {sidecar}, which torchid reads with it."
-    for effect, values in rest:
-        words += f"\n    {described(effect, values, robot)}"
-    return words
 
 
 def _notes(robot: Robot, original: Robot | None) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from lxml import etree
 
 from torchid.errors import TorchidError
 
+DECLARATION = b'<?xml version="1.0" encoding="utf-8"?>\n'
 HEAD = "torchid export:"
 """How the comment at the top of an export begins, which a later export replaces."""
 MARK = "torchid:"
@@ -147,7 +148,10 @@ def child_or_new(element: Any, tag: str, *, first: bool = False) -> Any:
 def insert(element: Any, node: Any, *, first: bool) -> None:
     """Put a node among the element's children, on a line of its own where they have one."""
     if len(element) == 0:
-        outer = _before(element)
+        # White space in front of the element.
+        previous, parent = element.getprevious(), element.getparent()
+        outer = "" if parent is None else parent.text or ""
+        outer = outer if previous is None else previous.tail or ""
         if outer.strip(" \t\r\n") == "" and "\n" in outer:
             element.text = f"{outer}  "
             node.tail = outer
@@ -159,14 +163,6 @@ def insert(element: Any, node: Any, *, first: bool) -> None:
         last = element[-1]
         node.tail, last.tail = last.tail, element.text
         element.append(node)
-
-
-def _before(element: Any) -> str:
-    """White space in front of an element."""
-    previous, parent = element.getprevious(), element.getparent()
-    if previous is not None:
-        return previous.tail or ""
-    return "" if parent is None else parent.text or ""
 
 
 def comment(words: str, mark: str = MARK) -> Any:

@@ -6,7 +6,6 @@
 All runs advance together: every generation of all of them is one call of the loss.
 """
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,10 +16,11 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.checkpoint import Progress, load, save
-from torchid.extraction.cma.engines import ENGINES, engine, start
+from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.search import start
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
-from torchid.extraction.polish.region import region
+from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
 from torchid.feasibility.sets import ParameterSets
 from torchid.typing import Float, Tensor
@@ -185,25 +185,36 @@ def extract(
     """
     began = time.monotonic()
     now = load(checkpoint, problem, settings) if resume and checkpoint is not None else None
-    now = _first(problem, settings) if now is None else now
+    if now is None:
+        generator = torch.Generator().manual_seed(settings.seed)
+        shape = (settings.runs, problem.size)
+        uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
+        now = Progress(0, start(uniform, _FIRST_SIGMA), uniform[:, :0], uniform[:, :0])
     while now.stage < settings.stages:
         now = _next_stage(problem, settings, now, device)
         if checkpoint is not None:
             save(checkpoint, now, problem, settings)
         if report is not None:
             report(now.stage, settings.stages)
-    found = _finished(problem, settings, now)
+    searched = problem.physical(now.state.best)
+    conditioned = region(problem, conditions=True)
+    p = _polished(problem, settings, conditioned, searched) if settings.polish else searched
+    phi, violated = problem.phi(p), gamma(problem, p)
     if checkpoint is not None and not keep:
         checkpoint.unlink(missing_ok=True)
-    return replace(found, seconds=time.monotonic() - began)
-
-
-def _first(problem: Problem, settings: SearchSettings) -> Progress:
-    generator = torch.Generator().manual_seed(settings.seed)
-    shape = (settings.runs, problem.size)
-    uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
-    empty = torch.empty(settings.runs, 0, dtype=problem.box.dtype)
-    return Progress(0, start(uniform, _FIRST_SIGMA), empty, empty)
+    return Extraction(
+        problem=problem,
+        settings=settings,
+        sets=problem.sets(p, [f"run_{k + 1}" for k in range(settings.runs)]),
+        phi=phi,
+        gamma=violated,
+        searched_phi=now.phi[:, -1],
+        searched_gamma=now.gamma[:, -1],
+        history_phi=now.phi,
+        history_gamma=now.gamma,
+        contradictions=conditioned.contradictions,
+        seconds=time.monotonic() - began,
+    )
 
 
 def _next_stage(
@@ -231,29 +242,14 @@ def _next_stage(
     return Progress(now.stage + 1, found, phi, violated)
 
 
-def _finished(problem: Problem, settings: SearchSettings, now: Progress) -> Extraction:
-    searched = problem.physical(now.state.best)
-    conditioned = region(problem, conditions=True)
-    p = searched
-    if settings.polish:
-        full = settings.penalty == "full"
-        inside = conditioned if full else region(problem, conditions=False)
-        polished = polish(problem, inside, searched)
-        weight = 10.0 * settings.stages if full else 0.0
-        # A run that the polish could not bring to an end stays as the search left it.
-        before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (p, polished))
-        p = torch.where((after <= before).unsqueeze(-1), polished, searched)
-    phi, violated = problem.phi(p), gamma(problem, p)
-    return Extraction(
-        problem=problem,
-        settings=settings,
-        sets=problem.sets(p, [f"run_{k + 1}" for k in range(settings.runs)]),
-        phi=phi,
-        gamma=violated,
-        searched_phi=now.phi[:, -1],
-        searched_gamma=now.gamma[:, -1],
-        history_phi=now.phi,
-        history_gamma=now.gamma,
-        contradictions=conditioned.contradictions,
-        seconds=math.nan,
-    )
+def _polished(
+    problem: Problem, settings: SearchSettings, conditioned: Region, searched: Tensor
+) -> Tensor:
+    """The sets after a gradient polish."""
+    full = settings.penalty == "full"
+    inside = conditioned if full else region(problem, conditions=False)
+    polished = polish(problem, inside, searched)
+    weight = 10.0 * settings.stages if full else 0.0
+    # A run that the polish could not bring to an end stays as the search left it.
+    before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, polished))
+    return torch.where((after <= before).unsqueeze(-1), polished, searched)

@@ -9,13 +9,12 @@ from torchid.extraction.problem import (
     two_step,
     with_coefficient_bounds,
 )
-from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds
+from torchid.feasibility.bounds import bounds_groups, read_bounds
 from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.derived_bounds import NAME, bounds_notes, named_bounds
 from torchid.identification.result import Identification
 from torchid.identification.values import BaseValues, identified_base
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
 
 
 def problem_of(
@@ -53,7 +52,13 @@ def problem_of(
     30
     """
     found = identified_base(result) if isinstance(result, Identification) else result
-    limits, notes = _bounds(robot, bounds, found)
+    has_normal = "normal" in bounds_groups(robot)
+    group = bounds or ("normal" if has_normal else NAME)
+    limits = named_bounds(robot, group)
+    notes = list(bounds_notes(robot, limits)) if group == NAME else []
+    limits, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
+    if added:
+        notes.append(f"bounds of {', '.join(added)}: within twice the identified sizes")
     if loss == "two-step":
         target = two_step(found.base, found.effects, found.values, found.known)
     elif found.factor is None:
@@ -64,38 +69,18 @@ def problem_of(
         )
     else:
         target = one_step(found.base, found.effects, found.values, found.factor)
-    asked = conditions(
-        robot, com_box=_boxes(robot, geometry, limits), shapes=shapes, total_mass=total_mass
-    )
-    return extraction_problem(robot, target, limits, asked), (*notes, *_undetermined(found))
-
-
-def _undetermined(found: BaseValues) -> tuple[str, ...]:
-    """A note on base parameters that the log did not determine."""
-    names = [
-        n for n, known in zip(found.base.names, found.known.tolist(), strict=True) if not known
-    ]
-    if len(names) == len(found.base):
+    if geometry is None:
+        # The robot's own boxes where it has some: `conditions` finds them.
+        box = None if has_normal else limits.com
+    else:
+        none = geometry == "none"
+        box = physics_only(robot.n).com_box if none else read_bounds(robot, geometry).com
+    asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
+    problem = extraction_problem(robot, target, limits, asked)
+    known = found.known.tolist()
+    if not any(known):
         raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
-    if not names:
-        return ()
-    return (f"not determined by the log: {', '.join(names)}",)
-
-
-def _bounds(robot: Robot, asked: str | None, found: BaseValues) -> tuple[Bounds, tuple[str, ...]]:
-    group = asked or ("normal" if "normal" in bounds_groups(robot) else NAME)
-    limits = named_bounds(robot, group)
-    notes = bounds_notes(robot, limits) if group == NAME else ()
-    full, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
-    if added:
-        notes = (*notes, f"bounds of {', '.join(added)}: within twice the identified sizes")
-    return full, notes
-
-
-def _boxes(robot: Robot, asked: str | None, limits: Bounds) -> Float[Tensor, "n 3 2"] | None:
-    """Boxes of the centres of mass to check: None lets the robot's own decide."""
-    if asked == "none":
-        return physics_only(robot.n).com_box
-    if asked is not None:
-        return read_bounds(robot, asked).com
-    return None if "normal" in bounds_groups(robot) else limits.com
+    unknown = [name for name, k in zip(found.base.names, known, strict=True) if not k]
+    if unknown:
+        notes.append(f"not determined by the log: {', '.join(unknown)}")
+    return problem, tuple(notes)

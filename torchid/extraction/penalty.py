@@ -35,61 +35,41 @@ def gamma(
             some 1e-8 of the largest, which is what a search needs.
     """
     mass, com, inertia, coefficients = problem.split(p)
-    return (
-        _mass(problem, mass)
-        + _inertia(problem, inertia, exact)
-        + _com(problem, com)
-        + _total_mass(problem, mass)
-        + _signs(problem, coefficients)
-    )
-
-
-def _short(margin: Tensor, scale: Tensor) -> Tensor:
-    return (-margin).clamp(min=0.0) / scale
-
-
-def _mass(problem: Problem, mass: Tensor) -> Tensor:
-    return _short(mass, problem.bounds.mass.abs().amax(-1).to(mass)).sum(-1)
-
-
-def _inertia(problem: Problem, inertia: Tensor, exact: bool) -> Tensor:
+    bounds, c = problem.bounds, problem.conditions
+    total = _short(mass, bounds.mass.abs().amax(-1).to(mass)).sum(-1)
+    # Inertias.
     if exact:
         smallest, largest = torch.linalg.eigvalsh(symmetric(inertia))[..., [0, 2]].unbind(-1)
     else:
         smallest, largest = extreme_eigenvalues(inertia)
     half_trace = (inertia[..., 0] + inertia[..., 3] + inertia[..., 5]) / 2
-    scale = problem.bounds.inertia[:, [0, 3, 5]].abs().amax((-1, -2)).to(inertia)
-    return (_short(smallest, scale) + _short(half_trace - largest, scale)).sum(-1)
-
-
-def _signs(problem: Problem, coefficients: Tensor) -> Tensor:
-    bounded = problem.non_negative.to(coefficients.device)
-    scale = problem.box[10 * problem.n :].abs().amax(-1).to(coefficients)
-    return _short(coefficients[..., bounded], scale[bounded]).sum(-1)
-
-
-def _com(problem: Problem, com: Tensor) -> Tensor:
-    c = problem.conditions
+    scale = bounds.inertia[:, [0, 3, 5]].abs().amax((-1, -2)).to(inertia)
+    total = total + (_short(smallest, scale) + _short(half_trace - largest, scale)).sum(-1)
+    # Centres of mass: boxes, then cylinders and spheres.
     box = c.com_box.to(com)
-    side = (problem.bounds.com[..., 1] - problem.bounds.com[..., 0]).to(com)
+    side = (bounds.com[..., 1] - bounds.com[..., 0]).to(com)
     outside = _short(com - box[..., 0], side) + _short(box[..., 1] - com, side)
-    total = outside.sum((-1, -2))
+    of_com = outside.sum((-1, -2))
     if bool(torch.isfinite(c.round_radius).any()):
         radius = c.round_radius.to(com)
         away = ((com - c.round_centre.to(com)) * c.round_axes.to(com)).norm(dim=-1)
         beyond = (away - radius).clamp(min=0.0)
-        total = total + torch.where(torch.isfinite(radius), beyond / radius, 0.0).sum(-1)
-    return total
-
-
-def _total_mass(problem: Problem, mass: Tensor) -> Tensor:
-    low, high = problem.conditions.total_mass.tolist()
+        of_com = of_com + torch.where(torch.isfinite(radius), beyond / radius, 0.0).sum(-1)
+    total = total + of_com
+    low, high = c.total_mass.tolist()
     ends = [abs(end) for end in (low, high) if math.isfinite(end)]
-    if not ends:
-        return torch.zeros_like(mass[..., 0])
-    scale = high - low if len(ends) == 2 else ends[0] or 1.0
-    total = mass.sum(-1)
-    return ((low - total).clamp(min=0.0) + (total - high).clamp(min=0.0)) / scale
+    if ends:
+        length, sum_of_masses = high - low if len(ends) == 2 else ends[0] or 1.0, mass.sum(-1)
+        below, above = (low - sum_of_masses).clamp(min=0.0), (sum_of_masses - high).clamp(min=0.0)
+        total = total + (below + above) / length
+    # Signs of the effects' coefficients.
+    bounded = problem.non_negative.to(coefficients.device)
+    largest_bound = problem.box[10 * problem.n :].abs().amax(-1).to(coefficients)
+    return total + _short(coefficients[..., bounded], largest_bound[bounded]).sum(-1)
+
+
+def _short(margin: Tensor, scale: Tensor) -> Tensor:
+    return (-margin).clamp(min=0.0) / scale
 
 
 def extreme_eigenvalues(inertia: Float[Tensor, "*batch 6"]) -> tuple[Tensor, Tensor]:

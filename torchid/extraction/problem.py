@@ -182,16 +182,7 @@ class Problem:
 
     def search_vector(self, sets: ParameterSets) -> Float[Tensor, "K D"]:
         """Search vectors (K, D) of sets with the problem's effects; not clipped to the bounds."""
-        parameters = sets.parameters
-        return torch.cat(
-            [
-                parameters.mass,
-                parameters.com.flatten(-2),
-                parameters.inertia_about_com.flatten(-2),
-                sets.coefficients,
-            ],
-            -1,
-        )
+        return sets.search_vector
 
     def sets(self, p: Float[Tensor, "K D"], ids: Sequence[str]) -> ParameterSets:
         """Search vectors as parameter sets."""
@@ -240,7 +231,10 @@ def with_coefficient_bounds(
     negative one; one that the log determines in a sum only, twice what it would be if it were the
     whole sum. None gets less than a tenth of the largest of its kind, or 1e-3.
     """
-    size = _largest_sizes(base, values)[base.n_rigid_parameters :].tolist()
+    # The size of each parameter if it alone made up one of the sums that it is part of.
+    grouping = base.grouping.abs().to(values)
+    share = torch.where(visible(grouping), values.abs().unsqueeze(-1) / grouping, 0.0)
+    size = share.amax(0)[base.n_rigid_parameters :].tolist()
     kinds = [(c, effect.joint) for effect in effects for c in effect.coefficients]
     added = tuple(dict.fromkeys(c.name for c, _ in kinds if c.name not in bounds.coefficients))
     extra = {}
@@ -256,10 +250,3 @@ def with_coefficient_bounds(
             rows[joint] = rows.new_tensor([0.0 if non_negative else -high, high])
         extra[name] = rows
     return replace(bounds, coefficients={**bounds.coefficients, **extra}), added
-
-
-def _largest_sizes(base: BaseParameters, values: Tensor) -> Float[Tensor, " P"]:
-    """Size (P,) of each parameter if it alone made up one of the sums that it is part of."""
-    grouping = base.grouping.abs().to(values)
-    share = torch.where(visible(grouping), values.abs().unsqueeze(-1) / grouping, 0.0)
-    return share.amax(0)

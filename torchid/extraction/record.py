@@ -7,7 +7,7 @@ from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
 from torchid.feasibility.margins import Feasibility
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
@@ -36,18 +36,17 @@ def sets_record(
     ids: tuple[str, ...], phi: Float[Tensor, " K"], gamma: Float[Tensor, " K"], found: Feasibility
 ) -> list[dict[str, Any]]:
     """One entry a set: loss, penalty, verdict."""
-    verdict = found.feasible.tolist()
-    degree = found.degree.tolist()
+    columns = (ids, plain(phi), plain(gamma), found.feasible.tolist(), plain(found.degree))
     return [
         {
             "id": name,
-            "phi": plain(phi[k]),
-            "gamma": plain(gamma[k]),
-            "feasible": verdict[k],
+            "phi": loss,
+            "gamma": penalty,
+            "feasible": verdict,
             "reasons": list(found.reasons(k)),
-            "degree": plain(degree[k]),
+            "degree": degree,
         }
-        for k, name in enumerate(ids)
+        for k, (name, loss, penalty, verdict, degree) in enumerate(zip(*columns, strict=True))
     ]
 
 
@@ -57,15 +56,9 @@ def certificate_record(proof: Certificate | None) -> dict[str, Any] | None:
         return None
     return {
         "feasible": proof.feasible and proof.with_conditions,
-        "with_conditions": proof.with_conditions,
-        "phi_min": plain(proof.phi_min),
-        "phi_strict": plain(proof.phi_strict),
-        "exact": proof.exact,
-        "conflict": list(proof.conflict),
-        "forcing": list(proof.forcing),
+        **picked(proof, "with_conditions phi_min phi_strict exact conflict forcing"),
         "phi_min_without": noticeable(proof),
-        "relaxed": list(proof.relaxed_active),
-        "seconds": proof.seconds,
+        **picked(proof, "relaxed=relaxed_active seconds"),
     }
 
 
@@ -79,26 +72,27 @@ def noticeable(proof: Certificate) -> dict[str, float]:
 
 def atlas_record(atlas: Atlas, problem: Problem) -> dict[str, Any]:
     """Ranges of all parameters."""
-    rows = zip(
-        atlas.names, atlas.units, atlas.low.tolist(), atlas.high.tolist(),
-        atlas.bounds_low.tolist(), atlas.bounds_high.tolist(), atlas.narrowed.tolist(),
-        atlas.status, strict=True,
-    )  # fmt: skip
+    parameters = []
+    for k, name in enumerate(atlas.names):
+        low, high, below, above, share = plain(
+            x[k]
+            for x in (atlas.low, atlas.high, atlas.bounds_low, atlas.bounds_high, atlas.narrowed)
+        )
+        parameters.append(
+            {
+                "name": name,
+                "unit": atlas.units[k],
+                "low": low,
+                "high": high,
+                "bounds": [below, above],
+                "share_of_bounds": share,
+                "status": list(atlas.status[k]),
+            }
+        )
     return {
         "schema": ATLAS_SCHEMA,
         **problem_record(problem),
         "kind": atlas.kind,
         "radius": plain(atlas.radius),
-        "parameters": [
-            {
-                "name": name,
-                "unit": unit,
-                "low": plain(low),
-                "high": plain(high),
-                "bounds": [plain(below), plain(above)],
-                "share_of_bounds": plain(share),
-                "status": list(status),
-            }
-            for name, unit, low, high, below, above, share, status in rows
-        ],
+        "parameters": parameters,
     }

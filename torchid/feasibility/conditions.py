@@ -14,7 +14,7 @@ come from the robot's yaml:
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -49,13 +49,7 @@ class Conditions:
 
     def to(self, device: torch.device | str) -> "Conditions":
         """The same conditions on another device."""
-        return Conditions(
-            self.com_box.to(device),
-            self.round_centre.to(device),
-            self.round_axes.to(device),
-            self.round_radius.to(device),
-            self.total_mass.to(device),
-        )
+        return Conditions(*(tensor.to(device) for tensor in vars(self).values()))
 
 
 def physics_only(n: int) -> Conditions:
@@ -95,16 +89,16 @@ def conditions(
     box = none.com_box if com_box is None else com_box
     if total_mass is not None and not total_mass[0] < total_mass[1]:
         raise RobotError("the interval of the total mass is empty.", got=list(total_mass))
-    centre, axes, radius = (
-        _round_shapes(robot, box)
-        if shapes
-        else (none.round_centre, none.round_axes, none.round_radius)
-    )
     total = none.total_mass if total_mass is None else torch.tensor(total_mass, dtype=box.dtype)
-    return Conditions(box, centre, axes, radius, total)
+    found = replace(none, com_box=box, total_mass=total)
+    if shapes:
+        _add_round_shapes(robot, found)
+    return found
 
 
-def _round_shapes(robot: Robot, box: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _add_round_shapes(robot: Robot, found: Conditions) -> None:
+    """Fill in the cylinders and spheres of the robot's yaml."""
+    n, centre, axes, radius = robot.n, found.round_centre, found.round_axes, found.round_radius
     geometry = robot.bounds.get("geometry")
     where = f"robot '{robot.name}': bounds geometry"
     if not isinstance(geometry, Mapping):
@@ -112,44 +106,28 @@ def _round_shapes(robot: Robot, box: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             f"robot '{robot.name}' has no shapes of its links.",
             expected="bounds: {geometry: {cylinders: [{link, axis, radius}], spheres: [...]}}",
         )
-    none = physics_only(robot.n)
-    centre, axes, radius = none.round_centre, none.round_axes, none.round_radius
     if "cylinder_radius" in geometry:
-        _cylinder_table(geometry, box, robot.n, where, centre, axes, radius)
+        # By radius and length, about the axis in which the box is that long.
+        tables = []
+        for key in ("cylinder_radius", "cylinder_length"):
+            values = finite_tensor(geometry.get(key), (n,), f"{where}.{key}")
+            if not bool((values > 0).all()):
+                raise RobotError(f"{where}: {key} must be positive.", got=geometry[key])
+            tables.append(values)
+        if not torch.isfinite(found.com_box).all():
+            raise RobotError(f"{where}: cylinders by length need the boxes of the centres of mass.")
+        low, high = found.com_box.unbind(-1)
+        axes.fill_(1.0)
+        axes[torch.arange(n), (high - low - tables[1].unsqueeze(-1)).abs().argmin(-1)] = 0.0
+        centre.copy_(found.com_box.mean(-1))
+        radius.copy_(tables[0])
     for key, default in (("cylinders", None), ("spheres", "all")):
         entries = geometry.get(key, [])
         if not isinstance(entries, list):
             raise RobotError(f"{where}: {key} must be a list.", got=entries)
         for entry in entries:
-            link, *shape = _entry(entry, default, robot.n, where)
+            link, *shape = _entry(entry, default, n, where)
             axes[link], radius[link], centre[link] = shape
-    return centre, axes, radius
-
-
-def _cylinder_table(
-    geometry: Mapping[str, Any],
-    box: Tensor,
-    n: int,
-    where: str,
-    centre: Tensor,
-    axes: Tensor,
-    radius: Tensor,
-) -> None:
-    """Cylinders given by radius and length, about the axis in which the box is that long."""
-    tables = []
-    for key in ("cylinder_radius", "cylinder_length"):
-        values = finite_tensor(geometry.get(key), (n,), f"{where}.{key}")
-        if not bool((values > 0).all()):
-            raise RobotError(f"{where}: {key} must be positive.", got=geometry[key])
-        tables.append(values)
-    if not torch.isfinite(box).all():
-        raise RobotError(f"{where}: cylinders by length need the boxes of the centres of mass.")
-    size = box[..., 1] - box[..., 0]
-    long_side = (size - tables[1].unsqueeze(-1)).abs().argmin(-1)
-    axes.fill_(1.0)
-    axes[torch.arange(n), long_side] = 0.0
-    centre.copy_(box.mean(-1))
-    radius.copy_(tables[0])
 
 
 def _entry(

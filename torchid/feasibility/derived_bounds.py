@@ -70,9 +70,9 @@ def derive_bounds(
         TorchidError: a percentage or margin that is not positive.
     """
     parameters = robot.require_parameters("deriving bounds")
-    _positive("mass_percent", mass_percent)
-    if com_margin is not None:
-        _positive("com_margin", com_margin)
+    for name, value in (("mass_percent", mass_percent), ("com_margin", com_margin)):
+        if value is not None and not 0 < value < float("inf"):
+            raise TorchidError(f"{name} must be a positive number.", got=value)
     mass, com = parameters.mass.double(), parameters.com.double()
     if not bool((mass > 0).all()):
         link = int((~(mass > 0)).nonzero()[0])
@@ -85,16 +85,27 @@ def derive_bounds(
         )
     share = mass_percent / 100
     mass_bounds = torch.stack([mass * max(1 - share, 0.0), mass * (1 + share)], -1)
-    margin = _margins(robot, com_margin)
-    boxes = _boxes(robot, shapes)
+    margin = torch.full((robot.n, 1), com_margin or 0.0, dtype=torch.float64)
+    if com_margin is None:
+        margin = MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
+    # Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown.
+    boxes = torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
+    shapes = link_shapes(robot) if shapes is None else shapes
+    if shapes is not None:
+        low, high = shapes.boxes.unbind(-1)
+        grow = ((_THINNEST - (high - low)) / 2).clamp(min=0)
+        boxes = torch.stack([low - grow, high + grow], -1)
     known = torch.isfinite(boxes).all(-1).all(-1)[:, None, None]
     around = torch.stack([com - margin, com + margin], -1)
-    matter = torch.where(known, boxes, _extents(robot, com, margin))
+    # Where there is no shape: the link's joints and centre of mass, with a margin around.
+    ends = torch.cat([joint_points(robot), com.unsqueeze(1)], 1)
+    extent = torch.stack([ends.amin(1) - margin, ends.amax(1) + margin], -1)
+    low, high = torch.where(known, boxes, extent).unbind(-1)
     return Bounds(
         NAME,
         mass_bounds,
         torch.where(known, boxes, around),
-        inertia_bounds(mass_bounds[:, 1], matter[..., 1] - matter[..., 0]),
+        inertia_bounds(mass_bounds[:, 1], high - low),
         _coefficient_bounds(robot),
     )
 
@@ -144,35 +155,6 @@ def bounds_notes(robot: Robot, bounds: Bounds, shapes: LinkShapes | None = None)
     if lying:
         notes.append(f"the nominal {', '.join(lying)} lie outside the bounds derived from the rest")
     return tuple(notes)
-
-
-def _positive(name: str, value: float) -> None:
-    if not 0 < value < float("inf"):
-        raise TorchidError(f"{name} must be a positive number.", got=value)
-
-
-def _margins(robot: Robot, com_margin: float | None) -> Float[Tensor, "n 1"]:
-    if com_margin is None:
-        return MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
-    return torch.full((robot.n, 1), com_margin, dtype=torch.float64)
-
-
-def _boxes(robot: Robot, shapes: LinkShapes | None) -> Float[Tensor, "n 3 2"]:
-    """Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown."""
-    found = link_shapes(robot) if shapes is None else shapes
-    if found is None:
-        return torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
-    low, high = found.boxes.unbind(-1)
-    grow = ((_THINNEST - (high - low)) / 2).clamp(min=0)
-    return torch.stack([low - grow, high + grow], -1)
-
-
-def _extents(
-    robot: Robot, com: Float[Tensor, "n 3"], margin: Float[Tensor, "n 1"]
-) -> Float[Tensor, "n 3 2"]:
-    """Boxes of each link's joints and centre of mass, with a margin around."""
-    ends = torch.cat([joint_points(robot), com.unsqueeze(1)], 1)
-    return torch.stack([ends.amin(1) - margin, ends.amax(1) + margin], -1)
 
 
 def _coefficient_bounds(robot: Robot) -> Mapping[str, Tensor]:

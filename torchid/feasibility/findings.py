@@ -93,40 +93,36 @@ def each(mask: Tensor) -> list[list[int]]:
 
 def add_boundaries(found: list[list[Finding]], feasibility: Feasibility) -> None:
     """Conditions whose degree is within `ON_BOUNDARY` of 0."""
-    for k, link, column in each(feasibility.degrees.abs() < ON_BOUNDARY):
-        name = LINK_CONDITIONS[column]
-        value = float(feasibility.degrees[k, link, column])
-        _on_boundary(found[k], link + 1, name, value, f"link {link + 1}: ")
-    for (k,) in each(feasibility.total_mass_degree.abs() < ON_BOUNDARY):
-        value = float(feasibility.total_mass_degree[k])
-        _on_boundary(found[k], None, "total mass", value, "")
-    for k, i in each(feasibility.coefficient_degrees.abs() < ON_BOUNDARY):
-        value = float(feasibility.coefficient_degrees[k, i])
-        _on_boundary(found[k], None, feasibility.coefficient_names[i], value, "")
-
-
-def _on_boundary(found: list[Finding], link: int | None, name: str, value: float, at: str) -> None:
-    sentence = f"{at}the condition '{name}' is on its boundary (degree {value:.1e})"
-    found.append(Finding(link, "boundary", value, ON_BOUNDARY, sentence))
+    n, links = feasibility.degrees.shape[1], feasibility.degrees.flatten(1)
+    total = feasibility.total_mass_degree.unsqueeze(-1)
+    places = [(i + 1, f"link {i + 1}: ", name) for i in range(n) for name in LINK_CONDITIONS]
+    for degrees, named in (
+        (links, places),
+        (total, [(None, "", "total mass")]),
+        (feasibility.coefficient_degrees, [(None, "", c) for c in feasibility.coefficient_names]),
+    ):
+        for k, i in each(degrees.abs() < ON_BOUNDARY):
+            (link, at, name), value = named[i], float(degrees[k, i])
+            sentence = f"{at}the condition '{name}' is on its boundary (degree {value:.1e})"
+            found[k].append(Finding(link, "boundary", value, ON_BOUNDARY, sentence))
 
 
 def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) -> None:
     """Search variables on or outside their bounds."""
-    p = sets.parameters
-    values = torch.cat(
-        [p.mass, p.com.flatten(-2), p.inertia_about_com.flatten(-2), sets.coefficients], -1
-    )
+    values = sets.search_vector
     low, high = bounds.box(sets.effects).to(values).unbind(-1)
     share = (values - low) / (high - low)
     names = search_names(sets)
-    n = p.mass.shape[-1]
+    n = sets.parameters.mass.shape[-1]
     for k, i in each((share < ON_BOUNDARY) | (share > 1 - ON_BOUNDARY)):
         value, place = float(values[k, i]), float(share[k, i])
         limit, side = (float(low[i]), "lower") if place < 0.5 else (float(high[i]), "upper")
         within = -ON_BOUNDARY <= place <= 1 + ON_BOUNDARY
         word = "on" if within else "outside"
         sentence = f"{names[i]} = {value:.4g} is {word} its {side} bound {limit:.4g}"
-        link = None if i >= 10 * n else _link_of(i, n) + 1
+        # Masses, centres of mass, inertias: one, three and six a link.
+        own = (i, (i - n) // 3, (i - 4 * n) // 6)[(i >= n) + (i >= 4 * n)]
+        link = None if i >= 10 * n else own + 1
         found[k].append(Finding(link, "bound", value, limit, sentence))
 
 
@@ -140,13 +136,6 @@ def search_names(sets: ParameterSets) -> list[str]:
         *(f"I{i}{entry}" for i in links for entry in entries),
         *sets.coefficient_names(),
     ]
-
-
-def _link_of(index: int, n: int) -> int:
-    """Link (from 0) of a search variable."""
-    if index < n:
-        return index
-    return (index - n) // 3 if index < 4 * n else (index - 4 * n) // 6
 
 
 def add_gravity_loads(

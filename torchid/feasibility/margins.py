@@ -74,14 +74,8 @@ class Feasibility:
     @property
     def degree(self) -> Float[Tensor, " K"]:
         """(K,) smallest degree of the set's conditions; negative outside, 0 on the boundary."""
-        return torch.cat(
-            [
-                self.degrees.flatten(1),
-                self.total_mass_degree.unsqueeze(-1),
-                self.coefficient_degrees,
-            ],
-            -1,
-        ).amin(-1)
+        total = self.total_mass_degree.unsqueeze(-1)
+        return torch.cat([self.degrees.flatten(1), total, self.coefficient_degrees], -1).amin(-1)
 
     def reasons(self, k: int) -> tuple[str, ...]:
         """Why set k is infeasible, named as the report's tables do: inertia_3, com_7z, mass_2,
@@ -112,8 +106,21 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
     A set with a number that is not finite violates every condition that cannot be computed.
     """
     margins, scales = link_margins(sets.parameters, conditions)
-    total, total_scale = total_mass_margin(sets.parameters, conditions)
-    coefficients, coefficient_scale = _coefficient_margins(sets)
+    low, high = conditions.total_mass.to(sets.parameters.pi).unbind(-1)
+    mass = sets.parameters.mass.sum(-1)
+    total, total_scale = torch.minimum(mass - low, high - mass), _half(low, high)
+    # Coefficients of effects, where physics forbids a sign: their size against those of their kind.
+    kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
+    finite = torch.isfinite(sets.coefficients)
+    coefficients = torch.where(finite, sets.coefficients, torch.nan)
+    coefficient_scale = torch.ones_like(coefficients)
+    for k, (kind, non_negative) in enumerate(kinds):
+        if non_negative:
+            same = [j for j, (other, _) in enumerate(kinds) if other == kind]
+            coefficient_scale[:, k] = sets.coefficients[:, same].abs().mean(-1)
+        else:
+            coefficients[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
+            coefficient_scale[:, k] = torch.inf
     strict = _STRICT.to(margins.device)
     tolerance = torch.where(strict, 0.0, -_ROUNDING) * scales
     # Not "margin < 0": nan must count as violated.
@@ -146,47 +153,22 @@ def link_margins(
     below, above = com - box[..., 0], box[..., 1] - com
     centre, axes = conditions.round_centre.to(com), conditions.round_axes.to(com)
     radius = conditions.round_radius.to(com)
-    away = ((com - centre) * axes).norm(dim=-1)
-    margins = torch.cat(
-        [
-            mass.unsqueeze(-1),
-            eigenvalues[..., :1],
-            second[..., 2:],
-            torch.minimum(below, above),
-            (radius - away).unsqueeze(-1),
-        ],
-        -1,
-    )
+    inside = (radius - ((com - centre) * axes).norm(dim=-1)).unsqueeze(-1)
+    of_mass, of_com = mass.unsqueeze(-1), torch.minimum(below, above)
+    margins = torch.cat([of_mass, eigenvalues[..., :1], second[..., 2:], of_com, inside], -1)
     mass_scale = mass.abs().mean(-1, keepdim=True).expand_as(mass)
     second_scale = second.abs().mean(-1)
     com_scale = _half(box[..., 0], box[..., 1]).expand_as(com)
-    scales = torch.cat(
-        [
-            torch.stack([mass_scale, second_scale, second_scale], -1),
-            com_scale,
-            radius.expand_as(mass).unsqueeze(-1),
-        ],
-        -1,
-    )
-    return margins, scales
+    of_body = torch.stack([mass_scale, second_scale, second_scale], -1)
+    return margins, torch.cat([of_body, com_scale, radius.expand_as(mass).unsqueeze(-1)], -1)
 
 
 def inertia_eigenvalues(parameters: InertialParameters) -> Float[Tensor, "*batch n 3"]:
     """Eigenvalues (..., n, 3) of the barycentric inertias, ascending; nan where not finite."""
     tensors = symmetric(parameters.inertia_about_com)
     finite = torch.isfinite(tensors).all(-1).all(-1)
-    safe = torch.where(finite[..., None, None], tensors, torch.zeros_like(tensors))
-    values = torch.linalg.eigvalsh(safe)
-    return torch.where(finite.unsqueeze(-1), values, torch.full_like(values, torch.nan))
-
-
-def total_mass_margin(
-    parameters: InertialParameters, conditions: Conditions
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, ""]]:
-    """Distance (...) of the total mass to the ends of its interval [kg], and half its length."""
-    low, high = conditions.total_mass.to(parameters.pi).unbind(-1)
-    total = parameters.mass.sum(-1)
-    return torch.minimum(total - low, high - total), _half(low, high)
+    values = torch.linalg.eigvalsh(torch.where(finite[..., None, None], tensors, 0.0))
+    return torch.where(finite.unsqueeze(-1), values, torch.nan)
 
 
 def _half(low: Tensor, high: Tensor) -> Tensor:
@@ -196,26 +178,11 @@ def _half(low: Tensor, high: Tensor) -> Tensor:
     return torch.where(torch.isfinite(half), half, end)
 
 
-def _coefficient_margins(sets: ParameterSets) -> tuple[Tensor, Tensor]:
-    values = sets.coefficients
-    kinds = [(c.name, c.non_negative) for e in sets.effects for c in e.coefficients]
-    finite = torch.isfinite(values)
-    margins, scales = torch.where(finite, values, torch.nan), torch.ones_like(values)
-    for k, (kind, non_negative) in enumerate(kinds):
-        if not non_negative:
-            margins[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
-            scales[:, k] = torch.inf
-            continue
-        same = [j for j, (other, _) in enumerate(kinds) if other == kind]
-        scales[:, k] = values[:, same].abs().mean(-1)
-    return margins, scales
-
-
 def _over(margins: Tensor, scales: Tensor) -> Tensor:
     """margins / scales; infinite where the condition was not asked for, 0 where both are 0."""
     ratio = margins / scales
-    ratio = torch.where(margins == 0, torch.zeros_like(ratio), ratio)
-    return torch.where(margins == torch.inf, torch.full_like(ratio, torch.inf), ratio)
+    ratio = torch.where(margins == 0, 0.0, ratio)
+    return torch.where(margins == torch.inf, torch.inf, ratio)
 
 
 def kinds(reasons: Sequence[str]) -> frozenset[str]:

@@ -106,7 +106,7 @@ def plausibility(
     own = bodies(sets.parameters)
     _densities(found, own, sets.parameters.mass, shapes)
     _sizes(found, own, sets.parameters, robot, shapes)
-    _gyrations(found, own, _longest(robot, shapes))
+    _gyrations(found, own, robot, shapes)
     _distances(found, sets.parameters, robot, shapes)
     add_boundaries(found, feasibility)
     if bounds is not None:
@@ -159,14 +159,9 @@ def _sizes(
             f"{_AXES[axis]}; no body in its box spreads more than {1e3 * limit:.0f} mm"
         )
         found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
-    _ellipsoids(found, own, com, robot, torch.isnan(boxes).any(-1).any(-1))
-
-
-def _ellipsoids(
-    found: list[list[Finding]], own: Bodies, com: Tensor, robot: Robot, unknown: Tensor
-) -> None:
-    """Semi-axes of links without a known box that are longer than it is from the CoM to the
-    further of the link's joints and a link's length beyond."""
+    # Semi-axes of links without a known box that are longer than it is from the CoM to the further
+    # of the link's joints and a link's length beyond.
+    unknown = torch.isnan(boxes).any(-1).any(-1)
     away = (joint_points(robot).to(com) - com.unsqueeze(-2)).norm(dim=-1).amax(-1)
     expected = away + link_lengths(robot).to(com)
     longest = own.semi_axes[..., 2]
@@ -179,15 +174,14 @@ def _ellipsoids(
         found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
 
 
-def _longest(robot: Robot, shapes: LinkShapes | None) -> float:
-    """The arm's reach, or the diagonal of its largest box where that is longer [m]."""
-    if shapes is None or not any(shapes.known):
-        return reach(robot)
-    diagonals = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
-    return max(reach(robot), float(diagonals.max()))
-
-
-def _gyrations(found: list[list[Finding]], own: Bodies, longest: float) -> None:
+def _gyrations(
+    found: list[list[Finding]], own: Bodies, robot: Robot, shapes: LinkShapes | None
+) -> None:
+    """Radii over the arm's reach, or over the diagonal of its largest box where that is longer."""
+    longest = reach(robot)
+    if shapes is not None and any(shapes.known):
+        diagonals = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1).nan_to_num(0.0)
+        longest = max(longest, float(diagonals.max()))
     for k, link in each((own.gyration > longest) | (own.gyration < SMALLEST_GYRATION)):
         value = float(own.gyration[k, link])
         large = value > longest

@@ -17,15 +17,13 @@ from torchid.feasibility.margins import (
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, link_shapes
 from torchid.typing import Float, Tensor
 
 SCHEMA = "torchid.feasibility/1"
 NO_GEOMETRY = "none"
-_COM = tuple(LINK_CONDITIONS.index(f"com_{axis}") for axis in "xyz")
-_TRIANGLE, _SHAPE = LINK_CONDITIONS.index("triangle"), LINK_CONDITIONS.index("shape")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,23 +141,20 @@ def record(check: Check) -> dict[str, Any]:
 
 def _set(check: Check, k: int) -> dict[str, Any]:
     found = check.feasibility
+    margins = (found.margins[k], found.total_mass[k], found.coefficients[k])
+    degrees = (found.degrees[k], found.total_mass_degree[k], found.coefficient_degrees[k])
     return {
         "id": check.sets.ids[k],
         "feasible": bool(found.feasible[k]),
         "reasons": list(found.reasons(k)),
-        "margins": _named(
-            found.margins[k], found.total_mass[k], found.coefficients[k], found.coefficient_reasons
-        ),
+        "margins": _named(*margins, found.coefficient_reasons),
         "degree": plain(found.degree[k]),
-        "degrees": _named(
-            found.degrees[k],
-            found.total_mass_degree[k],
-            found.coefficient_degrees[k],
-            found.coefficient_reasons,
-        ),
+        "degrees": _named(*degrees, found.coefficient_reasons),
         "total_mass": plain(check.sets.parameters.mass[k].sum()),
         "links": [_link(check, k, i) for i in range(check.robot.n)],
-        "plausibility": [_finding(f) for f in check.findings[k]],
+        "plausibility": [
+            picked(f, "link name what value threshold sentence") for f in check.findings[k]
+        ],
     }
 
 
@@ -180,25 +175,22 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
 
 
 def _link(check: Check, k: int, i: int) -> dict[str, Any]:
-    found, parameters = check.feasibility, check.sets.parameters
-    margins, degrees = found.margins[k, i].tolist(), found.degrees[k, i].tolist()
+    found = check.feasibility
+    mass, _, triangle, *com, shape = plain(found.margins[k, i])
+    degrees = zip(LINK_CONDITIONS, found.degrees[k, i].tolist(), strict=True)
     eigenvalues = check.eigenvalues[k, i].tolist()
     return {
         "link": i + 1,
         "name": check.robot.link_names[i],
-        "mass": plain(margins[0]),
-        "com": plain(parameters.com[k, i]),
+        "mass": mass,
+        "com": plain(check.sets.parameters.com[k, i]),
         "inertia_eigenvalues": plain(eigenvalues),
         "violation": found.inertia_violation(k, i),
-        "triangle_margin": plain(margins[_TRIANGLE]),
+        "triangle_margin": triangle,
         "triangle_excess_percent": excess_percent(eigenvalues),
-        "com_margins": plain([margins[c] for c in _COM]),
-        "shape_margin": plain(margins[_SHAPE]),
-        "degrees": {
-            name: plain(degree)
-            for name, degree in zip(LINK_CONDITIONS, degrees, strict=True)
-            if degree != math.inf
-        },
+        "com_margins": com,
+        "shape_margin": shape,
+        "degrees": {name: plain(degree) for name, degree in degrees if degree != math.inf},
         "density": plain(check.bodies.density[k, i]),
         "semi_axes": plain(check.bodies.semi_axes[k, i]),
         "gyration": plain(check.bodies.gyration[k, i]),
@@ -210,14 +202,3 @@ def excess_percent(eigenvalues: Sequence[float]) -> float | None:
     it does not, None where that sum is not positive."""
     low, middle, high = eigenvalues
     return 100 * (high / (low + middle) - 1) if low + middle > 0 else None
-
-
-def _finding(found: Finding) -> dict[str, Any]:
-    return {
-        "link": found.link,
-        "name": found.name,
-        "what": found.what,
-        "value": plain(found.value),
-        "threshold": plain(found.threshold),
-        "sentence": found.sentence,
-    }

@@ -49,6 +49,14 @@ class ParameterSets:
         stacking (eq. 2.5), then the effects' coefficients (eq. 2.7)."""
         return torch.cat([self.parameters.to_paper_order(), self.coefficients], -1)
 
+    @property
+    def search_vector(self) -> Float[Tensor, "K D"]:
+        """All parameters in the order of `Bounds.box`: masses, centres of mass, barycentric
+        inertias, coefficients."""
+        own = self.parameters
+        parts = [own.mass, own.com.flatten(-2), own.inertia_about_com.flatten(-2)]
+        return torch.cat([*parts, self.coefficients], -1)
+
     def coefficient_names(self) -> tuple[str, ...]:
         """Names of the coefficients with their joints' numbers, e.g. Fv6."""
         return tuple(name for effect in self.effects for name in effect.coefficient_names())
@@ -112,20 +120,16 @@ def to_record(sets: ParameterSets, robot: Robot, others: Sequence[Valued] = ()) 
         robot: that they belong to.
         others: effects that hold beside every set, which has no columns for them.
     """
-    first = torch.cumsum(torch.tensor([0] + [len(e.coefficients) for e in sets.effects]), 0)
     entries = []
     for k, name in enumerate(sets.ids):
-        pi = sets.parameters.pi[k]
+        pi, values = sets.parameters.pi[k], iter(sets.coefficients[k].tolist())
         effects = [
             {
                 "effect": effect.name,
                 "joint": effect.joint + 1,
-                **{
-                    c.name: float(sets.coefficients[k, int(start) + j])
-                    for j, c in enumerate(effect.coefficients)
-                },
+                **{c.name: next(values) for c in effect.coefficients},
             }
-            for effect, start in zip(sets.effects, first[:-1], strict=True)
+            for effect in sets.effects
         ]
         entries.append(
             {
@@ -151,7 +155,10 @@ def read_sets(path: Path, robot: Robot) -> ParameterSets:
     Raises:
         TorchidError: not such a file, a wrong number of links, values that are not finite numbers.
     """
-    entries = _entries(path)
+    data = read_json(path, _FILE)
+    entries = data.get("sets")
+    if not isinstance(entries, list) or not entries:
+        raise TorchidError(f"'{path}' holds no parameter sets.", got=list(data), expected=_FILE)
     parts = [_read_set(entry, k, robot, str(path)) for k, entry in enumerate(entries, start=1)]
     for part in parts[1:]:
         if part.effects != parts[0].effects:
@@ -186,14 +193,6 @@ def other_robot(path: Path, robot: Robot) -> str | None:
     return f"'{path}' says that its sets belong to '{name}'; the robot here is '{robot.name}'"
 
 
-def _entries(path: Path) -> list[Any]:
-    data = read_json(path, _FILE)
-    entries = data.get("sets")
-    if not isinstance(entries, list) or not entries:
-        raise TorchidError(f"'{path}' holds no parameter sets.", got=list(data), expected=_FILE)
-    return entries
-
-
 def _read_set(entry: Any, k: int, robot: Robot, source: str) -> ParameterSets:
     where = f"'{source}': set {k}"
     if not isinstance(entry, Mapping):
@@ -209,12 +208,8 @@ def _read_set(entry: Any, k: int, robot: Robot, source: str) -> ParameterSets:
         com = InertialParameters(pi).com if com_key == "first_moment" else place
         pi[:, 4:] += parallel_axis(mass, com)
     effects, values = _read_effects(entry.get("effects"), robot, where)
-    return ParameterSets(
-        (str(entry.get("id", k)),),
-        InertialParameters(pi.unsqueeze(0)),
-        effects,
-        values.reshape(1, -1),
-    )
+    ids, parameters = (str(entry.get("id", k)),), InertialParameters(pi.unsqueeze(0))
+    return ParameterSets(ids, parameters, effects, values.reshape(1, -1))
 
 
 def _one_of(entry: Mapping[str, Any], keys: tuple[str, str], where: str) -> str:

@@ -13,19 +13,17 @@ from dataclasses import asdict, dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model
-from torchid.design.segments import moving_samples
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data.prepare import SAME_RATE, Data, prepare, report_band
 from torchid.gap.data.repeats import Repeats, find_repeats
 from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
 from torchid.gap.localise.where import where
-from torchid.gap.noise.floor import Noise, noise_of
-from torchid.gap.search.climb import Worth
-from torchid.gap.search.evidence import fit_terms
-from torchid.gap.search.explain import Explanation, Rules, explained
+from torchid.gap.noise.floor import Noise, noise_of, sliding_only
+from torchid.gap.search.evidence import Worth, fit_terms
+from torchid.gap.search.explain import Explanation, Rules, explained, without_terms
 from torchid.gap.search.solve import Solution, solved
-from torchid.gap.search.terms import BASE, Wanted, fixed_terms
+from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, budget, closing
@@ -125,6 +123,9 @@ def diagnose(
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
     wanted = wanted_of(robot, settings)
     start = start_of(robot, data, wanted)
+    at_start = Columns(start, data.samples)
+    keep = sliding_only(at_start, data.keep, _band(data, settings), repeats)
+    data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
     rules = Rules(settings.alpha, Worth(settings.worthwhile), settings.max_effects)
@@ -132,7 +133,11 @@ def diagnose(
     found = explained(start, data, wanted, rules, folds.parts, block)
 
     say("judging", 0, 1)
-    checked = check(found, data, judged, folds, repeats, settings, robot.parameters is None)
+    fitted_first = robot.parameters is None
+    checked = check(found, data, judged, folds, repeats, settings, fitted_first)
+    while gone := harmful(found, checked):
+        found = without_terms(found, gone, data, block)
+        checked = check(found, data, judged, folds, repeats, settings, fitted_first)
     said = told(found)
     if wanted.free and robot.parameters is not None:
         # With parameters always refitted: whether that alone closes a part of the gap.
@@ -148,11 +153,14 @@ def diagnose(
     )
     poor = len(hidden) > 0.5 * _places(found) or data.seconds < SHORTEST
     far = checked.far
+    if not (said.findings or said.parametric):
+        far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
+        checked = replace(checked, far=far)
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
     result = Diagnosis(
         robot=start.described(),
         corrected=Model(found.solution.model.robot, lasting).described(),
-        status=status_of(said, checked, poor),
+        status=status_of(said, checked, found.question.least(far.rms_before.square()), poor),
         joints=joints,
         regimes=regimes,
         findings=said.findings,
@@ -272,20 +280,19 @@ def check(
     solution = found.solution
     base = refitted(solution.start, data, solution.wanted)
     band = _band(data, settings)
+    columns = Columns(solution.model, data.samples)
+    noise = noise_of(columns, solution.left, data.keep, band, repeats, settings.seed)
     if judged is None:
         fits = [folds.fitted(k) for k in range(folds.count)]
         after = [solution.without(f) for f in fits]
         again = [base.without(f) for f in fits]
         before = again if fitted_first else [solution.start]
-        shown = traces(data.samples, folds, before, after, band)
-        again_shown = traces(data.samples, folds, before, again, band)
+        shown = traces(data.samples, folds, before, after, band, reach=noise.reach)
+        again_shown = traces(data.samples, folds, before, again, band, reach=noise.reach)
     else:
         before = [base.model] if fitted_first else [solution.start]
-        shown = traces(judged.samples, None, before, [solution.model], band)
-        again_shown = traces(judged.samples, None, before, [base.model], band)
-    sliding = data.keep & moving_samples(data.samples, sliding=True)
-    columns = Columns(solution.model, data.samples)
-    noise = noise_of(columns, solution.left, sliding, band, repeats, settings.seed)
+        shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
+        again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
     return Checked(
         shown,
         again_shown,
@@ -295,14 +302,39 @@ def check(
     )
 
 
-def status_of(said: Told, checked: Checked, poor: bool) -> Status:
+def harmful(found: Explanation, checked: Checked) -> list[Term]:
+    """Terms that do no good on data that was not fitted: those of joints that get worse, and all that
+    belong to the whole arm where the gap does not shrink at all. What happened once is not asked."""
+    far = checked.far
+    worse = far.rms_after > far.rms_before
+    out = []
+    for term in found.terms:
+        if any(e.event for e in term.effects):
+            continue
+        if bool(worse[term.place]) if term.place is not None else not far.improves:
+            out.append(term)
+    return out
+
+
+def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
     an interval; what is left is unexplained where it exceeds the noise there and a flexible
-    predictor finds structure in it."""
+    predictor finds structure in it.
+
+    Args:
+        said: what is told.
+        checked: on data that was not fitted.
+        least: (n,) torque that is worth a name [N m; N].
+        poor: whether the log could not show most effects.
+    """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
+    # What is left must be worth as much as a cause must be.
+    beyond = (far.rms_after.square() - noise.floor.high.square()).clamp(min=0).sqrt()
+    excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
     odd = (excess > EXCESS) & (noise.structure > 0)
-    unexplained = bool((odd | (excess > CLEAR_EXCESS) | (noise.structure > STRUCTURE)).any())
+    clear = (excess > CLEAR_EXCESS) & ~noise.uneven
+    unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.findings or said.parametric):
         if unexplained:
             return "detected_unexplained"

@@ -110,7 +110,7 @@ def _householder(rows: Tensor) -> Tensor:
     if rows.shape[0] < c:
         rows = torch.cat([rows, rows.new_zeros(c - rows.shape[0], c)])
     r = torch.linalg.qr(rows, mode="r").R
-    sign = torch.where(r.diagonal() < 0, -1.0, 1.0)
+    sign = torch.where(r.diagonal() < 0, -1.0, 1.0).to(r)
     return r * sign.unsqueeze(-1)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.effects.registry import on_every_joint
-from torchid.errors import LogError
+from torchid.errors import IdentificationError, LogError
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
 from torchid.design.motion import Measurement, fast_speed, measurements, no_torque
@@ -27,6 +27,11 @@ from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Tensor
+
+FEWEST_DIGITS = 1e-4
+"""Relative error at which a number is no result: four digits, as many as a good torque log has.
+Rounding makes that of eps times the condition number of columns of length one, even of a log
+without noise; so a fit is refused from a condition number of 4.5e11 on."""
 
 BEYOND_LIMIT = 5.0
 """Times the torque limit from which a torque is taken for one in another unit."""
@@ -56,7 +61,8 @@ def identify(
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
-        IdentificationError: nothing to identify from.
+        IdentificationError: nothing to identify from, or a motion that tells parameters apart by
+            less than rounding does.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -87,6 +93,7 @@ def identify(
     reversal = _reversal(training, cutoff, settings, progress)
     measured = measurements(training.log, cutoff, reversal)
     estimate = _estimate(training, measured, settings, progress)
+    _refuse_hopeless(estimate.fit, training.log)
     values, order = _in_base_order(estimate.fit.x, columns)
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     fitted, checked = (
@@ -275,6 +282,25 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
+
+
+def _refuse_hopeless(found: Fit, log: Log) -> None:
+    """Raise where rounding alone leaves no four digits: values of thousands of kilograms would be
+    printed with standard deviations as large, and look like a result."""
+    condition = found.scaled_condition_number
+    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
+    if condition <= largest:
+        return
+    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
+    raise IdentificationError(
+        "these logs cannot tell the parameters apart: the fit is lost in rounding.",
+        got=f"condition number {condition:.1e} (columns of length one); the joints move over "
+        + ", ".join(f"{x:.2g}" for x in moved)
+        + " rad or m",
+        expected=f"below {largest:.1e}; a good motion has less than 1e3",
+        hint="`torchid excite` designs a motion that tells them apart; --effects with fewer names "
+        "asks for less",
+    )
 
 
 def _rows(source: RowSource, found: Fit) -> FittedRows:

@@ -300,4 +300,8 @@ def _newton_step(
     half = torch.linalg.solve_triangular(r.T, (unit * gradient).unsqueeze(-1), upper=False)
     step = unit * torch.linalg.solve_triangular(r, half, upper=True).squeeze(-1)
     decrement = float(half.norm())
-    return x - step / (1 + decrement if decrement > 0.25 else 1.0), decrement
+    step = step / (1 + decrement if decrement > 0.25 else 1.0)
+    # Where the distance outweighs the barrier a billion times, rounding alone may leave the cone.
+    while torch.linalg.cholesky_ex(torch.einsum("k,kab->ab", x - step, entries)).info > 0:
+        step = step / 2
+    return x - step, decrement

@@ -1,10 +1,7 @@
 """What an identification found, and what its user must know about it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import torch
 
 from torchid.effects.base import JointEffect, Motion
@@ -16,10 +13,8 @@ from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
 from torchid.identification.validation import Errors, Prediction, model_torque
 from torchid.robot.model import Robot
-from torchid.typing import Bool, BroadcastJoints, Float, Joints, Tensor
-
-Numbers = BroadcastJoints | np.ndarray | Sequence[Any]
-"""(..., n), one column a joint."""
+from torchid.tensors import joint_signals
+from torchid.typing import Bool, Float, Joints, Numbers, Tensor
 
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
@@ -135,13 +130,13 @@ class Identification:
         Raises:
             TorchidError: not numbers of all joints.
         """
-        state = [_joints(x, self.robot.n) for x in (q, dq, ddq)]
+        state = joint_signals(self.robot.n, q=q, dq=dq, ddq=ddq)
         values = self.values.to(state[0])
         return model_torque(self.robot, self.base, self.effects, values, Motion(*state))
 
     def residual(self, q: Numbers, dq: Numbers, ddq: Numbers, tau: Numbers) -> Joints:
         """Measured minus predicted torque (..., n)."""
-        return _joints(tau, self.robot.n) - self.predict(q, dq, ddq)
+        return joint_signals(self.robot.n, tau=tau)[0] - self.predict(q, dq, ddq)
 
     def combination(self, weights: Float[Tensor, " P"]) -> tuple[float, float]:
         """Value and standard deviation of a linear combination of all parameters.
@@ -160,23 +155,6 @@ class Identification:
         if unknown:
             raise TorchidError("this log does not determine this combination.", got=unknown)
         return float(row @ self.values), float((row @ self.covariance @ row).clamp(min=0).sqrt())
-
-
-def _joints(values: Numbers, n: int) -> Joints:
-    """A floating tensor (..., n) of what a user gives."""
-    try:
-        out = torch.as_tensor(values)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise TorchidError(
-            "q, dq, ddq and torque are tables of numbers.", got=type(values).__name__
-        ) from error
-    if out.ndim == 0 or out.shape[-1] != n:
-        raise TorchidError(
-            "q, dq, ddq and torque have one column a joint.",
-            got=tuple(out.shape),
-            expected=f"(..., {n})",
-        )
-    return out if out.is_floating_point() else out.double()
 
 
 def findings(result: Identification) -> list[str]:

@@ -10,8 +10,12 @@ from torchid.identification.least_squares import Fit, whitened_rows
 from torchid.identification.rows import RowSource
 from torchid.statistics import jackknife as blocks_jackknife
 from torchid.statistics.autocorrelation import integrated_time
-from torchid.statistics.blocks import CORRELATION_TIMES, block_length, block_numbers, block_products
+from torchid.statistics.blocks import block_length, block_numbers, block_products
 from torchid.typing import Bool, Float, Tensor
+
+CORRELATION_TIMES = 4.0
+"""Correlation times of the residual in the shortest block whose sum is nearly independent of its
+neighbours'."""
 
 
 @dataclass(frozen=True)

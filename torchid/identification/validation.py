@@ -130,7 +130,7 @@ def predict(
     del raw
     error = measured - predicted
     sums = Sums(
-        torch.full((robot.n,), float(len(error))),
+        torch.full((robot.n,), float(len(error)), dtype=torch.float64),
         _squares(error),
         _squares(measured),
         _squares(error * moving),

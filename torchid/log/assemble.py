@@ -106,12 +106,9 @@ def _own_names(table: Table, mapping: ColumnMapping) -> list[str]:
     return [
         name
         for name in table.columns
-        if (is_wanted(name) or name in arrays) and _key(name) not in mapping.sources
+        if (is_wanted(name) or name in arrays)
+        and _ARRAYS.get(name, re.sub(r"\d+$", "", name)) not in mapping.sources
     ]
-
-
-def _key(name: str) -> str:
-    return _ARRAYS.get(name, re.sub(r"\d+$", "", name))
 
 
 def _own_columns(

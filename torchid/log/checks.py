@@ -51,16 +51,37 @@ def check_log(
     slides = tuple(prismatic) or (False,) * n
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
         raise ValueError(f"prismatic and position_limits must have {n} entries")
-    _check_joint_count(log, n, robot_name)
+    if log.n != n:
+        raise LogError(
+            f"{_label(log)} has another number of joints than robot '{robot_name}'.",
+            got=f"{log.n} (q1..q{log.n})",
+            expected=f"{n} (q1..q{n})",
+        )
     _check_finite(log)
     _check_increasing(log)
     _check_positions_in_radians(log, position_limits, slides)
     agreement = velocity_agreement(log)
-    _check_time_unit(log, agreement)
+    # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
+    step = max(float(log.t[rows].diff().median()) for rows in log.slices())
+    clear = [a for a in agreement if a.correlation > FOLLOWS]
+    for factor, unit in TIME_UNITS.items():
+        if clear and all(near(a.ratio, factor) for a in clear):
+            k, ratio = clear[0].joint + 1, clear[0].ratio
+            why = f"looks like {unit}: dq{k} is {ratio:.4g} times the derivative of q{k}"
+            _refuse_time(log, why, step)
+    if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
+        why = "and dq disagrees" if clear else "too long for a robot"
+        _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
     _check_velocity_unit(log, agreement, slides)
+    extent = log.q.amax(0) - log.q.amin(0)
     return (
         *position_jumps(log),
-        *_still_joints(log),
+        *[
+            f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
+            "its parameters cannot be identified from this log."
+            for k in range(log.n)
+            if float(extent[k]) < STILL
+        ],
         *_no_torque(log),
         *_velocity_warnings(log, agreement),
     )
@@ -68,15 +89,6 @@ def check_log(
 
 def _label(log: Log) -> str:
     return f"log '{log.source}'" if log.source else "log"
-
-
-def _check_joint_count(log: Log, n: int, robot_name: str) -> None:
-    if log.n != n:
-        raise LogError(
-            f"{_label(log)} has another number of joints than robot '{robot_name}'.",
-            got=f"{log.n} (q1..q{log.n})",
-            expected=f"{n} (q1..q{n})",
-        )
 
 
 def _columns(log: Log) -> Iterator[tuple[str, Float[Tensor, " T"]]]:
@@ -195,20 +207,6 @@ def velocity_agreement(log: Log) -> list[Agreement]:
     return records
 
 
-def _check_time_unit(log: Log, agreement: Sequence[Agreement]) -> None:
-    """Refuse time in milli-, micro- or nanoseconds, or counted in samples."""
-    step = max(float(log.t[rows].diff().median()) for rows in log.slices())
-    clear = [a for a in agreement if a.correlation > FOLLOWS]
-    for factor, unit in TIME_UNITS.items():
-        if clear and all(near(a.ratio, factor) for a in clear):
-            k, ratio = clear[0].joint + 1, clear[0].ratio
-            why = f"looks like {unit}: dq{k} is {ratio:.4g} times the derivative of q{k}"
-            _refuse_time(log, why, step)
-    if step > SLOW_STEP_S and not any(0.5 < a.ratio < 2.0 for a in clear):
-        why = "and dq disagrees" if clear else "too long for a robot"
-        _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
-
-
 def _refuse_time(log: Log, why: str, step: float) -> None:
     raise LogError(
         f"{_label(log)}: t {why}.",
@@ -248,16 +246,6 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
 def near(ratio: float, factor: float) -> bool:
     """Whether a measured ratio is this factor, within 7 %."""
     return 0.93 < ratio / factor < 1.07
-
-
-def _still_joints(log: Log) -> list[str]:
-    extent = log.q.amax(0) - log.q.amin(0)
-    return [
-        f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
-        "its parameters cannot be identified from this log."
-        for k in range(log.n)
-        if float(extent[k]) < STILL
-    ]
 
 
 def position_jumps(log: Log) -> list[str]:

@@ -63,22 +63,18 @@ def from_arrow(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return column.to_numpy().astype("M8[ns]" if pa.types.is_timestamp(kind) else "m8[ns]")
     if _width(kind):
-        return _lists(column, name, path)
+        # (T, k) of a column of lists, which must be equally long.
+        lengths = pa.compute.list_value_length(column).to_numpy()
+        if len(lengths) == 0 or (lengths != lengths[0]).any():
+            raise LogError(
+                f"'{path}': the lists in column {name} are not equally long.",
+                got="no rows" if len(lengths) == 0 else f"{min(lengths)} to {max(lengths)} values",
+            )
+        flat = pa.compute.list_flatten(column)
+        if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
+            return np.array(column.to_pylist(), dtype=object)
+        return flat.cast(pa.float64(), safe=False).to_numpy().reshape(len(lengths), -1)
     return np.array(column.to_pylist(), dtype=object)
-
-
-def _lists(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
-    """(T, k) of a column of lists, which must be equally long."""
-    lengths = pa.compute.list_value_length(column).to_numpy()
-    if len(lengths) == 0 or (lengths != lengths[0]).any():
-        raise LogError(
-            f"'{path}': the lists in column {name} are not equally long.",
-            got="no rows" if len(lengths) == 0 else f"{min(lengths)} to {max(lengths)} values",
-        )
-    flat = pa.compute.list_flatten(column)
-    if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type)):
-        return np.array(column.to_pylist(), dtype=object)
-    return flat.cast(pa.float64(), safe=False).to_numpy().reshape(len(lengths), -1)
 
 
 def repeated(names: Sequence[str]) -> tuple[str, ...]:

@@ -91,7 +91,27 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     named = _named(names)
     whole = [g for g in _numbered(names) if not any(g.columns < other.columns for other in named)]
     named = [_placed(g, joints) or g for g in named]
-    groups = [*_singles(names), *_arrays(table, names), *whole, *named]
+    # Columns that may be the time.
+    found = []
+    for name in names:
+        last = name.rsplit("/", 1)[-1]
+        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
+            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
+    # Arrays (T, n), or of unknown shape in a file that may have some.
+    whole_arrays = []
+    for array in names:
+        shape = table.columns[array]
+        if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
+            continue
+        if shape and 1 in shape:
+            continue
+        words = words_of(array)
+        quantity = quantity_of(reversed(words)) if words else None
+        if quantity is None or quantity == "t":
+            continue
+        width = min((k for k in shape or () if k > 0), default=0)
+        whole_arrays.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
+    groups = [*found, *whole_arrays, *whole, *named]
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i"):
         fitting = [g for g in groups if g.key == key]
@@ -150,34 +170,6 @@ def _own(table: Table, key: str) -> bool:
     )
 
 
-def _singles(names: list[str]) -> list[_Group]:
-    """Columns that may be the time."""
-    found = []
-    for name in names:
-        last = name.rsplit("/", 1)[-1]
-        if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
-            found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
-    return found
-
-
-def _arrays(table: Table, names: list[str]) -> list[_Group]:
-    """Arrays (T, n), or of unknown shape in a file that may have some."""
-    found = []
-    for name in names:
-        shape = table.columns[name]
-        if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
-            continue
-        if shape and 1 in shape:
-            continue
-        words = words_of(name)
-        key = quantity_of(reversed(words)) if words else None
-        if key is None or key == "t":
-            continue
-        joints = min((k for k in shape or () if k > 0), default=0)
-        found.append(_Group((name,), key, joints, 0.5 + looks_measured(words)))
-    return found
-
-
 def _numbered(names: list[str]) -> list[_Group]:
     """Columns that differ in one number, which counts from 0 or 1."""
     families: dict[tuple[str, str], dict[int, str]] = {}
@@ -208,7 +200,11 @@ def _named(names: list[str]) -> list[_Group]:
         tokens = [p for p in re.split(r"[._/ ]+", plain) if p and p.lower() not in said]
         while len(tokens) > 2 and is_unit_word(tokens[-1]):
             unit = f"{tokens.pop()} {unit}"
-        for k in _quantities(tokens):
+        # Which of the first and the last part of a name say what it is; `joint` only if no other.
+        ends = sorted({0, len(tokens) - 1}) if len(tokens) > 1 else []
+        fitting = [k for k in ends if quantity_of([tokens[k].lower()]) not in (None, "t")]
+        others = [k for k in fitting if not re.fullmatch(r"joints?|state", tokens[k].lower())]
+        for k in others or fitting:
             label = "_".join(tokens[:k] + tokens[k + 1 :])
             families.setdefault((tokens[k], unit, *said), {})[label] = name
     found = []
@@ -220,11 +216,3 @@ def _named(names: list[str]) -> list[_Group]:
         labels = tuple(members)
         found.append(_Group(tuple(columns), key, len(columns), score, labels, frozenset(columns)))
     return found
-
-
-def _quantities(tokens: Sequence[str]) -> list[int]:
-    """Which of the first and the last part of a name say what it is; `joint` only if no other."""
-    ends = sorted({0, len(tokens) - 1}) if len(tokens) > 1 else []
-    found = [k for k in ends if quantity_of([tokens[k].lower()]) not in (None, "t")]
-    others = [k for k in found if not re.fullmatch(r"joints?|state", tokens[k].lower())]
-    return others or found

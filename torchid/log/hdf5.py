@@ -25,7 +25,10 @@ def hdf5_table(path: Path, request: Request) -> Table:
 
 def open_hdf5(path: Path, kind: str, purpose: str, *, matlab: bool = False) -> Table:
     """The table of an HDF5 file; MATLAB's (matlab) has arrays transposed, rows being columns."""
-    h5py = _h5py(purpose)
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("h5py", "hdf5", purpose) from error
     with damaged(path, kind, OSError, RuntimeError, ValueError), h5py.File(path, "r") as file:
         columns: dict[str, Shape | None] = {}
 
@@ -57,11 +60,3 @@ def _dataset(h5py: Any, file: Any, name: str) -> np.ndarray:
         return array.astype(str).astype(object) if array.dtype.kind in "SO" else array
     dataset, _, field = name.rpartition("/")
     return np.asarray(file[dataset][field])
-
-
-def _h5py(purpose: str) -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError("h5py", "hdf5", purpose) from error
-    return h5py

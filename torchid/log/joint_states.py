@@ -83,27 +83,31 @@ def joint_columns_of(
         largest = max(groups, key=lambda g: (len(g.names), len(g.time)))
         joints, notes = in_robot_order(largest.names, (), label)
     used = _covering(groups, joints)
-    warnings += _left_out(groups, used, joints, label)
+    # What is said about joints and messages that are not taken.
+    others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
+    warnings += [f"{label}: left out: {', '.join(others)}"] if others else []
+    partly = [g for g in groups if g not in used and set(g.names) & set(joints)]
+    if partly:
+        count = sum(len(g.time) for g in partly)
+        warnings.append(f"{label}: {count} messages with some of the joints are left out.")
     whole = used[0] if len(used) == 1 else _joined(used, label, warnings)
-    whole, runs = _in_time(whole, label, warnings)
+    # Messages in the order of their stamps, repeated ones once; which run each belongs to.
+    steps = np.diff(whole.time, prepend=whole.time[:1])
+    runs = np.cumsum(steps < -RESET_S * 1e9)
+    order = np.lexsort((whole.time, runs))
+    time, run = whole.time[order], runs[order]
+    same = (np.diff(time) == 0) & (np.diff(run) == 0)
+    again = np.concatenate([[False], same])
+    if again.any():
+        warnings.append(f"{label}: {int(again.sum())} messages repeat a time stamp: left out.")
+    if (steps[steps > -RESET_S * 1e9] < 0).any():
+        warnings.append(f"{label}: messages are not in the order of their stamps: sorted.")
+    whole, runs = _picked(whole, order[~again]), run[~again]
     arrays = _arrays(whole, joints, label, warnings)
     arrays["t"] = (whole.time - whole.time.min()) * 1e-9
     if runs.any():
         arrays["traj"] = runs
     return JointColumns(arrays, tuple(joints), stamped, (*notes, *warnings))
-
-
-def _left_out(
-    groups: Sequence[_Group], used: Sequence[_Group], joints: Sequence[str], label: str
-) -> list[str]:
-    """What is said about joints and messages that are not taken."""
-    others = dict.fromkeys(n for g in groups for n in g.names if n not in joints)
-    said = [f"{label}: left out: {', '.join(others)}"] if others else []
-    partly = [g for g in groups if g not in used and set(g.names) & set(joints)]
-    if partly:
-        count = sum(len(g.time) for g in partly)
-        said.append(f"{label}: {count} messages with some of the joints are left out.")
-    return said
 
 
 def _groups(
@@ -115,7 +119,17 @@ def _groups(
     byname: dict[tuple[str, ...], list[JointState]] = {}
     for message in messages:
         if len(message.names) == len(message.position) > 0:
-            ordered = _sorted(message)
+            # The message with its joints in the order of their names.
+            order = sorted(range(len(message.names)), key=message.names.__getitem__)
+            if order == list(range(len(order))):
+                ordered = message
+            else:
+                signals = {
+                    s: values[order] if len(values) == len(order) else values
+                    for s in ("position", "velocity", "effort")
+                    for values in [getattr(message, s)]
+                }
+                ordered = message._replace(names=tuple(message.names[k] for k in order), **signals)
             byname.setdefault(ordered.names, []).append(ordered)
     if not byname:
         raise LogError(
@@ -127,19 +141,6 @@ def _groups(
     if unusable:
         warnings.append(f"{label}: {unusable} messages without positions are left out.")
     return [_group(names, group, stamped, label, warnings) for names, group in byname.items()]
-
-
-def _sorted(message: JointState) -> JointState:
-    """The message with its joints in the order of their names."""
-    order = sorted(range(len(message.names)), key=message.names.__getitem__)
-    if order == list(range(len(order))):
-        return message
-    signals = {
-        s: values[order] if len(values) == len(order) else values
-        for s in ("position", "velocity", "effort")
-        for values in [getattr(message, s)]
-    }
-    return message._replace(names=tuple(message.names[k] for k in order), **signals)
 
 
 def _group(
@@ -228,21 +229,6 @@ def _joined(groups: Sequence[_Group], label: str, warnings: list[str]) -> _Group
         for s in shared
     }
     return _Group(tuple(names), base, signals)
-
-
-def _in_time(group: _Group, label: str, warnings: list[str]) -> tuple[_Group, np.ndarray]:
-    """Messages in the order of their stamps, repeated ones once; which run each belongs to."""
-    steps = np.diff(group.time, prepend=group.time[:1])
-    runs = np.cumsum(steps < -RESET_S * 1e9)
-    order = np.lexsort((group.time, runs))
-    time, run = group.time[order], runs[order]
-    same = (np.diff(time) == 0) & (np.diff(run) == 0)
-    again = np.concatenate([[False], same])
-    if again.any():
-        warnings.append(f"{label}: {int(again.sum())} messages repeat a time stamp: left out.")
-    if (steps[steps > -RESET_S * 1e9] < 0).any():
-        warnings.append(f"{label}: messages are not in the order of their stamps: sorted.")
-    return _picked(group, order[~again]), run[~again]
 
 
 def _picked(group: _Group, rows: np.ndarray) -> _Group:

@@ -90,7 +90,20 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
     if isinstance(given, Mapping):
         return _from_dict(given, "columns")
     if isinstance(given, Path) or ("=" not in given and given.lower().endswith((".yaml", ".yml"))):
-        return _from_dict(_load(Path(given)), f"'{given}'")
+        path = Path(given)
+        try:
+            content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise LogError(
+                f"the column mapping '{path}' cannot be read.", got=_where_and_why(error)
+            ) from error
+        if not isinstance(content, Mapping):
+            raise LogError(
+                f"the column mapping '{path}' is not a mapping.",
+                got=type(content).__name__,
+                expected="lines such as `q: pos_{j} deg`",
+            )
+        return _from_dict(content, f"'{given}'")
     sources = {}
     for entry in _split(given, ","):
         key, equals, value = entry.partition("=")
@@ -105,22 +118,6 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
             raise LogError(f"--columns gives {key} twice.", got=given)
         sources[key] = _source(key, value)
     return ColumnMapping(sources, given)
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise LogError(
-            f"the column mapping '{path}' cannot be read.", got=_where_and_why(error)
-        ) from error
-    if not isinstance(content, Mapping):
-        raise LogError(
-            f"the column mapping '{path}' is not a mapping.",
-            got=type(content).__name__,
-            expected="lines such as `q: pos_{j} deg`",
-        )
-    return content
 
 
 def _where_and_why(error: Exception) -> str:
@@ -174,7 +171,8 @@ def _source(key: str, text: str) -> Source | None:
     factors: tuple[float, ...] = (1.0,)
     found = _FACTOR.search(rest)
     if found:
-        factors = _numbers(found[1], key)
+        text = found[1]
+        factors = tuple(_number(part, key) for part in text.strip("[] ").split(","))
         if found[0].lstrip().startswith("/"):
             factors = tuple(1 / f for f in factors)
         rest = rest[: found.start()]
@@ -234,10 +232,6 @@ def _split(text: str, separator: str, most: int | None = None) -> list[str]:
             continue
         parts[-1] += c
     return parts
-
-
-def _numbers(text: str, key: str) -> tuple[float, ...]:
-    return tuple(_number(part, key) for part in text.strip("[] ").split(","))
 
 
 def _number(text: object, key: str) -> float:

@@ -30,7 +30,17 @@ def matlab_table(path: Path, request: Request) -> Table:
     with open(path, "rb") as file:
         start = file.read(19)
     if start.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        return _v73(path)
+        purpose = (
+            f"reading '{path}' (MATLAB v7.3; `save -v7` writes a file that needs nothing more)"
+        )
+        table = open_hdf5(path, "MATLAB v7.3", purpose, matlab=True)
+        dotted = {name.replace("/", "."): name for name in table.columns if name[0] != "#"}
+
+        def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
+            arrays = table.read([dotted[name] for name in wanted])
+            return {name: arrays[dotted[name]] for name in wanted}
+
+        return replace(table, columns={n: table.columns[k] for n, k in dotted.items()}, read=read)
     # Here, because it takes a moment to load and most logs are no .mat files.
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
@@ -49,18 +59,6 @@ def matlab_table(path: Path, request: Request) -> Table:
     return Table(
         path, "MATLAB", shapes, lambda names: {name: arrays[name] for name in names}, arrays=True
     )
-
-
-def _v73(path: Path) -> Table:
-    purpose = f"reading '{path}' (MATLAB v7.3; `save -v7` writes a file that needs nothing more)"
-    table = open_hdf5(path, "MATLAB v7.3", purpose, matlab=True)
-    dotted = {name.replace("/", "."): name for name in table.columns if name[0] != "#"}
-
-    def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
-        arrays = table.read([dotted[name] for name in wanted])
-        return {name: arrays[dotted[name]] for name in wanted}
-
-    return replace(table, columns={n: table.columns[k] for n, k in dotted.items()}, read=read)
 
 
 def _arrays(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
+import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
 
 JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current")
@@ -20,7 +22,7 @@ OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Samples of a robot with n joints; all tensors float64.
+    """Samples of a robot with n joints; all tensors float64. It may be made of arrays or lists.
 
     Attributes:
         t: (T,) time stamps [s], increasing within each trajectory.
@@ -35,7 +37,8 @@ class Log:
         warnings: what the readers and the resampling noticed, one sentence each.
 
     Raises:
-        LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs.
+        LogError: the sizes of the signals do not agree, or trajectories are not consecutive runs,
+            or what is given are no numbers.
 
     >>> import torch
     >>> t = torch.arange(100, dtype=torch.float64) / 50
@@ -56,15 +59,24 @@ class Log:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.trajectory is None:
-            self._set(
-                "trajectory", torch.zeros(len(self.t), dtype=torch.int64, device=self.t.device)
-            )
         for name in ("t", *JOINT_SIGNALS):
             if getattr(self, name) is not None:
-                self._set(name, getattr(self, name).to(torch.float64))
+                what = f"{self._label}: {name}"
+                signal = as_tensor(getattr(self, name), what, LogError)
+                self._set(name, signal.to(torch.float64))
+        if self.trajectory is None:
+            self._set("trajectory", torch.zeros_like(self.t, dtype=torch.int64))
+        self._set("trajectory", self._numbers())
         self._check_sizes()
-        count = self._check_runs()
+        # The number of trajectories, which must be numbered 0, 1, ... one after the other.
+        steps = self.trajectory.diff()
+        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
+            raise LogError(
+                f"{self._label}: trajectories must be consecutive runs of samples.",
+                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
+                expected="0, 1, 2, ...",
+            )
+        count = int(self.trajectory[-1]) + 1
         if not self.names:
             stem = self.source or "log"
             self._set(
@@ -79,6 +91,15 @@ class Log:
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
+
+    def _numbers(self) -> Tensor:
+        """The trajectories' numbers as they are, or of an array or a list."""
+        if isinstance(self.trajectory, Tensor):
+            return self.trajectory
+        numbers = as_tensor(self.trajectory, f"{self._label}: trajectory", LogError)
+        if (numbers != numbers.round()).any():
+            raise LogError(f"{self._label}: trajectories are numbered 0, 1, 2, ...")
+        return numbers.to(torch.int64)
 
     @property
     def _label(self) -> str:
@@ -111,17 +132,6 @@ class Log:
                 got=tuple(self.trajectory.shape),
                 expected=size[:1],
             )
-
-    def _check_runs(self) -> int:
-        """The number of trajectories, which must be numbered 0, 1, ... one after the other."""
-        steps = self.trajectory.diff()
-        if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
-            raise LogError(
-                f"{self._label}: trajectories must be consecutive runs of samples.",
-                got=torch.unique_consecutive(self.trajectory).tolist()[:20],
-                expected="0, 1, 2, ...",
-            )
-        return int(self.trajectory[-1]) + 1
 
     @property
     def n(self) -> int:
@@ -165,7 +175,7 @@ class Log:
         """One Log a trajectory. The warnings stay with each of them."""
         return [self.select(rows) for rows in self.slices()]
 
-    def select(self, rows: Bool[Tensor, " T"] | slice) -> "Log":
+    def select(self, rows: Bool[Tensor, " T"] | np.ndarray | Sequence[bool] | slice) -> "Log":
         """The samples that a mask (T,) or a slice picks, trajectories numbered anew.
 
         A trajectory that loses all its samples disappears, with its name.
@@ -173,6 +183,9 @@ class Log:
         Raises:
             LogError: no sample is left, or the mask has the wrong size.
         """
+        if not isinstance(rows, slice):
+            # As it is: a list of row numbers must not pass for a mask.
+            rows = torch.as_tensor(rows, device=self.t.device)
         if isinstance(rows, Tensor) and (
             rows.dtype != torch.bool or rows.shape != self.trajectory.shape
         ):
@@ -184,7 +197,10 @@ class Log:
         ids = self.trajectory[rows]
         signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
         if len(ids) == 0:
-            raise LogError(f"{self._label}: the selection leaves no sample.", got=_brief(rows))
+            raise LogError(
+                f"{self._label}: the selection leaves no sample.",
+                got=str(rows) if isinstance(rows, slice) else "a mask that is false everywhere",
+            )
         kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
         return replace(
             self,
@@ -224,7 +240,7 @@ class Log:
                 )
         return self.select(first), self.select(rest)
 
-    def with_torque(self, gain: Float[Tensor, " n"]) -> "Log":
+    def with_torque(self, gain: Float[Tensor, " n"] | np.ndarray | Sequence[float]) -> "Log":
         """The same log with tau = current * gain.
 
         Args:
@@ -239,7 +255,7 @@ class Log:
                 expected=f"columns i1..i{self.n}",
                 available=list(self.signals),
             )
-        gain = torch.as_tensor(gain, dtype=torch.float64, device=self.current.device)
+        gain = as_tensor(gain, "drive gains", LogError).to(self.current)
         if tuple(gain.shape) != (self.n,):
             raise LogError(
                 f"{self._label}: one drive gain a joint is needed.",
@@ -266,7 +282,13 @@ class Log:
         if len(logs) == 1:
             return logs[0]
         first = logs[0]
-        _same_joints(logs)
+        for other in logs[1:]:
+            if other.n != logs[0].n:
+                raise LogError(
+                    "logs with different numbers of joints do not go together.",
+                    got=f"{other.n} in {other._label}",
+                    expected=f"{logs[0].n} as in {logs[0]._label}",
+                )
         signals: dict[str, Any] = dict.fromkeys(OPTIONAL_SIGNALS)
         warnings = [warning for log in logs for warning in log.warnings]
         for name in OPTIONAL_SIGNALS:
@@ -298,17 +320,3 @@ class Log:
             source=", ".join(dict.fromkeys(log.source for log in logs if log.source)),
             warnings=tuple(dict.fromkeys(warnings)),
         )
-
-
-def _same_joints(logs: Sequence[Log]) -> None:
-    for log in logs[1:]:
-        if log.n != logs[0].n:
-            raise LogError(
-                "logs with different numbers of joints do not go together.",
-                got=f"{log.n} in {log._label}",
-                expected=f"{logs[0].n} as in {logs[0]._label}",
-            )
-
-
-def _brief(rows: Tensor | slice) -> str:
-    return str(rows) if isinstance(rows, slice) else "a mask that is false everywhere"

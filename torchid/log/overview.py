@@ -14,7 +14,6 @@ from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
 from torchid.log.limits import beyond_limits
-from torchid.log.mapping import Source
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
@@ -196,7 +195,17 @@ def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
         key = PREFIXES.get(name, name)
         source = mapped.get(key)
         if source is not None:
-            found[name] = _written(key, source)
+            if source.rate is not None:
+                found[name] = f"{source.rate:g} Hz"
+            else:
+                scale = unit_factor(key, source.unit) or 1.0
+                factors = [f"{factor / scale:.6g}" for factor in source.factors]
+                unit = f", in {source.unit}" if source.unit else ""
+                found[name] = (
+                    ", ".join(source.columns)
+                    + unit
+                    + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
+                )
         elif table is not None and table.origins.get(key):
             found[name] = table.origins[key]
         elif table is not None and key in table.columns:
@@ -204,19 +213,6 @@ def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
         else:
             found[name] = f"{key}1" if log.n == 1 else f"{key}1..{key}{log.n}"
     return found
-
-
-def _written(key: str, source: Source) -> str:
-    if source.rate is not None:
-        return f"{source.rate:g} Hz"
-    scale = unit_factor(key, source.unit) or 1.0
-    factors = [f"{factor / scale:.6g}" for factor in source.factors]
-    unit = f", in {source.unit}" if source.unit else ""
-    return (
-        ", ".join(source.columns)
-        + unit
-        + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
-    )
 
 
 def _timing(log: Log, k: int) -> Timing:

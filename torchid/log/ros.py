@@ -128,7 +128,7 @@ def _opened(path: Path) -> Iterator[Any]:
 def _topics(bag: Any) -> tuple[Topic, ...]:
     found = []
     for name, info in bag.topics.items():
-        messages = _messages(bag, name) if _is_joint_state(info) else iter(())
+        messages = _messages(bag, name) if (info.msgtype == _TYPE) else iter(())
         first = list(islice(messages, _LOOKED_AT))
         signals = tuple(s for s in _SIGNALS if any(_has_signal(m, s) for m in first))
         joints = first[0].names if first else ()
@@ -140,10 +140,6 @@ def _has_signal(message: JointState, signal: str) -> bool:
     """Whether a message has numbers, one a joint."""
     values = getattr(message, signal)
     return len(values) == len(message.names) > 0 and not bool(np.isnan(values).all())
-
-
-def _is_joint_state(info: Any) -> bool:
-    return info.msgtype == _TYPE
 
 
 def _chosen(bag: Any, path: Path, request: Request) -> Topic:
@@ -165,25 +161,21 @@ def _chosen(bag: Any, path: Path, request: Request) -> Topic:
         n = len(request.joints)
         states = [t for t in states if known_joints(t.joints, request.joints) == n] or states
     if len(states) > 1:
-        raise _several(path, states, request.joints)
+        # What each topic has, and which one is probably meant.
+        def merit(topic: Topic) -> tuple[float, ...]:
+            known = known_joints(topic.joints, request.joints) if request.joints else 0
+            measured = looks_measured(words_of(topic.name))
+            return known, "effort" in topic.signals, measured, len(topic.joints), topic.messages
+
+        best = max(states, key=merit)
+        only = sum("effort" in topic.signals for topic in states) == 1 and "effort" in best.signals
+        raise LogError(
+            f"'{path}' has several topics of joint states.",
+            available=[topic.described(request.joints) for topic in states],
+            hint=f"choose one: --topic {best.name}"
+            + (", the only one with effort" if only else ""),
+        )
     return states[0]
-
-
-def _several(path: Path, topics: Sequence[Topic], joints: Sequence[str]) -> LogError:
-    """What each topic has, and which one is probably meant."""
-
-    def merit(topic: Topic) -> tuple[float, ...]:
-        known = known_joints(topic.joints, joints) if joints else 0
-        measured = looks_measured(words_of(topic.name))
-        return known, "effort" in topic.signals, measured, len(topic.joints), topic.messages
-
-    best = max(topics, key=merit)
-    only = sum("effort" in topic.signals for topic in topics) == 1 and "effort" in best.signals
-    return LogError(
-        f"'{path}' has several topics of joint states.",
-        available=[topic.described(joints) for topic in topics],
-        hint=f"choose one: --topic {best.name}" + (", the only one with effort" if only else ""),
-    )
 
 
 def _messages(bag: Any, topic: str) -> Iterator[JointState]:

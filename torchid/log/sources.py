@@ -151,7 +151,11 @@ def time_of(
     raw, label = _one_column("t", pieces, arrays, table)
     if raw.dtype.kind in "mMO":
         return _seconds(raw, label)
-    return _near_zero(_numbers(raw, label)) * source.factors[0]
+    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
+    stamps = _numbers(raw, label)
+    if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
+        stamps = stamps - stamps[0]
+    return stamps.astype(np.float64) * source.factors[0]
 
 
 def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
@@ -164,13 +168,6 @@ def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
     if raw.dtype.kind == "M":
         raw = raw - raw[:1]
     return raw / np.timedelta64(1, "ns") * 1e-9
-
-
-def _near_zero(raw: np.ndarray) -> np.ndarray:
-    """Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round."""
-    if raw.dtype.kind in "iu" and len(raw) and int(np.abs(raw).max()) > _EXACT:
-        raw = raw - raw[0]
-    return raw.astype(np.float64)
 
 
 def labels_of(

@@ -6,10 +6,9 @@ from typing import Any
 
 from rich.table import Table
 
-from torchid.excitation.beyond import beyond
 from torchid.excitation.informed import InformedDesign
-from torchid.excitation.separating_motion import Separation
-from torchid.excitation.separation import DECISIVE, Rival, Told, named
+from torchid.next_motion.separating_motion import Separation
+from torchid.next_motion.separation import DECISIVE, Rival, Told, beyond, named
 from torchid.report.compare import short
 from torchid.report.identification import compact
 

@@ -1,10 +1,9 @@
 """From a tree of links and joints to a Robot: fixed joints folded, inertias merged."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,6 +48,17 @@ def assemble(
     chain = choose_chain(tree, tip)
     steps = [_step(group, joint) for group, joint in zip(chain.groups, chain.joints, strict=False)]
     parameters, noticed = merged_parameters(tree, chain)
+    linear = tuple(
+        MappingProxyType({"effect": effect, "joint": i, symbol: getattr(joint, field)})
+        for effect, symbol, field in _EFFECTS
+        for i, joint in enumerate(chain.joints, start=1)
+        if getattr(joint, field)
+    )
+    springs = (
+        MappingProxyType({"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest})
+        for i, joint in enumerate(chain.joints, start=1)
+        if (k := joint.stiffness)
+    )
     return Robot(
         name=name,
         joint_names=tuple(joint.name for joint in chain.joints),
@@ -58,9 +68,13 @@ def assemble(
         after=torch.stack([after for _, after in steps]),
         gravity=torch.tensor(list(gravity), dtype=torch.float64),
         tool=chain.groups[-1].poses[chain.tip],
-        limits=_limits(chain.joints),
+        limits=Limits(
+            position=_intervals([joint.position for joint in chain.joints]),
+            velocity=_intervals([joint.velocity for joint in chain.joints]),
+            torque=_intervals([joint.torque for joint in chain.joints]),
+        ),
         parameters=parameters,
-        effects=_effects(chain.joints),
+        effects=(*linear, *springs),
         warnings=(*warnings, *chain.warnings, *noticed),
         source=str(path),
     )
@@ -114,32 +128,9 @@ def _merged(tree: Tree, group: Group) -> Float[Tensor, "10"] | None:
     return torch.stack(moved).sum(0) if moved else None
 
 
-def _limits(joints: Sequence[TreeJoint]) -> Limits:
-    return Limits(
-        position=_intervals([joint.position for joint in joints]),
-        velocity=_intervals([joint.velocity for joint in joints]),
-        torque=_intervals([joint.torque for joint in joints]),
-    )
-
-
 def _intervals(rows: Sequence[Interval | None]) -> Tensor | None:
     """(n, 2), infinite where one joint has no limit; None where no joint has a finite one."""
     free = (-math.inf, math.inf)
     if all(row is None or row == free for row in rows):
         return None
     return torch.tensor([free if row is None else row for row in rows], dtype=torch.float64)
-
-
-def _effects(joints: Sequence[TreeJoint]) -> tuple[Mapping[str, Any], ...]:
-    linear = tuple(
-        MappingProxyType({"effect": effect, "joint": i, symbol: getattr(joint, field)})
-        for effect, symbol, field in _EFFECTS
-        for i, joint in enumerate(joints, start=1)
-        if getattr(joint, field)
-    )
-    springs = (
-        {"effect": "joint_spring", "joint": i, "k": k, "c0": -k * joint.rest}
-        for i, joint in enumerate(joints, start=1)
-        if (k := joint.stiffness)
-    )
-    return (*linear, *(MappingProxyType(spring) for spring in springs))

@@ -4,12 +4,17 @@ The chain is built from our float64 matrices: pytorch-kinematics' own readers pa
 float32. Every joint turns about z between two constant poses, as in torchid.robot.model.
 """
 
+from functools import lru_cache
+
 import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Joints
+
+_TOGETHER = 2000
+"""Configurations at a time [1]: the poses of an arm of seven joints then stay in the cache."""
 
 
 def to_chain(robot: Robot, dtype: torch.dtype = torch.float64) -> "pk.SerialChain":
@@ -22,41 +27,52 @@ def to_chain(robot: Robot, dtype: torch.dtype = torch.float64) -> "pk.SerialChai
     """
     # Frame names must differ, whereas a URDF link may be called `base` or `tool`.
     taken = set(robot.link_names)
-    root = _fixed(_free("base", taken), None, dtype)
-    last = root
-    for i in range(robot.n):
-        moved = _moving(robot, i, _free(f"{robot.joint_names[i]}/moved", taken), dtype)
-        link = _fixed(robot.link_names[i], robot.after[i], dtype)
-        last.add_child(moved)
-        moved.add_child(link)
-        last = link
-    tool = _fixed(_free("tool", taken), robot.tool, dtype)
-    last.add_child(tool)
-    device = robot.before.device
-    tree = pk.Chain(root, dtype=dtype, device=device)
-    return pk.SerialChain(tree, tool.name, dtype=dtype, device=device)
+    root = last = _fixed(_free("base", taken), None, dtype)
+    for i, name in enumerate(robot.link_names):
+        moved = _free(f"{robot.joint_names[i]}/moved", taken)
+        last = _append(last, _moving(robot, i, moved, robot.before[i], dtype))
+        last = _append(last, _fixed(name, robot.after[i], dtype))
+    tool = _append(last, _fixed(_free("tool", taken), robot.tool, dtype))
+    return _serial(root, tool, robot, dtype)
 
 
-def tool_jacobian(
-    robot: Robot, q: Joints, chain: "pk.SerialChain | None" = None
-) -> Float[Tensor, "*batch 6 n"]:
+def tool_jacobian(robot: Robot, q: Joints) -> Float[Tensor, "*batch 6 n"]:
     """Geometric Jacobian of the tool, in axes of the base frame.
 
     Args:
         robot: the robot.
         q: (..., n) joint positions [rad or m]; its dtype and device are the result's.
-        chain: `to_chain(robot, q.dtype)`, to save building it at every call.
 
     Returns:
         (..., 6, n). Rows 0-2: velocity of the tool's origin per unit joint velocity [m/rad or 1];
         rows 3-5: angular velocity of the tool [1 or rad/m, 0 for a prismatic joint]. Linear
         first, so that J' (force, moment at the tool's origin) is the joint torque.
     """
-    if chain is None:
-        chain = to_chain(robot, q.dtype).to(device=q.device)
-    batch = q.shape[:-1]
-    jacobian: Tensor = chain.jacobian(q.reshape(-1, robot.n))
-    return jacobian.reshape(*batch, 6, robot.n)
+    chain = _folded_chain(robot, q.dtype, q.device)
+    parts = [chain.jacobian(some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
+    return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
+
+
+@lru_cache(maxsize=16)
+def _folded_chain(robot: Robot, dtype: torch.dtype, device: torch.device) -> "pk.SerialChain":
+    """The chain without its link frames: half the frames, and twice as fast."""
+    root = last = _fixed("base", None, dtype)
+    for i in range(robot.n):
+        placed = robot.before[0] if i == 0 else robot.after[i - 1] @ robot.before[i]
+        last = _append(last, _moving(robot, i, f"moved {i}", placed, dtype))
+    tool = _append(last, _fixed("tool", robot.after[-1] @ robot.tool, dtype))
+    return _serial(root, tool, robot, dtype).to(device=device)
+
+
+def _append(last: "pk.Frame", frame: "pk.Frame") -> "pk.Frame":
+    last.add_child(frame)
+    return frame
+
+
+def _serial(root: "pk.Frame", tool: "pk.Frame", robot: Robot, dtype: torch.dtype) -> pk.SerialChain:
+    device = robot.before.device
+    tree = pk.Chain(root, dtype=dtype, device=device)
+    return pk.SerialChain(tree, tool.name, dtype=dtype, device=device)
 
 
 def _free(name: str, taken: set[str]) -> str:
@@ -76,12 +92,12 @@ def _fixed(name: str, placed: Tensor | None, dtype: torch.dtype) -> "pk.Frame":
     return pk.Frame(name, link=pk.Link(name), joint=joint)
 
 
-def _moving(robot: Robot, i: int, name: str, dtype: torch.dtype) -> "pk.Frame":
+def _moving(robot: Robot, i: int, name: str, placed: Tensor, dtype: torch.dtype) -> "pk.Frame":
     revolute = robot.joint_types[i] is JointType.REVOLUTE
     limits = robot.limits
     joint = pk.Joint(
         name=robot.joint_names[i],
-        offset=_offset(robot.before[i], dtype),
+        offset=_offset(placed, dtype),
         joint_type="revolute" if revolute else "prismatic",
         axis=torch.tensor([0.0, 0.0, 1.0], dtype=dtype, device=robot.before.device),
         dtype=dtype,

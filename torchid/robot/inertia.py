@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchid.tensors import as_tensor
 from torchid.typing import Float, Inertia6, Matrix3, Pi, Transforms, Vector3
 
 PARAMETERS_PER_LINK = 10
@@ -28,6 +29,7 @@ class InertialParameters:
     Attributes:
         pi: (..., n, 10) m [kg], m c [kg m] (3), J [kg m^2] (xx, xy, xz, yy, yz, zz), with the
             first moment and the inertia tensor about the origin of the link frame, in its axes.
+            An array or lists may be given.
 
     >>> import torch
     >>> mass, com = torch.tensor([2.0]), torch.tensor([[0.5, 0.0, 0.0]])
@@ -38,10 +40,15 @@ class InertialParameters:
 
     pi: Pi
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pi", as_tensor(self.pi, "the inertial parameters"))
+
     @classmethod
     def from_com(cls, mass: Tensor, com: Tensor, inertia_about_com: Tensor) -> "InertialParameters":
         """From mass (..., n) [kg], centre of mass (..., n, 3) [m] and barycentric inertia
-        (..., n, 6) [kg m^2], all in axes of the link frame."""
+        (..., n, 6) [kg m^2], all in axes of the link frame; tensors, arrays or lists."""
+        mass, com = as_tensor(mass, "mass"), as_tensor(com, "centres of mass")
+        inertia_about_com = as_tensor(inertia_about_com, "inertias")
         inertia = inertia_about_com + parallel_axis(mass, com)
         return cls.from_link_frame(mass, com, inertia)
 
@@ -50,7 +57,9 @@ class InertialParameters:
         cls, mass: Tensor, com: Tensor, inertia_about_link_frame: Tensor
     ) -> "InertialParameters":
         """From mass (..., n), centre of mass (..., n, 3) and the inertia (..., n, 6) about the
-        link frame's origin (the paper's J)."""
+        link frame's origin (the paper's J); tensors, arrays or lists."""
+        mass, com = as_tensor(mass, "mass"), as_tensor(com, "centres of mass")
+        inertia_about_link_frame = as_tensor(inertia_about_link_frame, "inertias")
         m = mass.unsqueeze(-1)
         return cls(torch.cat([m, m * com, inertia_about_link_frame], dim=-1))
 

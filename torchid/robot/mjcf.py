@@ -42,24 +42,6 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
             chain, nothing moves, several chains and no tip, or an unknown tip.
     """
     path = Path(path)
-    mujoco = _mujoco()
-    model = _compile(mujoco, path)
-    links, joints = _Bodies(mujoco, model, str(path)).read()
-    if tip is not None and tip not in links:
-        _add_site(mujoco, model, tip, links, joints)
-    warnings = _warnings(mujoco, model)
-    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    return assemble(
-        Tree(links, tuple(joints), str(path)),
-        tip=tip,
-        name=_model_name(model) or path.stem,
-        gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
-        path=path,
-        warnings=warnings,
-    )
-
-
-def _mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
@@ -72,7 +54,40 @@ def _mujoco() -> Any:
             expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
             hint="pip install 'torchid[mjcf]'",
         )
-    return mujoco
+    model = _compile(mujoco, path)
+    links, joints = _Bodies(mujoco, model, str(path)).read()
+    if tip is not None and tip not in links:
+        _add_site(mujoco, model, tip, links, joints)
+    # What the model holds and a Robot does not.
+    warnings = []
+    names = _names(mujoco, model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt, "joint")
+    for joint, name in enumerate(names):
+        dof = int(model.jnt_dofadr[joint])
+        if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
+            getattr(model, "jnt_stiffnesspoly", ()), joint
+        ):
+            warnings.append(
+                f"joint '{name}' has nonlinear damping or stiffness: it is not modelled"
+            )
+    if model.neq:
+        warnings.append(f"{model.neq} equality constraint(s) are not modelled")
+    if model.ntendon:
+        warnings.append(f"{model.ntendon} tendon(s) are not modelled")
+    if model.body_gravcomp.any():
+        warnings.append("gravity compensation of bodies (gravcomp) is not modelled")
+    if model.opt.density or model.opt.viscosity:
+        warnings.append("forces of the surrounding fluid (density, viscosity) are not modelled")
+    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    if off:
+        warnings.append("the model turns gravity off: gravity is zero")
+    return assemble(
+        Tree(links, tuple(joints), str(path)),
+        tip=tip,
+        name=_model_name(model) or path.stem,
+        gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
+        path=path,
+        warnings=warnings,
+    )
 
 
 def _compile(mujoco: Any, path: Path) -> Any:
@@ -233,29 +248,6 @@ def _add_site(
     body = bodies[int(model.site_bodyid[index])]
     links[site] = None
     joints.append(TreeJoint(f"{site} (fixed)", body, site, origin=placed))
-
-
-def _warnings(mujoco: Any, model: Any) -> list[str]:
-    """What the model holds and a Robot does not."""
-    out = []
-    joints = _names(mujoco, model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt, "joint")
-    for joint, name in enumerate(joints):
-        dof = int(model.jnt_dofadr[joint])
-        if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
-            getattr(model, "jnt_stiffnesspoly", ()), joint
-        ):
-            out.append(f"joint '{name}' has nonlinear damping or stiffness: it is not modelled")
-    if model.neq:
-        out.append(f"{model.neq} equality constraint(s) are not modelled")
-    if model.ntendon:
-        out.append(f"{model.ntendon} tendon(s) are not modelled")
-    if model.body_gravcomp.any():
-        out.append("gravity compensation of bodies (gravcomp) is not modelled")
-    if model.opt.density or model.opt.viscosity:
-        out.append("forces of the surrounding fluid (density, viscosity) are not modelled")
-    if int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
-        out.append("the model turns gravity off: gravity is zero")
-    return out
 
 
 def _any(table: Any, row: int) -> bool:

@@ -52,7 +52,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     for body in range(1, model.nbody):
         if model.body_jntnum[body] == 0:
             continue
-        name = _name(mujoco, model, body)
+        name = mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"body_{body}"
         members = [b for b in range(body, model.nbody) if _moved_by(model, b) == body]
         shapes = [own[b] for b in members]
         solids = [s for part in shapes if part for s in part[0]]
@@ -68,10 +68,6 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
         "a body has mass and no geom."
     )
     return assembled([parts.get(name) for name in robot.link_names], (warning,) * bool(problems))
-
-
-def _name(mujoco: Any, model: Any, body: int) -> str:
-    return mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"body_{body}"
 
 
 def _moved_by(model: Any, body: int) -> int:

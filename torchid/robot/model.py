@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters
+from torchid.tensors import as_tensor
 from torchid.typing import Float
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ class Limits:
     acceleration: Float[Tensor, "n 2"] | None = None
     torque: Float[Tensor, "n 2"] | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "acceleration", "torque"):
+            _make_tensor(self, name, f"limits of {name}")
+
     def require(self, *names: str, robot: str, purpose: str) -> None:
         """Raise RobotError unless all the named limits are known and finite."""
         missing = [
@@ -68,6 +73,12 @@ class Limits:
                 hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
                 "--max-acceleration on the command line",
             )
+
+
+def _make_tensor(thing: object, name: str, what: str) -> None:
+    """Of a field that may be given as an array or lists; None stays."""
+    if getattr(thing, name) is not None:
+        object.__setattr__(thing, name, as_tensor(getattr(thing, name), what, RobotError))
 
 
 def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -125,6 +136,10 @@ class Robot:
     warnings: tuple[str, ...] = ()
     source: str = ""
     tip: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("before", "after", "gravity", "tool", "drive_gain"):
+            _make_tensor(self, name, f"robot '{self.name}': {name}")
 
     def __repr__(self) -> str:
         known = "without parameters" if self.parameters is None else "with parameters"

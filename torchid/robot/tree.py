@@ -263,16 +263,7 @@ def _chain_to(tree: Tree, root: str, tip: str) -> Chain:
             f"{tree.source}: no joint can move between the root '{root}' and the tip '{tip}'."
         )
     groups = [tree.group(root), *(tree.group(joint.child) for joint in joints)]
-    return Chain(tuple(groups), tuple(joints), tip, _left_out(tree, groups, joints, tip))
-
-
-def _left_out(
-    tree: Tree, groups: list[Group], joints: list[TreeJoint], tip: str
-) -> tuple[str, ...]:
-    """A warning for each branch that the chain carries and leaves out.
-
-    Branches off the base are left out without one: they put no load on the chain.
-    """
+    # A warning for each branch that the chain carries and leaves out.
     chosen = {joint.name for joint in joints}
     warnings = []
     for group in groups[1:]:
@@ -285,4 +276,4 @@ def _left_out(
                 f"joint '{joint.name}' is not on the chain to '{tip}': the masses of links "
                 f"{', '.join(repr(name) for name in links)} ({mass:g} kg) are not included"
             )
-    return tuple(warnings)
+    return Chain(tuple(groups), tuple(joints), tip, tuple(warnings))

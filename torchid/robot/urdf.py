@@ -59,7 +59,15 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
     path = Path(path)
     source = str(path)
     root = parse_xml(path)
-    _is_urdf(root, source)
+    if root.tag != "robot":
+        hint = None
+        if root.tag == "mujoco":
+            hint = "this is MJCF: give it the suffix .xml"
+        elif root.tag == "sdf":
+            hint = "this is SDF: convert it to URDF"
+        raise RobotError(
+            f"{source}: not a URDF.", got=f"<{root.tag}>", expected="<robot>", hint=hint
+        )
     refuse_xacro(root, source)
     warnings: list[str] = []
     return assemble(
@@ -92,19 +100,23 @@ def urdf_tree(root: Any, source: str, warnings: list[str]) -> Tree:
         joints[joint.name] = joint
     if not links:
         raise RobotError(f"{source}: the robot has no links.")
-    warnings += _unknown_limits(root)
+    # A sentence on limits of 0, which exporters write when nothing was entered.
+    limited = [
+        (joint, limit)
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and (limit := joint.find("limit")) is not None
+    ]
+    found = {
+        what: [
+            f"'{joint.get('name')}'"
+            for joint, limit in limited
+            if _zero(limit, keys) and (what, joint.get("type")) != ("position", "continuous")
+        ]
+        for what, keys in _LIMITS.items()
+    }
+    said = [f"{what} of {', '.join(names)}" for what, names in found.items() if names]
+    warnings += [f"limits of 0 are not used: {'; '.join(said)}"] if said else []
     return Tree(links, tuple(joints.values()), source)
-
-
-def _is_urdf(root: Any, source: str) -> None:
-    if root.tag == "robot":
-        return
-    hint = None
-    if root.tag == "mujoco":
-        hint = "this is MJCF: give it the suffix .xml"
-    elif root.tag == "sdf":
-        hint = "this is SDF: convert it to URDF"
-    raise RobotError(f"{source}: not a URDF.", got=f"<{root.tag}>", expected="<robot>", hint=hint)
 
 
 def _inertial(link: Any, where: str) -> Tensor | None:
@@ -137,7 +149,16 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
     axis = element.find("axis")
     direction = None if axis is None else numbers(axis, "xyz", 3, where)
     position, velocity, torque = _limits(element, kind, where)
-    damping, friction = _dynamics(element, name, where, warnings)
+    # Damping and friction, 0 where not given.
+    dynamics = element.find("dynamics")
+    if dynamics is None:
+        damping, friction = 0.0, 0.0
+    else:
+        damping = (numbers(dynamics, "damping", 1, where) or [0.0])[0]
+        friction = (numbers(dynamics, "friction", 1, where) or [0.0])[0]
+        for key, value in (("damping", damping), ("friction", friction)):
+            if value < 0:
+                warnings.append(f"joint '{name}' has negative {key} ({value:g})")
     return TreeJoint(
         name,
         parent,
@@ -199,38 +220,6 @@ def _symmetric(limit: Any, key: str, where: str) -> Interval | None:
     return (-values[0], values[0])
 
 
-def _unknown_limits(root: Any) -> list[str]:
-    """A sentence on limits of 0, which exporters write when nothing was entered."""
-    limited = [
-        (joint, limit)
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and (limit := joint.find("limit")) is not None
-    ]
-    found = {
-        what: [
-            f"'{joint.get('name')}'"
-            for joint, limit in limited
-            if _zero(limit, keys) and (what, joint.get("type")) != ("position", "continuous")
-        ]
-        for what, keys in _LIMITS.items()
-    }
-    said = [f"{what} of {', '.join(names)}" for what, names in found.items() if names]
-    return [f"limits of 0 are not used: {'; '.join(said)}"] if said else []
-
-
 def _zero(limit: Any, keys: Sequence[str]) -> bool:
     values = [numbers(limit, key, 1, "", finite=False) for key in keys]
     return any(values) and all(value is None or value[0] == 0 for value in values)
-
-
-def _dynamics(element: Any, name: str, where: str, warnings: list[str]) -> tuple[float, float]:
-    """Damping and friction, 0 where not given."""
-    dynamics = element.find("dynamics")
-    if dynamics is None:
-        return 0.0, 0.0
-    damping = (numbers(dynamics, "damping", 1, where) or [0.0])[0]
-    friction = (numbers(dynamics, "friction", 1, where) or [0.0])[0]
-    for key, value in (("damping", damping), ("friction", friction)):
-        if value < 0:
-            warnings.append(f"joint '{name}' has negative {key} ({value:g})")
-    return damping, friction

@@ -12,8 +12,7 @@ import yaml
 from torch import Tensor
 
 from torchid.files import atomic_write
-from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import Limits, Robot
+from torchid.robot.model import Robot
 from torchid.robot.yaml_kinematics import dh_step
 from torchid.typing import Float
 
@@ -58,9 +57,19 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
         out["tool"] = robot.tool.tolist()
-    out |= _unless_empty("limits", _limits(robot.limits))
+    known = {name: getattr(robot.limits, name) for name in _LIMITS}
+    out |= _unless_empty(
+        "limits", {name: value.tolist() for name, value in known.items() if value is not None}
+    )
     if robot.parameters is not None:
-        out["parameters"] = _parameters(robot.parameters)
+        parameters = robot.parameters
+        if parameters.pi.ndim != 2:
+            raise ValueError("a robot's yaml holds one set of parameters, not a batch.")
+        out["parameters"] = {
+            "mass": parameters.mass.tolist(),
+            "first_moment": parameters.first_moment.tolist(),
+            "inertia_about_link_frame": parameters.inertia_about_link_frame.tolist(),
+        }
     out |= _unless_empty("effects", [_plain(record) for record in robot.effects])
     if robot.drive_gain is not None:
         out["drive_gain"] = robot.drive_gain.tolist()
@@ -145,21 +154,6 @@ def _pose(matrix: Float[Tensor, "4 4"]) -> dict[str, Any]:
 
 def _is_identity(matrix: Tensor) -> bool:
     return torch.equal(matrix, torch.eye(matrix.shape[-1], dtype=matrix.dtype))
-
-
-def _limits(limits: Limits) -> dict[str, Any]:
-    known = {name: getattr(limits, name) for name in _LIMITS}
-    return {name: value.tolist() for name, value in known.items() if value is not None}
-
-
-def _parameters(parameters: InertialParameters) -> dict[str, Any]:
-    if parameters.pi.ndim != 2:
-        raise ValueError("a robot's yaml holds one set of parameters, not a batch.")
-    return {
-        "mass": parameters.mass.tolist(),
-        "first_moment": parameters.first_moment.tolist(),
-        "inertia_about_link_frame": parameters.inertia_about_link_frame.tolist(),
-    }
 
 
 def _plain(value: Any) -> Any:

@@ -76,7 +76,15 @@ def closed_loop(
     h = 1 / (steps * rate)
     lengths = [-(-len(m.q) // steps) for m in targets]
     signals, state = _run(plant, begin, feed, gains, controller.limit(robot.n), h, steps)
-    _check_alive(state, references)
+    lost = [
+        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
+    ]
+    if lost:
+        raise TorchidError(
+            "the arm runs away: no controller holds these effects, or the step is too long.",
+            got=", ".join(lost),
+            hint="smaller effects, another controller, or a shorter `longest_step`",
+        )
     return [
         _log(robot, log, signals[:, :length, k], rate)
         for k, (log, length) in enumerate(zip(references, lengths, strict=True))
@@ -119,7 +127,15 @@ def _run(
     """q, dq, ddq, tau of every k-th step's middle, where the reference's samples are."""
     arms, total, n = feed.shape
     out = feed.new_empty(4, -(-total // every), arms, n)
-    state = _half_a_step_back(plant, begin, feed[:, 0], gains, limit, h)
+    # The state from which the middle of the first step, the first sample, is as it shall begin.
+    now = torch.zeros_like(begin.q[:, 0])
+    ddq = begin.ddq
+    for trial in range(3):
+        dq = begin.dq - h / 2 * ddq
+        state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
+        if trial < 2:
+            torque_of = _drive(state, feed[:, 0], gains, limit, h)
+            ddq = plant.step(state, h, now, torque_of)[1].ddq
     for k in range(total):
         drive = _drive(state, feed[:, k], gains, limit, h)
         state, instant = plant.step(state, h, feed.new_full((arms,), k * h), drive)
@@ -134,29 +150,6 @@ def _drive(
     """The controller in the middle of the step from a state."""
     stiffness, damping = gains
     return Drive(feed - stiffness * (state.q + h / 2 * state.dq), damping, limit)
-
-
-def _half_a_step_back(
-    plant: Plant,
-    begin: Motion,
-    feed: Tensor,
-    gains: tuple[Tensor, Tensor],
-    limit: Tensor | None,
-    h: float,
-) -> State:
-    """The state from which the middle of the first step, the first sample, is as it shall begin.
-
-    The acceleration there is the arm's own, not the reference's: two trials find it.
-    """
-    now = torch.zeros_like(begin.q[:, 0])
-    ddq = begin.ddq
-    for trial in range(3):
-        dq = begin.dq - h / 2 * ddq
-        state = plant.start(begin.q - h / 2 * dq, dq, ddq, now - h / 2)
-        if trial < 2:
-            drive = _drive(state, feed, gains, limit, h)
-            ddq = plant.step(state, h, now, drive)[1].ddq
-    return state
 
 
 def _on_grid(log: Log, rate: float) -> Motion:
@@ -217,7 +210,7 @@ def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence
     coupled motor without that of its own joint): no body moves like that."""
     if not bool(plant.effects.inertia.any()):
         return
-    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS).long().tolist():
+    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS, dtype=torch.float64).long().tolist():
         mass = plant.arms.at(q[:, k]).mass_matrix() + plant.effects.inertia
         bad = torch.linalg.cholesky_ex(mass)[1] > 0
         if bool(bad.any()):
@@ -226,15 +219,3 @@ def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence
                 got=references[int(bad.nonzero()[0])].names[0],
                 hint="a coupled motor's Iam beside a rotor_inertia of at least that on both joints",
             )
-
-
-def _check_alive(state: State, references: Sequence[Log]) -> None:
-    lost = [
-        log.names[0] for log, ok in zip(references, state.alive.tolist(), strict=True) if not ok
-    ]
-    if lost:
-        raise TorchidError(
-            "the arm runs away: no controller holds these effects, or the step is too long.",
-            got=", ".join(lost),
-            hint="smaller effects, another controller, or a shorter `longest_step`",
-        )

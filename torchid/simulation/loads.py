@@ -118,25 +118,42 @@ class BatchEffects:
     """
 
     def __init__(self, effects: Sequence[Sequence[Valued]], robot: Robot, like: Tensor):
-        kinds, singles = _sorted(effects)
+        # Effects by kind (a second one of a kind on a joint opens another group), and single ones.
+        kinds: list[tuple[type[JointEffect], Slots]] = []
+        singles: dict[Effect, dict[int, list[float]]] = {}
+        for arm, own in enumerate(effects):
+            for effect, values in own:
+                if not adds_torque(effect):
+                    continue
+                if isinstance(effect, JointEffect) and _is_plain(effect):
+                    place = (arm, effect.joint)
+                    free = (s for kind, s in kinds if kind is type(effect) and place not in s)
+                    slots = next(free, None)
+                    if slots is None:
+                        slots = {}
+                        kinds.append((type(effect), slots))
+                    slots[place] = (effect, values)
+                else:
+                    had = singles.setdefault(effect, {}).get(arm, [0.0] * len(values))
+                    singles[effect][arm] = [a + b for a, b in zip(had, values, strict=True)]
         groups = [_kind(kind, slots, len(effects), robot.n, like) for kind, slots in kinds]
         self._memory = [group for group in groups if group.kind.memory]
         self._plain: list[Kind | Single] = [g for g in groups if not g.kind.memory]
         self._plain += [_single(*item, len(effects), robot, like) for item in singles.items()]
-        self.inertia = self._inertia(like.new_zeros(len(effects), robot.n))
-        self._plain = [g for g in self._plain if not _is_rotor(g)]
-        self.needs_torque = any(group.loaded for group in [*self._plain, *self._memory])
-
-    def _inertia(self, zero: Tensor) -> Tensor:
-        """(B, n, n) torque per acceleration, which adds to the mass matrix. Accelerations are
-        therefore 0 wherever the effects are evaluated."""
+        # (B, n, n) torque per acceleration, which adds to the mass matrix. Accelerations are
+        # therefore 0 wherever the effects are evaluated.
+        zero = like.new_zeros(len(effects), robot.n)
         still = Motion(zero, zero, zero, zero, zero[:, 0], zero)
         columns = []
         for unit in torch.eye(zero.shape[-1]).to(zero):
             moved = still._replace(ddq=unit.expand_as(zero))
             parts = [g.torque(moved) - g.torque(still) for g in self._plain if not g.loaded]
             columns.append(sum(parts, zero))
-        return torch.stack(columns, -1)
+        self.inertia = torch.stack(columns, -1)
+        self._plain = [
+            g for g in self._plain if not (isinstance(g, Kind) and g.kind is RotorInertia)
+        ]
+        self.needs_torque = any(group.loaded for group in [*self._plain, *self._memory])
 
     def initial(self, motion: Motion) -> list[Tensor | None]:
         """States of the effects with a memory."""
@@ -209,37 +226,8 @@ def _loads(sharp: Tensor, smooth: Tensor, way: Tensor) -> Loads:
     return Loads((forwards + backwards) / 2 + (half - dry) * way, slope, dry)
 
 
-def _is_rotor(group: Kind | Single) -> bool:
-    """Whether all its torque is in the mass matrix."""
-    return isinstance(group, Kind) and group.kind is RotorInertia
-
-
 Slots = dict[tuple[int, int], tuple[JointEffect, list[float]]]
 """The effect of each (arm, joint)."""
-
-
-def _sorted(
-    effects: Sequence[Sequence[Valued]],
-) -> tuple[list[tuple[type[JointEffect], Slots]], dict[Effect, dict[int, list[float]]]]:
-    """Effects by kind (a second one of a kind on a joint opens another group), and single ones."""
-    kinds: list[tuple[type[JointEffect], Slots]] = []
-    singles: dict[Effect, dict[int, list[float]]] = {}
-    for arm, own in enumerate(effects):
-        for effect, values in own:
-            if not adds_torque(effect):
-                continue
-            if isinstance(effect, JointEffect) and _is_plain(effect):
-                place = (arm, effect.joint)
-                free = (s for kind, s in kinds if kind is type(effect) and place not in s)
-                slots = next(free, None)
-                if slots is None:
-                    slots = {}
-                    kinds.append((type(effect), slots))
-                slots[place] = (effect, values)
-            else:
-                had = singles.setdefault(effect, {}).get(arm, [0.0] * len(values))
-                singles[effect][arm] = [a + b for a, b in zip(had, values, strict=True)]
-    return kinds, singles
 
 
 def adds_torque(effect: Effect) -> bool:

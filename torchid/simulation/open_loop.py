@@ -12,7 +12,7 @@ from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
-from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant
+from torchid.simulation.integrate import LONGEST_STEP, Drive
 from torchid.simulation.loads import changes_measurement
 from torchid.typing import Bool, Float
 
@@ -77,28 +77,21 @@ def rollout(
     plant = plant_of(robot, [list(effects)], q0)
     true, shift, ignored = _undone(effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
-    q, dq, alive = _run(plant, begin, true, dt, torch.as_tensor(t0).to(q0), hold, longest_step)
-    return Rollout(q + shift, dq, ~alive, ignored)
-
-
-def _run(
-    plant: Plant, begin: Motion, tau: Tensor, dt: float, t0: Tensor, hold: Hold, longest: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    arms, total, _ = tau.shape
-    steps = max(1, math.ceil(dt / longest - 1e-9))
+    arms, total, _ = true.shape
+    steps = max(1, math.ceil(dt / longest_step - 1e-9))
     h = dt / steps
-    t = t0.expand(arms)
+    t = torch.as_tensor(t0).to(q0).expand(arms)
     state = plant.start(begin.q, begin.dq, begin.ddq, t)
-    q, dq = torch.full_like(tau, math.nan), torch.full_like(tau, math.nan)
+    q, dq = torch.full_like(true, math.nan), torch.full_like(true, math.nan)
     for k in range(total):
         q[state.alive, k], dq[state.alive, k] = state.q[state.alive], state.dq[state.alive]
         if k + 1 == total:
             break
         for j in range(steps):
             share = (j + 0.5) / steps if hold == "linear" else 0.0
-            torque = torch.lerp(tau[:, k], tau[:, k + 1], share)
+            torque = torch.lerp(true[:, k], true[:, k + 1], share)
             state, _ = plant.step(state, h, t + k * dt + (j + 0.5) * h, Drive(torque))
-    return q, dq, state.alive
+    return Rollout(q + shift, dq, ~state.alive, ignored)
 
 
 def _undone(

@@ -175,23 +175,19 @@ def _sampled(
     shift = sensors.jitter * torch.randn(len(kept), generator=generator, dtype=torch.float64)
     # Less than half a step either way: the order of the samples stays.
     instants = (kept + shift.clamp(-0.45 * step, 0.45 * step)).clamp(float(t[0]), float(t[-1]))
+    # Torques step, where a spline would ring.
+    right = torch.searchsorted(t, instants).clamp(1, len(t) - 1)
+    share = ((instants - t[right - 1]) / (t[right] - t[right - 1])).unsqueeze(-1)
     return (
         instants,
         _between(t, log.q, instants),
         _between(t, log.dq, instants),
-        _linear(t, log.tau, instants),
+        (log.tau[right - 1] + share * (log.tau[right] - log.tau[right - 1])),
     )
 
 
 def _between(t: Tensor, x: Tensor, at: Tensor) -> Tensor:
     return torch.from_numpy(CubicSpline(t.numpy(), x.numpy())(at.numpy()))
-
-
-def _linear(t: Tensor, x: Tensor, at: Tensor) -> Tensor:
-    """Torques step, where a spline would ring."""
-    right = torch.searchsorted(t, at).clamp(1, len(t) - 1)
-    share = ((at - t[right - 1]) / (t[right] - t[right - 1])).unsqueeze(-1)
-    return x[right - 1] + share * (x[right] - x[right - 1])
 
 
 def _one_a_joint(given: float | tuple[float, ...], robot: Robot, what: str) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 
 from torchid.extraction.record import certificate_record
 from torchid.identification.payload import record as payload_record
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.study.result import ScenarioResult, Study
 
 SCHEMA = "torchid.study/1"
@@ -15,7 +15,8 @@ SCHEMA = "torchid.study/1"
 def record(study: Study) -> dict[str, Any]:
     """The result as JSON-ready data."""
     result = study.identification
-    search = study.settings.search
+    errors = result.held_out
+    held_out = None if errors is None else plain(errors.relative_percent)
     return {
         "schema": SCHEMA,
         "study": study.settings.name,
@@ -27,7 +28,7 @@ def record(study: Study) -> dict[str, Any]:
             "true": study.truth.tolist(),
             "largest_error": float((result.values - study.truth).abs().max()),
             "rows": int(study.log.samples * study.robot.n),
-            "validation_error_percent": _held_out(study),
+            "validation_error_percent": held_out or [],
         },
         "sets": [_scenario(study, s) for s in study.scenarios],
         "certificate": {
@@ -36,9 +37,7 @@ def record(study: Study) -> dict[str, Any]:
         "wrenches": {
             "classes": [
                 {
-                    "class": c.name,
-                    "sets": c.sets,
-                    "force_error_median": c.median,
+                    **picked(c, "class=name sets force_error_median=median"),
                     "quartiles": [c.lower_quartile, c.upper_quartile],
                 }
                 for c in study.comparison.classes
@@ -49,23 +48,12 @@ def record(study: Study) -> dict[str, Any]:
             "true": study.payload.true.tolist(),
             **payload_record(study.payload.estimate),
         },
-        "search": {
-            "runs": search.runs,
-            "stages": search.stages,
-            "generations": search.generations,
-            "schedule": search.schedule,
-            "engine": search.engine,
-            "polish": search.polish,
-            "seed": search.seed,
-        },
+        "search": picked(
+            study.settings.search, "runs stages generations schedule engine polish seed"
+        ),
         "seconds": dict(study.seconds),
         "warnings": list(study.warnings),
     }
-
-
-def _held_out(study: Study) -> list[float | None]:
-    errors = study.identification.held_out
-    return [] if errors is None else [plain(x) for x in errors.relative_percent.tolist()]
 
 
 def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
@@ -79,20 +67,16 @@ def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
         "loss": result.scenario.penalty,
         "phi": result.phi,
         "gamma": result.gamma,
-        "feasible": result.feasible,
-        "reasons": list(result.reasons),
-        "degree": plain(result.degree),
-        "torque_rms": result.torque_rms.tolist(),
+        **picked(result, "feasible reasons degree torque_rms"),
         "force_norm_difference_rms": difference.tolist(),
         "runs": {
-            "phi": found.phi.tolist(),
-            "gamma": found.gamma.tolist(),
-            "phi_before_polish": found.searched_phi.tolist(),
-            "gamma_before_polish": found.searched_gamma.tolist(),
+            **picked(
+                found, "phi gamma phi_before_polish=searched_phi gamma_before_polish=searched_gamma"
+            ),
             "feasible": int(result.feasibility.feasible.sum()),
             "gamma_zero": int(torch.count_nonzero(found.gamma == 0)),
             "reasons": [list(result.feasibility.reasons(k)) for k in range(len(found.phi))],
-            "degree": [plain(x) for x in result.feasibility.degree.tolist()],
+            "degree": plain(result.feasibility.degree),
         },
         "contradictions": list(found.contradictions),
     }

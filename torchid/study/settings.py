@@ -134,29 +134,25 @@ def load_study(name: str) -> StudySettings:
             f"'{path}' is not a study: keys missing or unknown.", got=got, expected=list(_KEYS)
         )
     try:
-        return _settings(path.stem, data)
+        low, high = (float(x) for x in data["total_mass"])
+        return StudySettings(
+            name=path.stem,
+            title=str(data["title"]),
+            section=str(data["section"]),
+            robot=str(data["robot"]),
+            effects=tuple(data["effects"]),
+            excitation=_motion(data, "excitation"),
+            validation=_motion(data, "validation"),
+            sets_motion=_motion(data, "sets_motion"),
+            wrench_motion=_motion(data, "wrench_motion"),
+            search=SearchSettings(**data["search"]),
+            total_mass=(low, high),
+            geometry=str(data["geometry"]),
+            scenarios=_scenarios(data["scenarios"]),
+            payload=_payload(data["payload"]),
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
-
-
-def _settings(name: str, data: Mapping[str, Any]) -> StudySettings:
-    low, high = (float(x) for x in data["total_mass"])
-    return StudySettings(
-        name=name,
-        title=str(data["title"]),
-        section=str(data["section"]),
-        robot=str(data["robot"]),
-        effects=tuple(data["effects"]),
-        excitation=_motion(data, "excitation"),
-        validation=_motion(data, "validation"),
-        sets_motion=_motion(data, "sets_motion"),
-        wrench_motion=_motion(data, "wrench_motion"),
-        search=SearchSettings(**data["search"]),
-        total_mass=(low, high),
-        geometry=str(data["geometry"]),
-        scenarios=_scenarios(data["scenarios"]),
-        payload=_payload(data["payload"]),
-    )
 
 
 def _motion(data: Mapping[str, Any], key: str) -> MotionSettings:

@@ -1,6 +1,7 @@
 """The report's study of one robot as one call: excite, simulate, identify, validate, extract six
 scenarios, classify, validate the sets, compare internal wrenches, and carry a payload."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,7 +30,6 @@ from torchid.robot.model import Robot
 from torchid.study.motions import excitation, new_motion, sets_torque, simulated, state, with_real
 from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
 from torchid.study.settings import Scenario, StudySettings
-from torchid.typing import Tensor
 from torchid.wrenches.compare import compare
 from torchid.wrenches.deviation import alike, wrench_errors
 from torchid.wrenches.regressor import wrench_norms
@@ -70,16 +70,14 @@ def run_study(
     motion = excitation(robot, settings.excitation)
     log = simulated(robot, motion, settings.excitation)
     validation = simulated(robot, new_motion(robot, settings.validation), settings.validation)
-    result = identify(
-        robot, log, held_out=validation, settings=_paper_settings(settings), device=device
+    # The report's least squares: every row, no filter, no weights, no bounds on signs.
+    paper = Settings(
+        effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free"
     )
+    result = identify(robot, log, held_out=validation, settings=paper, device=device)
     target = two_step(result.base, result.effects, result.values)
     clock.start("certificates")
-    groups = dict.fromkeys(scenario.bounds for scenario in settings.scenarios)
-    problems = {group: _problem(robot, target, group, settings) for group in groups}
-    proofs = {group: _certificate(problem) for group, problem in problems.items()}
-    certificates = {group: proof for group, (proof, _) in proofs.items() if proof is not None}
-    warnings = [note for _, notes in proofs.values() for note in notes]
+    problems, certificates, warnings = _problems(robot, target, settings)
     scenarios = []
     test = new_motion(robot, settings.sets_motion)
     for k, scenario in enumerate(settings.scenarios):
@@ -93,7 +91,13 @@ def run_study(
             device=device,
         )
         scenarios.append(_scenario(robot, scenario, found, test))
-        warnings += _below(scenarios[-1], certificates.get(scenario.bounds))
+        # A feasible set with less loss than is possible is a fault, never to be passed over.
+        proof = certificates.get(scenario.bounds)
+        least = proof.phi_min * (1 - _BELOW) if proof is not None else -math.inf
+        below = int((scenarios[-1].feasibility.feasible & (found.phi < least)).sum())
+        if below:
+            said = f"{below} sets are feasible and have a loss below phi_min"
+            warnings.append(f"{scenario.id}: {said}")
     clock.start("wrenches")
     best = joined([s.best for s in scenarios])
     reference = new_motion(robot, settings.wrench_motion)
@@ -160,23 +164,22 @@ class _Clock:
         return self._seconds
 
 
-def _paper_settings(settings: StudySettings) -> Settings:
-    """The report's least squares: every row, no filter, no weights, no bounds on signs."""
-    return Settings(effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free")
-
-
-def _problem(robot: Robot, target: Target, bounds: str, settings: StudySettings) -> Problem:
+def _problems(
+    robot: Robot, target: Target, settings: StudySettings
+) -> tuple[dict[str, Problem], dict[str, Certificate], list[str]]:
+    """By group of bounds: the problem, its phi_min if it can be had, and what to know of it."""
     geometry = read_bounds(robot, settings.geometry).com
     asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
-    return extraction_problem(robot, target, read_bounds(robot, bounds), asked)
-
-
-def _certificate(problem: Problem) -> tuple[Certificate | None, tuple[str, ...]]:
-    """phi_min, if it can be had, and what to know of it."""
-    try:
-        return certificate_where_possible(problem)
-    except MissingExtraError as error:
-        return None, (f"no certificate: {error}",)
+    problems, certificates, warnings = {}, {}, list[str]()
+    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
+        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
+        problems[group] = problem
+        try:
+            certificates[group], notes = certificate_where_possible(problem)
+            warnings += notes
+        except MissingExtraError as error:
+            warnings.append(f"no certificate: {error}")
+    return problems, certificates, warnings
 
 
 def _scenario(robot: Robot, scenario: Scenario, found: Extraction, motion: Log) -> ScenarioResult:
@@ -191,17 +194,6 @@ def _scenario(robot: Robot, scenario: Scenario, found: Extraction, motion: Log) 
         torque_rms=rms,
         torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
     )
-
-
-def _below(result: ScenarioResult, proof: Certificate | None) -> list[str]:
-    """A feasible set with less loss than is possible: a fault, never to be passed over."""
-    if proof is None:
-        return []
-    allowed = proof.phi_min * (1 - _BELOW)
-    below = result.feasibility.feasible & (result.extraction.phi < allowed)
-    return [
-        f"{result.scenario.id}: {int(below.sum())} sets are feasible and have a loss below phi_min"
-    ] * bool(below.any())
 
 
 def _on_motion(robot: Robot, sets: ParameterSets, motion: Log) -> SetsOnMotion:
@@ -228,10 +220,7 @@ def _payload(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResul
         chosen = replace(chosen, cutoff=results[0].cutoff)
     estimate = estimate_payload(*results)
     guessed = with_payload(robot, estimate.tool.parameters.value.nan_to_num(0.0))
-    pi = torch.stack([_pi(arm) for arm in (robot, loaded, guessed)])
+    arms = (robot, loaded, guessed)
+    pi = torch.stack([arm.require_parameters("the study").pi for arm in arms])
     force, moment = wrench_norms(robot, *state(motion), InertialParameters(pi))
     return PayloadResult(true, estimate, force, moment)
-
-
-def _pi(robot: Robot) -> Tensor:
-    return robot.require_parameters("the study").pi

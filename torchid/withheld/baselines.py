@@ -109,6 +109,9 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         (gap * given.keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
         tuple((gram.over([p for p in every if p != k]), gram.over([k])) for k in every),
     )
+    # No composites, no effects common to all joints, not all base parameters at once.
+    plain = tuple(b for b in banks if b.name != BASE and b.members and len(b.members[0]) == 1)
+    return Data(y, keep, plain, relative, make_folds(given.rows, 2, noise.groups))
 
 
 def friction(data: Data) -> list[Term]:

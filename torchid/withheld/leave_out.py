@@ -107,13 +107,8 @@ def leave_out(
     wanted = list(available if effects is None else dict.fromkeys(effects))
     folder.mkdir(parents=True, exist_ok=True)
     todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
-    keys = _written(todo, jobs, progress or (lambda stage, done, total: None))
-    answers = run([_job(one) for one in todo], jobs=jobs, again=again, progress=progress)
-    return summary(seed, todo, keys, answers)
-
-
-def _written(todo: Sequence[LeftOut], jobs: int, say: Progress) -> dict[str, dict[str, Any]]:
-    """Keys of all cases; those that are not there yet are simulated."""
+    # Keys of all cases; those that are not there yet are simulated.
+    say = progress or (lambda stage, done, total: None)
     keys: dict[str, dict[str, Any]] = {}
     new = []
     for one in todo:
@@ -133,7 +128,8 @@ def _written(todo: Sequence[LeftOut], jobs: int, say: Progress) -> dict[str, dic
     for k, (one, key) in enumerate(each(write_left_out, new, jobs)):
         keys[one.case] = key
         say("simulating cases", k + 1, len(new))
-    return keys
+    answers = run([_job(one) for one in todo], jobs=jobs, again=again, progress=progress)
+    return summary(seed, todo, keys, answers)
 
 
 def write_left_out(one: LeftOut) -> dict[str, Any]:

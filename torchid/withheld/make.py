@@ -69,7 +69,22 @@ def make(
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
-    _refuse(folder, keys)
+    # Before any work is done.
+    if (folder / CASES).exists():
+        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another --out")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another --out")
+    if keys.exists():
+        raise TorchidError(
+            f"'{keys}' exists, and keys are never overwritten.", hint="another --keys"
+        )
+    if folder.resolve() in keys.resolve().parents:
+        raise TorchidError(
+            "the keys must not lie in the folder of the cases.", got=keys, hint="another --keys"
+        )
+    for above in (folder.resolve().parent, keys.resolve().parent):
+        if not above.is_dir():
+            raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
     say = progress or (lambda stage, done, total: None)
     with _unfinished(folder) as place:
         todo = [_CaseJob(seed, k, place) for k in range(count)]
@@ -102,34 +117,11 @@ def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> No
     with atomic_write(place / ROBOT, "w") as text:
         text.write(urdf)
     with atomic_write(place / LOG, "wb") as file:
-        _write_columns(columns, file)
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
-
-def _write_columns(columns: Mapping[str, np.ndarray], file: Any) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
-    pq.write_table(table, file)
-
-
-def _refuse(folder: Path, keys: Path) -> None:
-    """Before any work is done."""
-    if (folder / CASES).exists():
-        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another --out")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another --out")
-    if keys.exists():
-        raise TorchidError(
-            f"'{keys}' exists, and keys are never overwritten.", hint="another --keys"
-        )
-    if folder.resolve() in keys.resolve().parents:
-        raise TorchidError(
-            "the keys must not lie in the folder of the cases.", got=keys, hint="another --keys"
-        )
-    for place in (folder.resolve().parent, keys.resolve().parent):
-        if not place.is_dir():
-            raise TorchidError(f"there is no folder '{place}'.", hint=f"mkdir -p '{place}'")
+        table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
+        pq.write_table(table, file)
 
 
 @contextmanager

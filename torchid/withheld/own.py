@@ -165,7 +165,23 @@ def own_record(found: OwnCheck) -> dict[str, Any]:
             "robot": found.first.robot.name,
             "untouched": found.untouched,
             "untouched_are_whole_trajectories": found.whole,
-            "withheld": [_withheld_record(w) for w in found.withheld],
+            "withheld": [
+                {
+                    "effect": w.effect,
+                    "joints": [j + 1 for j in w.joints],
+                    "named": w.named,
+                    "in_set": w.in_set,
+                    "found": [
+                        {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
+                    ],
+                    "known_closed": w.known,
+                    "closed": w.closed,
+                    "closed_ci95": w.closed_ci95,
+                    "as_much": w.as_much,
+                    "status": w.status,
+                }
+                for w in found.withheld
+            ],
             "planted": [
                 {
                     "effect": p.effect,
@@ -182,21 +198,6 @@ def own_record(found: OwnCheck) -> dict[str, Any]:
         }
     )
     return data
-
-
-def _withheld_record(w: Withheld) -> dict[str, Any]:
-    return {
-        "effect": w.effect,
-        "joints": [j + 1 for j in w.joints],
-        "named": w.named,
-        "in_set": w.in_set,
-        "found": [{"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings],
-        "known_closed": w.known,
-        "closed": w.closed,
-        "closed_ci95": w.closed_ci95,
-        "as_much": w.as_much,
-        "status": w.status,
-    }
 
 
 def _joints(joints: Sequence[int], robot: Robot) -> list[int]:

@@ -79,28 +79,18 @@ def run(
         TorchidError: answers of another torchid, or with other settings, are there.
     """
     say = progress or (lambda stage, done, total: None)
-    answers = _kept(todo, again)
-    left = [job for job in todo if job.case not in answers]
-    say("diagnosing", len(answers), len(todo))
-    for job, answer in each(method or diagnose_case, left, jobs):
-        answers[job.case] = answer
-        say("diagnosing", len(answers), len(todo))
-    return {job.case: answers[job.case] for job in todo}
-
-
-def _kept(todo: Sequence[Job], again: bool) -> dict[str, dict[str, Any]]:
-    """Answers that need not be found again."""
-    kept: dict[str, dict[str, Any]] = {}
+    # Answers that need not be found again.
+    answers: dict[str, dict[str, Any]] = {}
     other: dict[str, str] = {}
-    for job in todo:
-        if not job.answer.is_file():
+    for one in todo:
+        if not one.answer.is_file():
             continue
-        answer = read_json(job.answer, "an answer")
-        reason = _stale(answer, job.settings)
+        old = read_json(one.answer, "an answer")
+        reason = _stale(old, one.settings)
         if reason is not None:
-            other[job.case] = reason
-        elif answer.get("status") != ERROR:
-            kept[job.case] = answer
+            other[one.case] = reason
+        elif old.get("status") != ERROR:
+            answers[one.case] = old
     if other and not again:
         case, reason = next(iter(other.items()))
         raise TorchidError(
@@ -108,7 +98,12 @@ def _kept(todo: Sequence[Job], again: bool) -> dict[str, dict[str, Any]]:
             got=f"{case}, {len(other) - 1} others" if len(other) > 1 else case,
             hint="--again replaces them",
         )
-    return kept
+    left = [job for job in todo if job.case not in answers]
+    say("diagnosing", len(answers), len(todo))
+    for job, answer in each(method or diagnose_case, left, jobs):
+        answers[job.case] = answer
+        say("diagnosing", len(answers), len(todo))
+    return {job.case: answers[job.case] for job in todo}
 
 
 def _stale(answer: dict[str, Any], settings: GapSettings) -> str | None:

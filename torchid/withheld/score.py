@@ -101,10 +101,16 @@ def scores(
     for case in cases:
         kinds[case.kind].append(case)
     single, several = kinds["single"], kinds["several"]
+    # Of logs with one effect: its name, in all and by effect.
+    out = _naming(single)
+    groups = _by(single, lambda c: c.row.planted[0].name)
+    out["by_effect"] = {name: _naming(groups[name]) for name in sorted(groups)}
+    out["white"] = _naming([c for c in single if c.colour_hz is None])
+    out["coloured"] = _naming([c for c in single if c.colour_hz is not None])
     return {
         "false_alarms": _false_alarms(kinds["none"]),
         "parameters": _parameters(kinds["parameters"]),
-        "single": _single(single),
+        "single": out,
         "single_clear": _naming([c for c in single if c.row.planted[0].size >= CLEAR]),
         "wrong_for_sure": _wrong_for_sure(single + kinds["severity"]),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
@@ -143,16 +149,6 @@ def _parameters(cases: Sequence[Scored]) -> dict[str, Any]:
         "found": rate(s.row.alarm for s in cases),
         "parametric_only": rate(s.row.status == "parametric_only" for s in cases),
     }
-
-
-def _single(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs with one effect: its name, in all and by effect."""
-    out = _naming(cases)
-    groups = _by(cases, lambda c: c.row.planted[0].name)
-    out["by_effect"] = {name: _naming(groups[name]) for name in sorted(groups)}
-    out["white"] = _naming([c for c in cases if c.colour_hz is None])
-    out["coloured"] = _naming([c for c in cases if c.colour_hz is not None])
-    return out
 
 
 def _naming(cases: Sequence[Scored]) -> dict[str, Any]:

@@ -59,6 +59,19 @@ def summary(
     ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
     closed = None if oracle is None else closed_by(oracle)
     own = [answers[c.case] for c in ours]
+    # Scores of every baseline; a case on which they failed is one in which they found nothing.
+    found = baselines or {}
+    wanted = {c.case for c in ours}
+    methods = dict.fromkeys(m for record in found.values() for m in record.get("methods", ()))
+    failed = {"status": ERROR, "which": []}
+    out = {}
+    for method in methods:
+        pairs = [
+            (key, found[key["id"]].get("methods", {}).get(method, failed))
+            for key in keys
+            if key["id"] in found and key["id"] in wanted
+        ]
+        out[method] = scores([scored(key, answer) for key, answer in pairs], closed)
     return plain(
         {
             "schema": SCHEMA,
@@ -72,7 +85,7 @@ def summary(
             "code": dict(Counter(str(a.get("code")) for a in own)),
             "kinds": dict(Counter(c.kind for c in ours)),
             "scores": scores(ours, closed, truly_closed),
-            "baselines": _baselines(keys, baselines or {}, {c.case for c in ours}, closed),
+            "baselines": out,
             "answers": [_listed(c, k) for c, k in _pairs(ours, keys)],
         }
     )
@@ -83,26 +96,6 @@ def _pairs(
 ) -> list[tuple[Scored, Mapping[str, Any]]]:
     by_id = {str(key["id"]): key for key in keys}
     return [(c, by_id[c.case]) for c in ours]
-
-
-def _baselines(
-    keys: Sequence[Mapping[str, Any]],
-    found: Answers,
-    wanted: set[str],
-    oracle: Mapping[str, float | None] | None,
-) -> dict[str, Any]:
-    """Scores of every baseline; a case on which they failed is one in which they found nothing."""
-    methods = dict.fromkeys(m for record in found.values() for m in record.get("methods", ()))
-    failed = {"status": ERROR, "which": []}
-    out = {}
-    for method in methods:
-        pairs = [
-            (key, found[key["id"]].get("methods", {}).get(method, failed))
-            for key in keys
-            if key["id"] in found and key["id"] in wanted
-        ]
-        out[method] = scores([scored(key, answer) for key, answer in pairs], oracle)
-    return out
 
 
 def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:

@@ -61,21 +61,22 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
 
     def answer() -> dict[str, Any]:
         given = read_json(cases.answer(job.case), "an answer")
-        return {"status": "done", "closed": _closed(cases, job, given)}
+        from torchid.withheld.plant.case import draw_case, simulate_case
+
+        number = cases.ids.index(job.case)
+        ideal = simulate_case(draw_case(cases.seed, number), ideal=True, fresh=True)
+        # The arm must be the one that was diagnosed.
+        if ideal.urdf != job.robot.read_text(encoding="utf-8"):
+            raise TorchidError(f"{job.case} is simulated differently now than when it was made.")
+        log = log_from_columns(ideal.columns, job.log)
+        robot = load_robot(job.robot)
+        noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
+        return {
+            "status": "done",
+            "closed": closed_share(robot, log, given["corrected"], noise, given["band_hz"]),
+        }
 
     return written(job, answer)
-
-
-def _closed(cases: CaseSet, job: Job, answer: Mapping[str, Any]) -> float | None:
-    from torchid.withheld.plant.case import draw_case, simulate_case
-
-    number = cases.ids.index(job.case)
-    ideal = simulate_case(draw_case(cases.seed, number), ideal=True, fresh=True)
-    _refuse_another(ideal.urdf, job)
-    log = log_from_columns(ideal.columns, job.log)
-    robot = load_robot(job.robot)
-    noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
-    return closed_share(robot, log, answer["corrected"], noise, answer["band_hz"])
 
 
 def closed_share(
@@ -106,13 +107,3 @@ def closed_share(
             left = (t.measured - predicted) * t.counting / noise
             losses[k] += left.square().sum()
     return float(1 - losses[1] / losses[0]) if losses[0] > 0 else None
-
-
-def _refuse_another(urdf: str, job: Job) -> None:
-    """The arm must be the one that was diagnosed.
-
-    Raises:
-        TorchidError: it is not, for the simulator or its numbers have changed.
-    """
-    if urdf != job.robot.read_text(encoding="utf-8"):
-        raise TorchidError(f"{job.case} is simulated differently now than when it was made.")

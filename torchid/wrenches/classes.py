@@ -16,20 +16,17 @@ KINDS: Mapping[str, str] = {
 def class_of(reasons: Collection[str]) -> str:
     """Class of a set with these reasons: feasible without any, `... only` when all are of one kind
     (inertia_3 and inertia_5, say), mixed otherwise."""
-    kinds = {_kind(reason) for reason in reasons}
+    known = sorted(KINDS, key=len, reverse=True)
+    kinds = {
+        next((k for k in known if f"{reason}_".startswith(f"{k}_")), reason.split("_")[0])
+        for reason in reasons
+    }
     if not kinds:
         return FEASIBLE
     if len(kinds) > 1:
         return MIXED
     kind = kinds.pop()
     return KINDS.get(kind, f"{kind} only")
-
-
-def _kind(reason: str) -> str:
-    for kind in sorted(KINDS, key=len, reverse=True):
-        if reason == kind or reason.startswith(f"{kind}_"):
-            return kind
-    return reason.split("_", maxsplit=1)[0]
 
 
 def ordered_classes(names: Iterable[str]) -> list[str]:

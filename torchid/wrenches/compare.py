@@ -154,8 +154,15 @@ def compare(
     names = [class_of(r) for r in reasons]
     members = {name: _where([n == name for n in names]) for name in ordered_classes(names)}
     every_reason = sorted({reason for r in reasons for reason in r})
-    wanted = _pairs(list(members), pairs)
+    present = list(members)
+    wanted = [(name, present[0]) for name in present[1:]] if pairs is None else pairs
+    for pair in wanted:
+        if not set(pair) <= set(present) or pair[0] == pair[1]:
+            raise TorchidError(
+                "these are not two of the classes here.", got=pair, available=present
+            )
     sample = _Sample(values, clusters, resamples, np.random.default_rng(seed))
+    infeasible = _where([name != FEASIBLE for name in names])
     return Comparison(
         classes=tuple(sample.summary(name, own) for name, own in members.items()),
         per_reason=tuple(
@@ -163,9 +170,7 @@ def compare(
             for reason in every_reason
         ),
         correlation=sample.correlation(degrees, np.arange(k)),
-        correlation_infeasible=sample.correlation(
-            degrees, _where([name != FEASIBLE for name in names])
-        ),
+        correlation_infeasible=sample.correlation(degrees, infeasible),
         effects=tuple(sample.effect(a, b, members[a], members[b]) for a, b in wanted),
         seed=seed,
     )
@@ -236,21 +241,8 @@ def _note(found: Estimate) -> str:
     )
 
 
-def _where(mask: Array | list[bool]) -> Array:
-    return np.flatnonzero(np.asarray(mask, dtype=bool))
-
-
-def _pairs(
-    present: list[str], pairs: Sequence[tuple[str, str]] | None
-) -> Sequence[tuple[str, str]]:
-    if pairs is None:
-        return [(name, present[0]) for name in present[1:]]
-    for pair in pairs:
-        if not set(pair) <= set(present) or pair[0] == pair[1]:
-            raise TorchidError(
-                "these are not two of the classes here.", got=pair, available=present
-            )
-    return pairs
+def _where(mask: list[bool]) -> Array:
+    return np.flatnonzero(mask)
 
 
 def _check(

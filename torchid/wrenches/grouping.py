@@ -89,7 +89,7 @@ def wrench_chain(robot: Robot) -> WrenchChain:
         forces = [lumped[i][:, :FORCE_KINDS]]
         couples = [lumped[i][:, FORCE_KINDS:]]
         for link in range(i + 1, robot.n):
-            stays = _staying(lumped[link], robot.joint_types[link])
+            stays = lumped[link] - _handed_over(lumped[link], robot.joint_types[link])
             forces.append(stays[:, list(kept[link].forces)])
             couples.append(stays[:, list(kept[link].couples)])
         felt = slice(PARAMETERS_PER_LINK * i, None)
@@ -138,7 +138,3 @@ def _handed_over(pi: Pi, kind: JointType) -> Pi:
         out[..., [0, 3]] = pi[..., [0, 3]]
         out[..., [4, 7]] = pi[..., [7, 7]]
     return out
-
-
-def _staying(pi: Pi, kind: JointType) -> Pi:
-    return pi - _handed_over(pi, kind)

@@ -32,7 +32,9 @@ def test_torchid_reads_the_same_dynamics(arm, tmp_path):
     robot, _ = read(arm, tmp_path)
     q, dq, ddq = some_states(arm)
     ours = nominal_of(arm, np.zeros(arm.n), np.zeros(arm.n)).rigid(q, dq, ddq)
-    theirs = inverse_dynamics(robot, *(torch.tensor(x) for x in (q, dq, ddq))).numpy()
+    theirs = inverse_dynamics(
+        robot, *(torch.tensor(x, dtype=torch.float64) for x in (q, dq, ddq))
+    ).numpy()
     np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
 
 

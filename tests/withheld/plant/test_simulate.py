@@ -31,7 +31,7 @@ def test_torchid_explains_a_log_without_effects(arm, tmp_path):
     robot = load_robot(path)
     q, dq, tau = signals(case.columns, robot.n)
     ddq = np.gradient(dq, 1e-3, axis=0)
-    motion = Motion(*(torch.tensor(x) for x in (q, dq, ddq)))
+    motion = Motion(*(torch.tensor(x, dtype=torch.float64) for x in (q, dq, ddq)))
     model = model_torque(robot, nominal_effects(robot), motion).numpy()
     # Within two samples of a reversal the differences are of two branches of the friction.
     moves = np.abs(dq) > 0.02

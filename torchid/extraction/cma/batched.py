@@ -18,6 +18,7 @@ samples tie with the best, ranks are noise: step size and mean go on, the covari
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
@@ -30,8 +31,7 @@ from torchid.extraction.cma.search import (
     into_box,
     population_of,
 )
-from torchid.extraction.cma.strategy import Strategy, strategy
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Float, Tensor
 
 LARGEST_STD = 1 / 3
 """Of a coordinate, in widths of the box."""
@@ -41,6 +41,56 @@ TOLERANCE = 1 + 1e-9
 """Within it a standard deviation is at its limit, and is left alone."""
 SMALLEST_EIGENVALUE = 1e-14
 """Of a repaired covariance, relative to its largest."""
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """Weights and rates for n variables and a population (tutorial, table 1).
+
+    Attributes:
+        weights: by rank, best first; the first half sum to 1, the others are negative.
+        mu_eff: variance-effective selection mass of the positive weights.
+        c_sigma, d_sigma: rate and damping of the step size.
+        c_c, c_1, c_mu: rates of the path, the rank-one and the rank-mu update.
+        chi_n: expected length of a standard normal vector.
+    """
+
+    weights: tuple[float, ...]
+    mu_eff: float
+    c_sigma: float
+    d_sigma: float
+    c_c: float
+    c_1: float
+    c_mu: float
+    chi_n: float
+
+
+@lru_cache(maxsize=64)
+def strategy(n: int, population: int) -> Strategy:
+    """The tutorial's defaults (eq. 49-58) for n variables and a population."""
+    raw = [math.log((population + 1) / 2) - math.log(i + 1) for i in range(population)]
+    good, bad = [w for w in raw if w >= 0], [w for w in raw if w < 0]
+    mu_eff = sum(good) ** 2 / sum(w * w for w in good)
+    mu_eff_bad = sum(bad) ** 2 / sum(w * w for w in bad)
+    c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)
+    c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))
+    mass = min(
+        1 + c_1 / c_mu,
+        1 + 2 * mu_eff_bad / (mu_eff + 2),
+        (1 - c_1 - c_mu) / (n * c_mu),
+    )
+    weights = [w / sum(good) for w in good] + [mass * w / -sum(bad) for w in bad]
+    c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
+    return Strategy(
+        weights=tuple(weights),
+        mu_eff=mu_eff,
+        c_sigma=c_sigma,
+        d_sigma=1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma,
+        c_c=(4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n),
+        c_1=c_1,
+        c_mu=c_mu,
+        chi_n=math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n)),
+    )
 
 
 @dataclass
@@ -80,60 +130,42 @@ class BatchedCmaEs:
         10 more are the 20 of one call.
         """
         size = population_of(state, generations, seed, population)
-        rates = strategy(state.mean.shape[1], size)
+        n_runs, n = state.mean.shape
+        rates = strategy(n, size)
         weights = state.mean.new_tensor(rates.weights)
-        runs = _unpack(objective, state)
+        covariance = state.covariance.clone()
+        runs = _Runs(
+            mean=state.mean.clone(),
+            sigma=state.sigma.clone(),
+            covariance=covariance,
+            factor=_factor(covariance),
+            path_sigma=state.path_sigma.clone(),
+            path_covariance=state.path_covariance.clone(),
+            adapts=torch.ones_like(state.sigma, dtype=torch.bool),
+            best=state.best.clamp(0.0, 1.0),
+            best_value=state.best_value,
+        )
+        _limit(runs)
+        runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
         for generation in range(state.generation, state.generation + generations):
-            noise = _noise(runs.mean, size, seed, generation)
+            generator = generator_for(seed, generation, runs.mean.device)
+            noise = runs.mean.new_empty(n_runs, size, n).normal_(generator=generator)
             steps = torch.bmm(noise, runs.factor.mT)
             by_sample = _select(objective, runs, steps, weights)
             _adapt(runs, rates, noise, steps, by_sample, generation)
             _fold(runs)
             _limit(runs)
-        return _pack(runs, state.generation + generations)
-
-
-def _unpack(objective: Objective, state: SearchState) -> _Runs:
-    covariance = state.covariance.clone()
-    runs = _Runs(
-        mean=state.mean.clone(),
-        sigma=state.sigma.clone(),
-        covariance=covariance,
-        factor=_factor(covariance),
-        path_sigma=state.path_sigma.clone(),
-        path_covariance=state.path_covariance.clone(),
-        adapts=torch.ones_like(state.sigma, dtype=torch.bool),
-        best=state.best.clamp(0.0, 1.0),
-        best_value=state.best_value,
-    )
-    _limit(runs)
-    runs.best_value = evaluate(objective, runs.best.unsqueeze(1)).squeeze(1)
-    return runs
-
-
-def _pack(runs: _Runs, generation: int) -> SearchState:
-    lower = runs.covariance.tril()
-    return SearchState(
-        mean=runs.mean,
-        sigma=runs.sigma,
-        covariance=lower + lower.tril(-1).mT,
-        path_sigma=runs.path_sigma,
-        path_covariance=runs.path_covariance,
-        generation=generation,
-        best=runs.best,
-        best_value=runs.best_value,
-    )
-
-
-def _noise(like: Tensor, population: int, seed: int, generation: int) -> Float[Tensor, "R L n"]:
-    """Standard normal numbers (R, L, n) of one generation."""
-    runs, n = like.shape
-    return torch.randn(
-        (runs, population, n),
-        generator=generator_for(seed, generation, like.device),
-        dtype=like.dtype,
-        device=like.device,
-    )
+        lower = runs.covariance.tril()
+        return SearchState(
+            mean=runs.mean,
+            sigma=runs.sigma,
+            covariance=lower + lower.tril(-1).mT,
+            path_sigma=runs.path_sigma,
+            path_covariance=runs.path_covariance,
+            generation=state.generation + generations,
+            best=runs.best,
+            best_value=runs.best_value,
+        )
 
 
 def _select(
@@ -183,37 +215,24 @@ def _adapt(
     runs.path_covariance *= 1 - rates.c_c
     runs.path_covariance.add_(moves.unsqueeze(1) * step, alpha=gain)
 
-    scaled, kept, one = _covariance_weights(rates, noise, weights, moves, runs.adapts)
+    # What the samples, the old covariance and the path count in the new one (eq. 46, 47). Bad
+    # samples count as if they had unit Mahalanobis length per variable, whatever their own.
+    squares = torch.linalg.vecdot(noise, noise)
+    samples = torch.where(weights < 0, weights * n / squares, weights)
+    waiting = rates.c_1 * rates.c_c * (2 - rates.c_c) * (1 - moves)
+    kept = 1 - rates.c_1 - rates.c_mu * sum(rates.weights) + waiting
+    learns = runs.adapts.to(noise)
+    scaled = rates.c_mu * samples * learns.unsqueeze(1)
     path = runs.path_covariance.unsqueeze(1)
     rows = torch.cat([steps, path], dim=1)
-    weighted = torch.cat([scaled.unsqueeze(2) * steps, one[:, None, None] * path], dim=1)
-    runs.covariance *= kept[:, None, None]
+    one = (rates.c_1 * learns)[:, None, None]
+    weighted = torch.cat([scaled.unsqueeze(2) * steps, one * path], dim=1)
+    runs.covariance *= torch.where(runs.adapts, kept, 1.0)[:, None, None]
     runs.covariance.baddbmm_(rows.mT, weighted)
     runs.factor = _factor(runs.covariance)
 
     growth = (c / rates.d_sigma) * (length / rates.chi_n - 1)
     runs.sigma *= torch.exp(growth.clamp(max=1.0))
-
-
-def _covariance_weights(
-    rates: Strategy,
-    noise: Float[Tensor, "R L n"],
-    weights: Float[Tensor, "R L"],
-    moves: Float[Tensor, " R"],
-    adapts: Bool[Tensor, " R"],
-) -> tuple[Float[Tensor, "R L"], Float[Tensor, " R"], Float[Tensor, " R"]]:
-    """What the samples, the old covariance and the path count in the new one (eq. 46, 47)."""
-    # Bad samples count as if they had unit Mahalanobis length per variable, whatever their own.
-    squares = torch.linalg.vecdot(noise, noise)
-    samples = torch.where(weights < 0, weights * noise.shape[-1] / squares, weights)
-    waiting = rates.c_1 * rates.c_c * (2 - rates.c_c) * (1 - moves)
-    kept = 1 - rates.c_1 - rates.c_mu * sum(rates.weights) + waiting
-    learns = adapts.to(noise)
-    return (
-        rates.c_mu * samples * learns.unsqueeze(1),
-        torch.where(adapts, kept, 1.0),
-        rates.c_1 * learns,
-    )
 
 
 def _fold(runs: _Runs) -> None:
@@ -258,18 +277,14 @@ def _factor(covariance: Float[Tensor, "R n n"]) -> Float[Tensor, "R n n"]:
     factor, failed = torch.linalg.cholesky_ex(covariance)
     bad = (failed > 0) | ~factor.diagonal(dim1=1, dim2=2).sum(1).isfinite()
     if bool(bad.any()):
-        covariance[bad] = _repaired(covariance[bad])
+        # The nearest covariances of condition 1e14; the identity where nothing is left of one.
+        eye = torch.eye(covariance.shape[-1], dtype=covariance.dtype, device=covariance.device)
+        lower = covariance[bad].tril()
+        whole = lower + lower.tril(-1).mT
+        finite = whole.isfinite().all(dim=(1, 2))
+        values, vectors = torch.linalg.eigh(torch.where(finite[:, None, None], whole, eye))
+        largest = values[:, -1:]
+        values = torch.where(largest > 0, values.maximum(SMALLEST_EIGENVALUE * largest), 1.0)
+        covariance[bad] = (vectors * values.unsqueeze(1)) @ vectors.mT
         factor[bad] = torch.linalg.cholesky_ex(covariance[bad])[0]
     return factor
-
-
-def _repaired(covariance: Float[Tensor, "K n n"]) -> Float[Tensor, "K n n"]:
-    """The nearest covariances of condition 1e14; the identity where nothing is left of one."""
-    eye = torch.eye(covariance.shape[-1], dtype=covariance.dtype, device=covariance.device)
-    lower = covariance.tril()
-    whole = lower + lower.tril(-1).mT
-    finite = whole.isfinite().all(dim=(1, 2))
-    values, vectors = torch.linalg.eigh(torch.where(finite[:, None, None], whole, eye))
-    largest = values[:, -1:]
-    values = torch.where(largest > 0, values.maximum(SMALLEST_EIGENVALUE * largest), 1.0)
-    return (vectors * values.unsqueeze(1)) @ vectors.mT

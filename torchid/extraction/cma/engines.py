@@ -1,15 +1,9 @@
-"""The search engines by name, and what they share."""
+"""The search engines by name."""
 
 from torchid.errors import TorchidError
 from torchid.extraction.cma.batched import BatchedCmaEs
 from torchid.extraction.cma.pycma import PycmaEngine
-from torchid.extraction.cma.search import (
-    Engine,
-    Objective,
-    SearchState,
-    default_population,
-    start,
-)
+from torchid.extraction.cma.search import Engine
 
 ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
 
@@ -23,14 +17,3 @@ def engine(name: str) -> Engine:
     if name not in ENGINES:
         raise TorchidError("there is no such search engine.", got=name, available=sorted(ENGINES))
     return ENGINES[name]
-
-
-__all__ = [
-    "ENGINES",
-    "Engine",
-    "Objective",
-    "SearchState",
-    "default_population",
-    "engine",
-    "start",
-]

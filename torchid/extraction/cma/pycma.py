@@ -6,6 +6,7 @@ are pycma's own BoundTransform; its termination criteria are not asked.
 """
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,10 @@ from torchid.extraction.cma.search import (
     Objective,
     SearchState,
     evaluate,
-    from_box,
     generator_for,
     population_of,
+    start,
 )
-from torchid.typing import Float, Tensor
 
 SMALLEST_SIGMA = 1e-12
 
@@ -61,10 +61,24 @@ class PycmaEngine:
                 asked = np.stack([run.ask() for run in runs]).clip(0.0, 1.0)
                 points = torch.as_tensor(asked).to(state.mean)
                 values = evaluate(objective, points)
-                best, best_value = _better(best, best_value, points, values)
+                value, index = values.min(dim=1)
+                better = value < best_value
+                chosen = points[torch.arange(len(points), device=points.device), index]
+                best = torch.where(better.unsqueeze(1), chosen, best)
+                best_value = torch.where(better, value, best_value)
                 for run, told in zip(runs, values.cpu().numpy(), strict=True):
                     run.tell(told)
-        return _pack(runs, state, generations, best, best_value)
+        centres = [run.centre() for run in runs]
+        mean = torch.as_tensor(np.stack([point for point, _ in centres])).to(state.mean)
+        fresh = start(mean, 1.0)
+        sigma = torch.tensor([sigma for _, sigma in centres], dtype=torch.float64)
+        return replace(
+            fresh,
+            sigma=sigma.to(state.sigma),
+            generation=state.generation + generations,
+            best=best,
+            best_value=best_value,
+        )
 
 
 class _Run:
@@ -129,38 +143,3 @@ def _strategies(state: SearchState, seed: int, population: int) -> list[_Run]:
         strategy = cma.CMAEvolutionStrategy(point, step, options)
         runs.append(_Run(strategy, point, step, population))
     return runs
-
-
-def _better(
-    best: Float[Tensor, "R n"],
-    best_value: Float[Tensor, " R"],
-    points: Float[Tensor, "R L n"],
-    values: Float[Tensor, "R L"],
-) -> tuple[Float[Tensor, "R n"], Float[Tensor, " R"]]:
-    """The best of what is known and of a generation."""
-    value, index = values.min(dim=1)
-    better = value < best_value
-    chosen = points[torch.arange(len(points), device=points.device), index]
-    return torch.where(better.unsqueeze(1), chosen, best), torch.where(better, value, best_value)
-
-
-def _pack(
-    runs: list[_Run],
-    state: SearchState,
-    generations: int,
-    best: Float[Tensor, "R n"],
-    best_value: Float[Tensor, " R"],
-) -> SearchState:
-    centres = [run.centre() for run in runs]
-    mean = torch.as_tensor(np.stack([point for point, _ in centres])).to(state.mean)
-    sigma = torch.tensor([sigma for _, sigma in centres], dtype=torch.float64).to(state.sigma)
-    return SearchState(
-        mean=from_box(mean),
-        sigma=sigma,
-        covariance=torch.eye(mean.shape[1]).to(mean).repeat(len(runs), 1, 1),
-        path_sigma=torch.zeros_like(mean),
-        path_covariance=torch.zeros_like(mean),
-        generation=state.generation + generations,
-        best=best,
-        best_value=best_value,
-    )

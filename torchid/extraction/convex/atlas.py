@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
-from torchid.extraction.convex.conic import Rows, Solution, Status
+from torchid.extraction.convex.conic import Rows, Status
 from torchid.extraction.convex.rows import AXES
 from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
 from torchid.extraction.convex.torque_region import Kind, confidence_region, least_loss_region
@@ -222,30 +222,19 @@ def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Sta
         return -sign * np.inf, "unbounded", nothing
     value = float(space.origin[quantity.column])
     if row.any():
-        value = sign * _proven(found, sign * value)
-    return (
-        float(np.clip(value, quantity.low, quantity.high)),
-        found.status,
-        sets.x(v) if inverse > 0 else nothing,
-    )
-
-
-def _proven(found: Solution, constant: float) -> float:
-    """The bound of a minimum where it is close, else the value."""
-    gap = found.value - found.bound
-    size = max(abs(found.value + constant), abs(found.value), 1e-9)
-    return constant + (found.bound if 0 <= gap <= _CLOSE * size else found.value)
+        # The bound of the minimum where it is close, else the value.
+        gap, least = found.value - found.bound, found.value + sign * value
+        close = 0 <= gap <= _CLOSE * max(abs(least), abs(found.value), 1e-9)
+        value += sign * (found.bound if close else found.value)
+    value = float(np.clip(value, quantity.low, quantity.high))
+    return value, found.status, sets.x(v) if inverse > 0 else nothing
 
 
 def _over_mass(sets: ConvexSets, mass: int) -> ConvexSets:
     """{ x / m : x in sets } in coordinates (v / m, 1 / m): the conditions are homogeneous in them,
     the mass of x / m is 1 and 1 / m is not negative."""
     rows = [
-        replace(
-            r,
-            matrix=np.column_stack([r.matrix, r.offset]),
-            offset=np.zeros_like(r.offset),
-        )
+        replace(r, matrix=np.column_stack([r.matrix, r.offset]), offset=0.0 * r.offset)
         for r in sets.rows
     ]
     basis = np.column_stack([sets.basis, sets.origin])

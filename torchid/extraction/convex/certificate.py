@@ -7,7 +7,7 @@ bound. A search that claims less has violated a condition.
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -32,7 +32,7 @@ _WORTH = 1e-6
 """Relative decrease of the loss for which another is made."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """The least loss of any feasible set.
 
@@ -65,15 +65,15 @@ class Certificate:
 
     feasible: bool
     phi_min: float
-    phi_strict: float
-    sets: ParameterSets | None
-    strict: float
-    conflict: tuple[str, ...]
-    released: Mapping[str, float]
-    forcing: tuple[str, ...]
-    relaxed_active: tuple[str, ...]
+    phi_strict: float = np.nan
+    sets: ParameterSets | None = None
+    strict: float = 0.0
+    conflict: tuple[str, ...] = ()
+    released: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    forcing: tuple[str, ...] = ()
+    relaxed_active: tuple[str, ...] = ()
     with_conditions: bool
-    exact: bool
+    exact: bool = False
     status: str
     seconds: float
 
@@ -145,7 +145,6 @@ def certificate(
         phi_strict=inner.phi,
         sets=inner.sets,
         strict=inner.strict,
-        conflict=(),
         released=MappingProxyType(released),
         forcing=forcing,
         relaxed_active=inner.outside,
@@ -247,18 +246,15 @@ class _Question:
             mass, *moment = link_columns(self.problem.n, link)[:4]
             single = box[link, :, 0] == box[link, :, 1]
             x[moment] = np.where(single, x[mass] * box[link, :, 0], x[moment])
-        x[10 * self.problem.n :] = self._within_signs(x[10 * self.problem.n :])
+        # And beyond bounds and signs of coefficients, where the rounding is larger than the
+        # distance kept in a short interval.
+        low, high = self.problem.box[10 * self.problem.n :].cpu().numpy().T
+        low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
+        x[10 * self.problem.n :] = np.clip(x[10 * self.problem.n :], low, high)
         sets = sets_of(x[None], self.problem.n, self.problem.target.effects, ["certificate"])
         asked = self.problem.conditions if self.with_conditions else physics_only(self.problem.n)
         phi = float(np.sum((matrix @ x + offset) ** 2))
         return (sets, phi) if bool(feasibility(sets, asked).feasible[0]) else None
-
-    def _within_signs(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients of effects (E,) without the solver's rounding beyond bounds and signs, which
-        is larger than the distance kept where an interval is short."""
-        low, high = self.problem.box[10 * self.problem.n :].cpu().numpy().T
-        low = np.where(self.problem.non_negative.cpu().numpy(), np.maximum(low, 0.0), low)
-        return np.clip(coefficients, low, high)
 
     def outside(self, sets: ParameterSets) -> tuple[str, ...]:
         """Bounds of barycentric inertias that the first set does not meet."""
@@ -281,15 +277,8 @@ def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) 
     return Certificate(
         feasible=False,
         phi_min=np.inf if conflict else np.nan,
-        phi_strict=np.nan,
-        sets=None,
-        strict=0.0,
         conflict=conflict,
-        released=MappingProxyType({}),
-        forcing=(),
-        relaxed_active=(),
         with_conditions=with_conditions,
-        exact=False,
         status="infeasible" if conflict else "failed",
         seconds=time.perf_counter() - begun,
     )

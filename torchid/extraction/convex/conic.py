@@ -18,7 +18,7 @@ objectives", arXiv:2405.12762.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -106,9 +106,19 @@ def minimise(
     offset = np.concatenate([r.offset for r in rows])
     d = len(cost)
     quadratic, columns = sparse.csc_matrix((d, d)), sparse.csc_matrix(-matrix)
-    cones = [_cone(clarabel, r) for r in rows]
+    cones = [
+        getattr(clarabel, _CONES[r.cone])(
+            order_of(len(r.offset)) if r.cone == "semidefinite" else len(r.offset)
+        )
+        for r in rows
+    ]
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_iter, settings.max_threads = False, 300, 1
+    settings.reduced_tol_feas = settings.reduced_tol_gap_abs = ACCEPTED
+    settings.reduced_tol_gap_rel = ACCEPTED
     for tolerance, scaled in ATTEMPTS:
-        settings = _settings(clarabel, tolerance, scaled)
+        settings.equilibrate_enable = scaled
+        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
         raw = clarabel.DefaultSolver(quadratic, cost, columns, offset, cones, settings).solve()
         status = _STATUS.get(str(raw.status), "failed")
         if status != "failed":
@@ -126,18 +136,6 @@ def minimise(
     return Solution(status, point, float(cost @ point), float(bound), multipliers)
 
 
-def _settings(clarabel: Any, tolerance: float, scaled: bool) -> Any:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = 300
-    settings.max_threads = 1
-    settings.equilibrate_enable = scaled
-    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
-    settings.reduced_tol_feas = settings.reduced_tol_gap_abs = ACCEPTED
-    settings.reduced_tol_gap_rel = ACCEPTED
-    return settings
-
-
 _STATUS: dict[str, Status] = {
     "Solved": "solved",
     "AlmostSolved": "inexact",
@@ -148,15 +146,12 @@ _STATUS: dict[str, Status] = {
 }
 
 
-def _cone(clarabel: Any, rows: Rows) -> Any:
-    size = len(rows.offset)
-    if rows.cone == "zero":
-        return clarabel.ZeroConeT(size)
-    if rows.cone == "nonnegative":
-        return clarabel.NonnegativeConeT(size)
-    if rows.cone == "second_order":
-        return clarabel.SecondOrderConeT(size)
-    return clarabel.PSDTriangleConeT(order_of(size))
+_CONES: dict[Cone, str] = {
+    "zero": "ZeroConeT",
+    "nonnegative": "NonnegativeConeT",
+    "second_order": "SecondOrderConeT",
+    "semidefinite": "PSDTriangleConeT",
+}
 
 
 def order_of(size: int) -> int:
@@ -166,19 +161,16 @@ def order_of(size: int) -> int:
 
 def triangle(matrices: np.ndarray) -> np.ndarray:
     """Triangles (..., k (k+1) / 2) of symmetric matrices (..., k, k), as the cone takes them."""
-    k = matrices.shape[-1]
-    pairs = [(i, j) for j in range(k) for i in range(j + 1)]
-    scale = [1.0 if i == j else np.sqrt(2.0) for i, j in pairs]
-    return np.stack([matrices[..., i, j] for i, j in pairs], -1) * scale
+    j, i = np.tril_indices(matrices.shape[-1])
+    return np.ascontiguousarray(matrices[..., i, j]) * np.where(i == j, 1.0, np.sqrt(2.0))
 
 
 def matrix_of(entries: np.ndarray) -> np.ndarray:
     """The symmetric matrix of a triangle."""
     k = order_of(len(entries))
     full = np.zeros((k, k))
-    pairs = [(i, j) for j in range(k) for i in range(j + 1)]
-    for (i, j), value in zip(pairs, entries, strict=True):
-        full[i, j] = full[j, i] = value if i == j else value / np.sqrt(2.0)
+    j, i = np.tril_indices(k)
+    full[i, j] = full[j, i] = entries / np.where(i == j, 1.0, np.sqrt(2.0))
     return full
 
 
@@ -193,18 +185,16 @@ def _dual_feasible(
 
     The move is the least in the local norm of the cones' barriers, which leaves a cone last.
     """
-    best = np.concatenate([into_cone(r.cone, m) for r, m in zip(rows, multipliers, strict=True)])
-    z = best
+    z = best = _into_cones(rows, multipliers)
+    ends = np.cumsum([len(r.offset) for r in rows])[:-1]
     for _ in range(2):
         missing = cost - matrix.T @ z
-        ends = np.cumsum([len(r.offset) for r in rows])[:-1]
         pieces = np.split(z, ends)
         metric = np.concatenate(
             [_metric(r.cone, p, r.matrix) for r, p in zip(rows, pieces, strict=True)]
         )
         step, *_ = np.linalg.lstsq(matrix.T @ metric, missing, rcond=1e-15)
-        moved = np.split(z + metric @ step, ends)
-        z = np.concatenate([into_cone(r.cone, m) for r, m in zip(rows, moved, strict=True)])
+        z = _into_cones(rows, np.split(z + metric @ step, ends))
         if np.abs(cost - matrix.T @ z).sum() < np.abs(cost - matrix.T @ best).sum():
             best = z
     return best
@@ -224,13 +214,17 @@ def _metric(cone: Cone, z: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return triangle(full @ np.stack([matrix_of(c) for c in columns.T]) @ full).T
 
 
-def into_cone(cone: Cone, z: np.ndarray) -> np.ndarray:
-    """A point of the dual cone next to z (all but the zero cone are their own duals)."""
-    if cone == "zero":
-        return z
-    if cone == "nonnegative":
-        return np.maximum(z, 0.0)
-    if cone == "second_order":
-        return np.concatenate([[max(z[0], float(np.linalg.norm(z[1:])))], z[1:]])
-    values, vectors = np.linalg.eigh(matrix_of(z))
-    return triangle((vectors * np.maximum(values, 0.0)) @ vectors.T)
+def _into_cones(rows: Sequence[Rows], multipliers: Sequence[np.ndarray]) -> np.ndarray:
+    """The points of the dual cones next to z (all but the zero cone are their own duals)."""
+    out = []
+    for row, given in zip(rows, multipliers, strict=True):
+        z = given
+        if row.cone == "nonnegative":
+            z = np.maximum(z, 0.0)
+        elif row.cone == "second_order":
+            z = np.concatenate([[max(z[0], float(np.linalg.norm(z[1:])))], z[1:]])
+        elif row.cone == "semidefinite":
+            values, vectors = np.linalg.eigh(matrix_of(z))
+            z = triangle((vectors * np.maximum(values, 0.0)) @ vectors.T)
+        out.append(z)
+    return np.concatenate(out)

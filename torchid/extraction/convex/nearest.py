@@ -105,7 +105,9 @@ def nearest_feasible(
     asked = physics_only(robot.n) if conditions is None else conditions.to("cpu")
     states = random_states(robot, seed) if motion is None else motion.to("cpu")
     y = stacked_regressor(robot, sets.effects, states)
-    question = _Question(robot, sets, asked, bounds, margin, slack, _factor(y))
+    # R (P, P) with ||R x|| the root mean square of the torque Y x.
+    factor = (torch.linalg.qr(y, mode="r").R / y.shape[0] ** 0.5).numpy()
+    question = _Question(robot, sets, asked, bounds, margin, slack, factor)
     found = [question.nearest(k) for k in range(len(sets))]
     x = torch.as_tensor(np.stack([f[0] for f in found]))
     after = sets_of(x.numpy(), robot.n, sets.effects, sets.ids)
@@ -123,12 +125,6 @@ def nearest_feasible(
     )
 
 
-def _factor(y: Tensor) -> np.ndarray:
-    """R (P, P) with ||R x|| the root mean square of the torque Y x."""
-    r = torch.linalg.qr(y, mode="r").R
-    return (r / y.shape[0] ** 0.5).numpy()
-
-
 def _least_eigenvalue(sets: ParameterSets) -> Float[Tensor, "K n"]:
     """(K, n) of the pseudo-inertias; nan where a set is."""
     pi = sets.parameters.pi
@@ -141,16 +137,7 @@ def _within(sets: ParameterSets, bounds: Bounds | None) -> Bool[Tensor, " K"]:
     """(K,) whether all search variables are within the bounds, to rounding."""
     if bounds is None:
         return torch.ones(len(sets), dtype=torch.bool)
-    parameters = sets.parameters
-    p = torch.cat(
-        [
-            parameters.mass,
-            parameters.com.flatten(-2),
-            parameters.inertia_about_com.flatten(-2),
-            sets.coefficients,
-        ],
-        -1,
-    )
+    p = sets.search_vector
     low, high = bounds.box(sets.effects).cpu().unbind(-1)
     slack = INSIDE * (high - low)
     return ((p >= low - slack) & (p <= high + slack)).all(-1)
@@ -198,7 +185,15 @@ class _Question:
             margin=margins,
             inside=inside,
         ).tightened(INSIDE)
-        sizes = self._sizes(x0)
+        # The size of each parameter, from its link's mass and inertia.
+        n, sizes = self.robot.n, np.ones_like(x0)
+        columns = [link_columns(n, link) for link in range(n)]
+        masses = _at_least(np.abs(x0[:n]))
+        inertias = _at_least(np.array([np.abs(x0[c[[4, 7, 9]]]).mean() for c in columns]))
+        for c, m, j in zip(columns, masses, inertias, strict=True):
+            sizes[c] = [m, *([np.sqrt(m * j)] * 3), *([j] * 6)]
+        if len(x0) > 10 * n:
+            sizes[10 * n :] = _at_least(np.abs(x0[10 * n :]))
         weights = np.diag(1 / sizes)
         body = body.plus([body.ball(weights, -weights @ x0, FAR, "far")])
         body = replace(body, radius=(np.abs(x0) + FAR * sizes) / body.basis.diagonal())
@@ -214,17 +209,7 @@ class _Question:
             return first
         return Nearest(second.solution, second.x, second.value, first.bound)
 
-    def _sizes(self, x0: np.ndarray) -> np.ndarray:
-        """(P,) the size of each parameter, from its link's mass and inertia."""
-        n, sizes = self.robot.n, np.ones_like(x0)
-        columns = [link_columns(n, link) for link in range(n)]
-        masses = np.abs(x0[:n])
-        inertias = np.array([np.abs(x0[c[[4, 7, 9]]]).mean() for c in columns])
-        masses = np.maximum(masses, 0.05 * masses.mean() + 1e-12)
-        inertias = np.maximum(inertias, 0.05 * inertias.mean() + 1e-12)
-        for c, m, j in zip(columns, masses, inertias, strict=True):
-            sizes[c] = [m, *([np.sqrt(m * j)] * 3), *([j] * 6)]
-        if len(x0) > 10 * n:
-            rest = np.abs(x0[10 * n :])
-            sizes[10 * n :] = np.maximum(rest, 0.05 * rest.mean() + 1e-12)
-        return sizes
+
+def _at_least(sizes: np.ndarray) -> np.ndarray:
+    """None smaller than a twentieth of the mean."""
+    return np.maximum(sizes, 0.05 * sizes.mean() + 1e-12)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from torchid.extraction.convex.conic import minimise
+from torchid.extraction.convex.conic import Solution, minimise
 from torchid.extraction.convex.sets import ConvexSets, Nearest
 
 NEARLY_ZERO = 1e-3
@@ -23,11 +23,7 @@ def conflict_of(body: ConvexSets) -> tuple[str, ...]:
     found = minimise(nothing, body.rows)
     if found.usable:
         return ()
-    sizes = [float(np.linalg.norm(z)) for z in found.multipliers]
-    least = _ACTIVE * max(sizes)
-    kept = list(
-        dict.fromkeys(r.name for r, s in zip(body.rows, sizes, strict=True) if not s <= least)
-    )
+    kept = _active(body, found)
     everything = set(body.names)
     for name in list(kept):
         rest = set(kept) - {name}
@@ -58,7 +54,8 @@ def forcing_conditions(
     while left.value**2 > goal:
         rest = body.without(group)
         trials = {
-            name: rest.without([name]).least_norm(matrix, offset) for name in _active(rest, left)
+            name: rest.without([name]).least_norm(matrix, offset)
+            for name in _active(rest, left.solution)
         }
         trials = {name: t for name, t in trials.items() if t.solution.usable}
         first = first or {name: t.bound**2 for name, t in trials.items()}
@@ -76,10 +73,10 @@ def forcing_conditions(
     return first, tuple(group)
 
 
-def _active(body: ConvexSets, found: Nearest) -> tuple[str, ...]:
+def _active(body: ConvexSets, found: Solution) -> list[str]:
     """Conditions whose multipliers are not zero: without any other, the optimum stays."""
-    own = found.solution.multipliers[: len(body.rows)]
-    sizes = [float(np.linalg.norm(z)) for z in own]
+    sizes = [float(np.linalg.norm(z)) for z in found.multipliers[: len(body.rows)]]
     least = _ACTIVE * max(sizes)
-    names = [r.name for r, s in zip(body.rows, sizes, strict=True) if s > least]
-    return tuple(dict.fromkeys(names))
+    # Not "s > least": a multiplier that is not a number counts.
+    names = [r.name for r, s in zip(body.rows, sizes, strict=True) if not s <= least]
+    return list(dict.fromkeys(names))

@@ -28,13 +28,8 @@ needs some bound."""
 
 def link_columns(n: int, link: int) -> np.ndarray:
     """Where the 10 parameters of link `link` (from 0) are in x."""
-    return np.array(
-        [
-            link,
-            *range(n + 3 * link, n + 3 * link + 3),
-            *range(4 * n + 6 * link, 4 * n + 6 * link + 6),
-        ]
-    )
+    moment, inertia = n + 3 * link, 4 * n + 6 * link
+    return np.array([link, *range(moment, moment + 3), *range(inertia, inertia + 6)])
 
 
 def length_scale(robot: Robot) -> float:
@@ -75,15 +70,8 @@ class RowBuilder:
         """Rows entries'x + offset >= 0, divided by their largest entry; `size` in their unit."""
         matrix = np.stack([self._row(e) for e in entries])
         unit = np.abs(matrix).max(-1)
-        self.rows.append(
-            Rows(
-                name,
-                "nonnegative",
-                matrix / unit[:, None],
-                np.asarray(offset, dtype=float) / unit,
-                size / unit,
-            )
-        )
+        right = np.asarray(offset, dtype=float) / unit
+        self.rows.append(Rows(name, "nonnegative", matrix / unit[:, None], right, size / unit))
 
     def interval(self, name: str, entries: dict[int, float], low: float, high: float) -> None:
         """low <= entries'x <= high."""

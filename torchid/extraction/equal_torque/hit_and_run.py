@@ -158,10 +158,19 @@ def hit_and_run(region: Region, seeds: Sequence[int], draws: int, thin: int) -> 
     factor = torch.linalg.cholesky_ex(value[:, r:].reshape(k, -1, 4, 4)).L
     kept = []
     for round_ in range(-BURN_IN, draws):
-        normal, uniform = _random(generators, thin, d, y)
-        for way, share in zip(normal, uniform, strict=True):
+        # Directions (K, D) and places on the chord (K,), in (0, 1), of every step.
+        normal = [torch.randn(thin, d, generator=g, dtype=y.dtype) for g in generators]
+        uniform = [torch.rand(thin, generator=g, dtype=y.dtype) for g in generators]
+        for way, share in zip(torch.stack(normal, 1), torch.stack(uniform, 1), strict=True):
             change = times(matrix, way)
-            low, high = _chord(value[:, :r], change[:, :r], factor, change[:, r:])
+            # The chord: 1 + t change / value > 0, and 1 + t mu > 0 with mu the eigenvalues of
+            # L^-1 change L^-T.
+            blocks = change[:, r:].reshape(k, -1, 4, 4)
+            half = torch.linalg.solve_triangular(factor, blocks, upper=False)
+            whole = torch.linalg.solve_triangular(factor, half.mT, upper=False)
+            mu = torch.linalg.eigvalsh(whole).flatten(1)
+            rate = torch.cat([change[:, :r] / value[:, :r], mu], -1)
+            low, high = -1 / rate.amax(-1), -1 / rate.amin(-1)
             step = (low + (high - low) * share).unsqueeze(-1)
             moved = value + step * change
             trial, info = torch.linalg.cholesky_ex(moved[:, r:].reshape(k, -1, 4, 4))
@@ -173,23 +182,3 @@ def hit_and_run(region: Region, seeds: Sequence[int], draws: int, thin: int) -> 
         if round_ >= 0:
             kept.append(y)
     return torch.stack(kept, 1)
-
-
-def _random(
-    generators: Sequence[torch.Generator], steps: int, d: int, like: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Directions (steps, K, D) and places on the chord (steps, K) in (0, 1)."""
-    normal = [torch.randn(steps, d, generator=g, dtype=like.dtype) for g in generators]
-    uniform = [torch.rand(steps, generator=g, dtype=like.dtype) for g in generators]
-    return torch.stack(normal, 1), torch.stack(uniform, 1)
-
-
-def _chord(rows: Tensor, change: Tensor, factor: Tensor, blocks: Tensor) -> tuple[Tensor, Tensor]:
-    """The interval (K,) of t in which rows + t change > 0 and L L' + t blocks > 0: with mu the
-    eigenvalues of L^-1 blocks L^-T, where 1 + t mu > 0."""
-    k = len(rows)
-    half = torch.linalg.solve_triangular(factor, blocks.reshape(k, -1, 4, 4), upper=False)
-    whole = torch.linalg.solve_triangular(factor, half.mT, upper=False)
-    mu = torch.linalg.eigvalsh(whole)
-    rate = torch.cat([change / rows, mu.flatten(1)], -1)
-    return -1 / rate.amax(-1), -1 / rate.amin(-1)

@@ -58,7 +58,6 @@ time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the 
 
 _BINS = 10
 _NEWTON_STEPS = 80
-_RIGID_KINDS = frozenset(RELAXABLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,15 @@ def equal_torque_sets(
     Raises:
         TorchidError: the reference is not feasible, a kind is unknown, sizes do not match.
     """
-    asked = [_parse(kind) for kind in kinds]
+    asked = [frozenset(kind.split("+")) - {FEASIBLE} for kind in kinds]
+    for kind in kinds:
+        if kind != FEASIBLE and not set(kind.split("+")) <= set(RELAXABLE):
+            raise TorchidError(
+                "no such kind of violation.",
+                got=kind,
+                available=[FEASIBLE, *RELAXABLE],
+                hint="several kinds are joined by +, e.g. inertia+com",
+            )
     if per_kind < 1 or chains < 1:
         raise TorchidError(
             "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
@@ -191,18 +198,6 @@ def equal_torque_sets(
         reference,
         tuple(warnings),
     )
-
-
-def _parse(kind: str) -> frozenset[str]:
-    relaxed = frozenset() if kind == FEASIBLE else frozenset(kind.split("+"))
-    if not relaxed <= _RIGID_KINDS:
-        raise TorchidError(
-            "no such kind of violation.",
-            got=kind,
-            available=[FEASIBLE, *RELAXABLE],
-            hint="several kinds are joined by +, e.g. inertia+com",
-        )
-    return relaxed
 
 
 def _one_set(robot: Robot, start: ParameterSets | Tensor, base: BaseParameters) -> ParameterSets:

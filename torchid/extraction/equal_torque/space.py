@@ -89,15 +89,8 @@ class EqualTorqueSpace:
         com = torch.where(torch.isfinite(box), box, self.outer.com)
         mass = torch.stack([self.outer.mass[:, 0].clamp(min=0.0), self.heaviest], -1)
         zeros = torch.zeros_like(self.scale)
-        full = Limits(
-            torch.ones_like(self.scale),
-            mass,
-            com,
-            self.conditions.round_radius,
-            zeros,
-            self.conditions.total_mass,
-            self.x.new_zeros(()),
-        )
+        radius, total = self.conditions.round_radius, self.conditions.total_mass
+        full = Limits(zeros + 1, mass, com, radius, zeros, total, self.x.new_zeros(()))
         return Limits(*(v.expand(k, *v.shape).clone() for v in vars(full).values()))
 
     def region(self, limits: Limits) -> Region:
@@ -105,12 +98,8 @@ class EqualTorqueSpace:
         a, f = self._linear(self.directions.T.unsqueeze(1), limits)
         b, c = self._linear(self.x.unsqueeze(0), limits)
         row, block = self._constants(limits)
-        return Region(
-            a.permute(1, 2, 0).contiguous(),
-            b + row,
-            f.permute(1, 2, 0).contiguous(),
-            c + block,
-        )
+        a, f = (x.permute(1, 2, 0).contiguous() for x in (a, f))
+        return Region(a, b + row, f, c + block)
 
     def _linear(self, x: Tensor, limits: Limits) -> tuple[Tensor, Tensor]:
         """Homogeneous parts (..., K, R) and (..., K, 16 L) for x (..., 1 or K, P)."""
@@ -132,7 +121,13 @@ class EqualTorqueSpace:
         keep = torch.ones(*limits.sign.shape, 4, 4, dtype=x.dtype)
         keep[..., 3, 3] = limits.sign
         keep[..., :3, 3] = keep[..., 3, :3] = (limits.sign.unsqueeze(-1) + 1) / 2
-        blocks = [(_firmer(pi.pseudo_inertia, limits.firm) * keep).flatten(-3)]
+        # S - firm tr(S)/3 E: positive definite only where the smallest second moment about the CoM
+        # is at least that share of their mean, which is at most tr(S)/3.
+        pseudo = pi.pseudo_inertia
+        mean = pseudo[..., :3, :3].diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
+        less = limits.firm[:, None, None] * mean
+        pseudo = pseudo - torch.diag_embed(torch.cat([less, less, less, 0 * less], -1))
+        blocks = [(pseudo * keep).flatten(-3)]
         if bool(torch.isfinite(limits.radius).any()):
             blocks.append(self._round(m, h, limits).flatten(-3))
         return torch.cat(rows, -1), torch.cat(blocks, -1)
@@ -173,14 +168,6 @@ class EqualTorqueSpace:
             self.reference.effects,
             self.reference.coefficients.expand(len(z), -1).clone(),
         )
-
-
-def _firmer(pseudo: Tensor, firm: Tensor) -> Tensor:
-    """Pseudo-inertias with S - firm tr(S)/3 E: positive definite only where the smallest second
-    moment about the CoM is at least that share of their mean, which is at most tr(S)/3."""
-    mean = pseudo[..., :3, :3].diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
-    less = firm[:, None, None] * mean
-    return pseudo - torch.diag_embed(torch.cat([less, less, less, 0 * less], -1))
 
 
 def equal_torque_space(

@@ -25,9 +25,10 @@ from dataclasses import dataclass
 import torch
 
 from torchid.errors import TorchidError
-from torchid.extraction.log_cholesky.merit import Merit, along, to_theta
+from torchid.extraction.log_cholesky.merit import Merit, along, theta_of
 from torchid.extraction.log_cholesky.start import moved_inside, room_of
 from torchid.extraction.problem import Problem
+from torchid.robot.inertia import second_moment
 from torchid.typing import Bool, Float, Tensor
 
 GAP = 1e-4
@@ -105,7 +106,8 @@ def extract_log_cholesky(
     p0 = start.detach().cpu().double()
     usable = torch.isfinite(p0).all(-1)
     inside = moved_inside(problem, room, torch.where(usable.unsqueeze(-1), p0, room.anchor))
-    theta, rest = to_theta(problem, inside)
+    mass, com, inertia, rest = problem.split(inside)
+    theta = theta_of(mass, com, second_moment(inertia))
     merit = Merit(problem, room)
     theta, rest, converged, taken = _descend(merit, theta, rest, gap, centring, steps)
     p = torch.where(usable.unsqueeze(-1), merit.search_vector(theta, rest), torch.nan)
@@ -125,7 +127,7 @@ def _descend(
         jacobian = merit.jacobian(theta)
         gradient, hessian = merit.derivatives(theta, rest, mu, jacobian)
         inverse = _inverse(hessian)
-        step = -_times(inverse, gradient)
+        step = -(inverse @ gradient.unsqueeze(-1)).squeeze(-1)
         decrement = -(gradient * step).sum(-1)
         # Within mu of the central path, the barrier's share bounds what is left to gain.
         near = decrement <= mu
@@ -141,10 +143,6 @@ def _descend(
         lower = torch.where(near | ~moved, torch.minimum(lower, _SHRINK * held), lower)
         mu = torch.where(done, mu, torch.maximum(lower, 0.5 * gap * held))
     return theta, rest, done, taken
-
-
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
 
 
 def _inverse(hessian: Tensor) -> Tensor:

@@ -8,13 +8,7 @@ import torch
 from torchid.extraction.log_cholesky.start import Room
 from torchid.extraction.problem import Problem
 from torchid.robot.inertia import InertialParameters, second_moment
-from torchid.typing import Float, Tensor
-
-
-def to_theta(problem: Problem, p: Float[Tensor, "K D"]) -> tuple[Tensor, Tensor]:
-    """(K, n, 10) log-Cholesky parameters and (K, E) coefficients of p."""
-    mass, com, inertia, rest = problem.split(p)
-    return theta_of(mass, com, second_moment(inertia)), rest
+from torchid.typing import Tensor
 
 
 def theta_of(mass: Tensor, com: Tensor, second: Tensor) -> Tensor:
@@ -34,7 +28,7 @@ def theta_of(mass: Tensor, com: Tensor, second: Tensor) -> Tensor:
 
 def along(theta: Tensor, turn: Tensor, length: Tensor) -> Tensor:
     """theta after a step that starts as length * turn and is straight in (m, mc, J)."""
-    x = torch.func.vmap(torch.func.vmap(link_x))(_POINT(theta))
+    x = _AFFINE(_POINT(theta))
     x = x + length[:, None, None] * (_JACOBIAN(theta) @ turn.unsqueeze(-1)).squeeze(-1)
     parameters = InertialParameters(x)
     return theta_of(parameters.mass, parameters.com, second_moment(parameters.inertia_about_com))
@@ -89,6 +83,7 @@ _BARRIER = torch.func.vmap(
     torch.func.vmap(_link_barrier, (0, 0, 0, 0, 0)), (0, None, None, None, None)
 )
 _POINT = torch.func.vmap(torch.func.vmap(link_p))
+_AFFINE = torch.func.vmap(torch.func.vmap(link_x))
 
 
 class Merit:
@@ -118,7 +113,7 @@ class Merit:
 
     def residual(self, theta: Tensor, rest: Tensor) -> Tensor:
         """W pi_R - t (K, R)."""
-        x = torch.func.vmap(torch.func.vmap(link_x))(_POINT(theta)).flatten(-2)
+        x = _AFFINE(_POINT(theta)).flatten(-2)
         return x @ self.links.T + rest @ self.rest.T - self.offset
 
     def value(self, theta: Tensor, rest: Tensor, mu: Tensor) -> Tensor:
@@ -155,8 +150,9 @@ class Merit:
         pull = torch.linalg.solve(_JACOBIAN(theta).mT, gradient.unsqueeze(-1)).squeeze(-1) - g
         own = (theta, -pull, mu, *self.limits)
         hessian = 2 * wide.mT @ wide
-        blocks = torch.stack([_block_diagonal(h) for h in _HESSIAN(*own)])
-        hessian[:, : 10 * n, : 10 * n] += blocks
+        hessian[:, : 10 * n, : 10 * n] += torch.stack(
+            [torch.block_diag(*h) for h in _HESSIAN(*own)]
+        )
         masses = torch.zeros(k, 10 * n, dtype=theta.dtype)
         masses[:, ::10] = 2 * mass
         curve = (mu * (below**2 + above**2))[:, None, None]
@@ -166,7 +162,3 @@ class Merit:
         hessian[:, tail, tail] += mu.unsqueeze(-1) * (low**2 + high**2)
         ends = slope @ self.rest + mu.unsqueeze(-1) * (high - low)
         return torch.cat([gradient.flatten(-2), ends], -1), hessian
-
-
-def _block_diagonal(blocks: Float[Tensor, "n 10 10"]) -> Tensor:
-    return torch.block_diag(*blocks)

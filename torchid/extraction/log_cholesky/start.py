@@ -60,7 +60,12 @@ def room_of(problem: Problem, with_conditions: bool) -> Room:
     out = ~_in_shape(asked, com)
     com = torch.where(out.unsqueeze(-1), near, com)
     names += [f"shape_{i + 1}" for i in (~_in_shape(asked, com)).nonzero().flatten().tolist()]
-    inertia = _round_inertia(box[4 * n : 10 * n].reshape(n, 6, 2))
+    # Inertias as near a sphere's as the bounds allow.
+    low, high = _inner(box[4 * n : 10 * n].reshape(n, 6, 2)).unbind(-1)
+    inertia = torch.clamp(torch.zeros_like(low), low, high)
+    diagonal = [0, 3, 5]
+    middle = (low[:, diagonal].amax(-1) + high[:, diagonal].amin(-1)) / 2
+    inertia[:, diagonal] = torch.clamp(middle.unsqueeze(-1), low[:, diagonal], high[:, diagonal])
     names += [f"inertia_{i + 1}" for i in (~_is_body(inertia)).nonzero().flatten().tolist()]
     if names:
         raise TorchidError(
@@ -90,16 +95,6 @@ def _is_body(inertia: Float[Tensor, "*batch 6"]) -> Bool[Tensor, "*batch"]:
     return values[..., 0] > 1e-3 * _ROOM * values[..., 2].abs()
 
 
-def _round_inertia(box: Float[Tensor, "n 6 2"]) -> Float[Tensor, "n 6"]:
-    """Inertias within the bounds as near a sphere's as these allow."""
-    low, high = _inner(box).unbind(-1)
-    centre = torch.clamp(torch.zeros_like(low), low, high)
-    diagonal = [0, 3, 5]
-    middle = (low[:, diagonal].amax(-1) + high[:, diagonal].amin(-1)) / 2
-    centre[:, diagonal] = torch.clamp(middle.unsqueeze(-1), low[:, diagonal], high[:, diagonal])
-    return centre
-
-
 def moved_inside(problem: Problem, room: Room, p: Float[Tensor, "K D"]) -> Float[Tensor, "K D"]:
     """p moved towards the anchor until it is inside: masses, each centre of mass and each inertia
     by as much as they need, which is possible as their conditions are convex."""
@@ -119,32 +114,17 @@ def moved_inside(problem: Problem, room: Room, p: Float[Tensor, "K D"]) -> Float
     values, vectors = torch.linalg.eigh(second_moment(inertia))
     values = torch.maximum(values, _ROOM * values[..., 2:].clamp(min=1e-12))
     s = vectors @ torch.diag_embed(values) @ vectors.mT
-    trace = s.diagonal(dim1=-2, dim2=-1).sum(-1)
-    body = torch.stack(
-        [
-            trace - s[..., 0, 0],
-            -s[..., 0, 1],
-            -s[..., 0, 2],
-            trace - s[..., 1, 1],
-            -s[..., 1, 2],
-            trace - s[..., 2, 2],
-        ],
-        -1,
-    )
+    trace = s.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    i, j = torch.triu_indices(3, 3)
+    body = (trace * torch.eye(3, dtype=s.dtype) - s)[..., i, j]
 
-    def consistent(i: Tensor) -> Tensor:
-        within = ((i >= limits[..., 0]) & (i <= limits[..., 1])).all(-1)
-        return within & _is_body(i)
+    def consistent(x: Tensor) -> Tensor:
+        within = ((x >= limits[..., 0]) & (x <= limits[..., 1])).all(-1)
+        return within & _is_body(x)
 
-    return torch.cat(
-        [
-            _towards(mass, mass0, light),
-            _towards(com, com0, lambda c: _in_shape(asked, c)).flatten(-2),
-            _towards(body, inertia0, consistent).flatten(-2),
-            rest,
-        ],
-        -1,
-    )
+    mass = _towards(mass, mass0, light)
+    com = _towards(com, com0, lambda c: _in_shape(asked, c)).flatten(-2)
+    return torch.cat([mass, com, _towards(body, inertia0, consistent).flatten(-2), rest], -1)
 
 
 def _towards(point: Tensor, anchor: Tensor, good: Callable[[Tensor], Tensor]) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from torchid.extraction.polish.region import Region
 from torchid.extraction.problem import Problem
 from torchid.robot.inertia import InertialParameters, second_moment
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Float, Tensor
 
 _STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 0.99, 1.0)
 """Shares of the way to the interior point; the last is that point, which is always inside."""
@@ -57,8 +57,18 @@ class Barrier:
         self._inertia = box[4 * n : 10 * n].reshape(n, 6, 2)
         self._rest = box[10 * n :]
         self._linear, self._constant = _linear_slacks(box, n)
-        self._basis = _pseudo_inertia_basis()
+        # The pseudo-inertia is a sum over a link's ten parameters of these matrices.
+        self._basis = InertialParameters(torch.eye(10, dtype=torch.float64)).pseudo_inertia
         self._round = region.round_links & torch.tensor(region.physical)
+        # r^2 m^2 - |A (m c - m c0)|^2 of the links with a cylinder or a sphere, in (m, m c).
+        c, forms = problem.conditions, []
+        for i in self._round.nonzero().flatten().tolist():
+            a = torch.cat([-c.round_centre[i].unsqueeze(-1), torch.eye(3, dtype=torch.float64)], -1)
+            a = a * c.round_axes[i].unsqueeze(-1)
+            form = -a.T @ a
+            form[0, 0] += c.round_radius[i] ** 2
+            forms.append(form)
+        self._forms = torch.stack(forms) if forms else None
         self._total = region.physical and bool(torch.isfinite(region.total_mass).all())
         self.weight = problem.target.matrix_by_link
         physical = 4 * n + 2 * int(self._round.sum()) + 2 * self._total if region.physical else 0
@@ -80,26 +90,21 @@ class Barrier:
         """x after moving p towards the interior point until all slacks are positive, and then by
         the share `inward` of what is left. (In p the region is convex: the segment stays in.)"""
         low, high = self._region.box.to(p).unbind(-1)
+        edge = _EDGE * (high - low)
         p = torch.clamp(p, low, high)
         centre = self._region.inside.to(p)
         out = p + _STARTS[-1] * (centre - p)
         for share in reversed(_STARTS[:-1]):
             tried = p + share * (centre - p)
-            inside = (
-                (tried > low + _EDGE * (high - low)) & (tried < high - _EDGE * (high - low))
-            ).all(-1)
+            inside = ((tried > low + edge) & (tried < high - edge)).all(-1)
             inside &= torch.isfinite(self.value(self.point(tried)))
             if self._region.physical:
-                inside &= self._well_inside(tried)
+                second = second_moment(self._problem.split(tried)[2])
+                smallest = torch.linalg.eigvalsh(second)[..., 0]
+                size = second.diagonal(dim1=-2, dim2=-1).sum(-1).abs()
+                inside &= (smallest > _EDGE * size).all(-1)
             out = torch.where(inside.unsqueeze(-1), tried, out)
         return self.point(out + inward * (centre - out))
-
-    def _well_inside(self, p: Tensor) -> Bool[Tensor, " R"]:
-        _, _, inertia, _ = self._problem.split(p)
-        second = second_moment(inertia)
-        smallest = torch.linalg.eigvalsh(second)[..., 0]
-        size = second.diagonal(dim1=-2, dim2=-1).sum(-1).abs()
-        return (smallest > _EDGE * size).all(-1)
 
     def _links(self, x: Tensor) -> Float[Tensor, "R n 10"]:
         return x[:, : 10 * self._n].unflatten(-1, (self._n, 10))
@@ -109,17 +114,20 @@ class Barrier:
         inertia = InertialParameters(links).inertia_about_com
         low, high = self._inertia.to(x).unbind(-1)
         rest, (least, most) = x[:, 10 * self._n :], self._rest.to(x).unbind(-1)
-        total = None
+        total = round_ = None
         if self._total:
             sum_of_masses = links[..., 0].sum(-1)
             lower, upper = self._region.total_mass.to(x).unbind(-1)
             total = torch.stack([sum_of_masses - lower, upper - sum_of_masses], -1)
+        if self._forms is not None:
+            own = links[:, self._round, :4]
+            round_ = torch.einsum("rnk,nkl,rnl->rn", own, self._forms.to(own), own)
         return _Slacks(
             linear=self._linear_slack(links),
             inertia=(inertia - low, high - inertia),
             rest=(rest - least, most - rest),
             total=total,
-            round=self._round_slack(links) if bool(self._round.any()) else None,
+            round=round_,
         )
 
     def _linear_slack(self, links: Tensor) -> Float[Tensor, "R n 8"]:
@@ -143,15 +151,24 @@ class Barrier:
     def derivatives(self, x: Float[Tensor, "R P"]) -> tuple[Tensor, Tensor]:
         """Gradient (R, P), and the positive semidefinite Hessian (R, P, P)."""
         n, slacks = self._n, self._slacks(x)
-        slope, curve = self._of_linear(slacks.linear)
+        c, inverse = self._linear.to(x), 1 / slacks.linear
+        scaled = c * inverse.unsqueeze(-1)
+        slope = -torch.einsum("njk,rnj->rnk", c, inverse)
+        curve = scaled.transpose(-1, -2) @ scaled
         more, extra = self._of_inertias(x, *slacks.inertia)
         slope, curve = slope + more, curve + extra
         if self._region.physical:
-            more, extra = self._of_pseudo_inertia(x)
-            slope, curve = slope + more, curve + extra
-        if slacks.round is not None:
-            more, extra = self._of_round(x, slacks.round)
-            slope, curve = slope + more, curve + extra
+            inverse = torch.linalg.inv_ex(self._pseudo_inertia(x))[0]
+            turned = torch.einsum("rnij,kjl->rnkil", inverse, self._basis.to(x))
+            slope = slope - turned.diagonal(dim1=-2, dim2=-1).sum(-1)
+            curve = curve + turned.flatten(-2) @ turned.mT.flatten(-2).mT
+        if slacks.round is not None and self._forms is not None:
+            forms, slack = self._forms.to(x), slacks.round.unsqueeze(-1)
+            push = 2 * torch.einsum("nkl,rnl->rnk", forms, self._links(x)[:, self._round, :4])
+            push, rows = push / slack, self._round.nonzero().flatten()
+            slope[:, rows, :4] -= push
+            own = push.unsqueeze(-1) * push.unsqueeze(-2) - 2 * forms / slack.unsqueeze(-1)
+            curve[:, rows, :4, :4] += own
         gradient = torch.zeros_like(x)
         hessian = x.new_zeros(*x.shape, x.shape[-1])
         gradient[:, : 10 * n] = slope.flatten(1)
@@ -166,13 +183,6 @@ class Barrier:
             gradient[:, masses] += (1 / above - 1 / below).unsqueeze(-1)
             hessian[:, masses, masses] += (below.pow(-2) + above.pow(-2))[:, None, None]
         return gradient, hessian
-
-    def _of_linear(self, slack: Tensor) -> tuple[Tensor, Tensor]:
-        c = self._linear.to(slack)
-        inverse = 1 / slack
-        slope = -torch.einsum("njk,rnj->rnk", c, inverse)
-        scaled = c * inverse.unsqueeze(-1)
-        return slope, scaled.transpose(-1, -2) @ scaled
 
     def _of_inertias(self, x: Tensor, below: Tensor, above: Tensor) -> tuple[Tensor, Tensor]:
         """Bounds on the barycentric inertias: I = J - u(mc)/m, u the parallel-axis terms.
@@ -194,45 +204,6 @@ class Barrier:
         for axis in range(3):
             w[..., axis, 1 + axis] = 1.0
         curve = curve + w.transpose(-1, -2) @ (w * per_axis.unsqueeze(-1))
-        return slope, curve
-
-    def _of_pseudo_inertia(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        basis = self._basis.to(x)
-        inverse = torch.linalg.inv_ex(self._pseudo_inertia(x))[0]
-        turned = torch.einsum("rnij,kjl->rnkil", inverse, basis)
-        slope = -turned.diagonal(dim1=-2, dim2=-1).sum(-1)
-        flat = turned.flatten(-2)
-        return slope, flat @ turned.transpose(-1, -2).flatten(-2).transpose(-1, -2)
-
-    def _round_slack(self, links: Tensor) -> Float[Tensor, "R L"]:
-        """r^2 m^2 - |A (m c - m c0)|^2 of the links with a cylinder or a sphere."""
-        own = links[:, self._round, :4]
-        return torch.einsum("rnk,nkl,rnl->rn", own, self._round_forms().to(own), own)
-
-    def _round_forms(self) -> Float[Tensor, "L 4 4"]:
-        c = self._problem.conditions
-        forms = []
-        for i in self._round.nonzero().flatten().tolist():
-            # Rows of A (mc - m c0) in terms of (m, mc).
-            a = torch.cat([-c.round_centre[i].unsqueeze(-1), torch.eye(3, dtype=torch.float64)], -1)
-            a = a * c.round_axes[i].unsqueeze(-1)
-            form = -a.T @ a
-            form[0, 0] += c.round_radius[i] ** 2
-            forms.append(form)
-        return torch.stack(forms)
-
-    def _of_round(self, x: Tensor, slack: Tensor) -> tuple[Tensor, Tensor]:
-        links = self._links(x)
-        forms = self._round_forms().to(x)
-        own = links[:, self._round, :4]
-        slack = slack.unsqueeze(-1)
-        push = 2 * torch.einsum("nkl,rnl->rnk", forms, own) / slack
-        slope = torch.zeros_like(links)
-        curve = links.new_zeros(*links.shape, 10)
-        rows = self._round.nonzero().flatten()
-        slope[:, rows, :4] = -push
-        own_curve = push.unsqueeze(-1) * push.unsqueeze(-2) - 2 * forms / slack.unsqueeze(-1)
-        curve[:, rows, :4, :4] = own_curve
         return slope, curve
 
     def reach(self, x: Float[Tensor, "R P"], step: Float[Tensor, "R P"]) -> Float[Tensor, " R"]:
@@ -268,12 +239,6 @@ def _linear_slacks(box: Tensor, n: int) -> tuple[Float[Tensor, "n 8 10"], Float[
         rows[:, 2 + axis, 1 + axis], rows[:, 2 + axis, 0] = 1.0, -com[:, axis, 0]
         rows[:, 5 + axis, 1 + axis], rows[:, 5 + axis, 0] = -1.0, com[:, axis, 1]
     return rows, constant
-
-
-def _pseudo_inertia_basis() -> Float[Tensor, "10 4 4"]:
-    """The pseudo-inertia as sum over a link's ten parameters of these matrices."""
-    eye = torch.eye(10, dtype=torch.float64)
-    return InertialParameters(eye).pseudo_inertia
 
 
 def _barycentric_slopes(com: Float[Tensor, "R n 3"]) -> Float[Tensor, "R n 6 10"]:

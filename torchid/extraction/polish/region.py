@@ -61,7 +61,9 @@ def region(problem: Problem, *, conditions: bool) -> Region:
     box, contradictions = _narrowed(problem)
     mass, total, against = _masses(problem, box[:n])
     com, round_links, outside = _centres(problem, box[n : 4 * n].reshape(n, 3, 2))
-    inertia, impossible = _inertias(box[4 * n : 10 * n].reshape(n, 6, 2))
+    # Inertias (n, 6) inside their bounds with S as positive definite as the bounds allow.
+    inertia = torch.stack([_best_inertia(own) for own in box[4 * n : 10 * n].reshape(n, 6, 2)])
+    impossible = [f"inertia_{i + 1}" for i in range(n) if float(second_moments(inertia[i])[0]) <= 0]
     inside = torch.cat([mass, com.flatten(), inertia.flatten(), box[10 * n :].mean(-1)])
     return Region(
         box,
@@ -78,18 +80,12 @@ def _narrowed(problem: Problem) -> tuple[Tensor, list[str]]:
     boxes of the centres of mass."""
     n = problem.n
     box = problem.box.clone()
-    found = []
-    for i in range(n):
-        if box[i, 1] <= 0:
-            found.append(f"mass_{i + 1}")
-        else:
-            box[i, 0] = box[i, 0].clamp(min=0.0)
     names = coefficient_reasons(problem.target.effects)
-    for k in problem.non_negative.nonzero().flatten().tolist():
-        if box[10 * n + k, 1] <= 0:
-            found.append(names[k])
-        else:
-            box[10 * n + k, 0] = box[10 * n + k, 0].clamp(min=0.0)
+    signed = [(i, f"mass_{i + 1}") for i in range(n)]
+    signed += [(10 * n + k, names[k]) for k in problem.non_negative.nonzero().flatten().tolist()]
+    found = [name for k, name in signed if box[k, 1] <= 0]
+    for k in [k for k, name in signed if name not in found]:
+        box[k, 0] = box[k, 0].clamp(min=0.0)
     asked = problem.conditions.com_box.reshape(-1, 2).to(box)
     own = box[n : 4 * n]
     low, high = torch.maximum(own[:, 0], asked[:, 0]), torch.minimum(own[:, 1], asked[:, 1])
@@ -137,17 +133,6 @@ def _centres(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:
     met = asked & possible & ~out
     missed = (asked & ~met).nonzero().flatten().tolist()
     return point, met, [f"shape_{i + 1}" for i in missed]
-
-
-def _inertias(box: Tensor) -> tuple[Tensor, list[str]]:
-    """Inertias (n, 6) inside their bounds with S as positive definite as the bounds allow."""
-    chosen, impossible = [], []
-    for i, own in enumerate(box):
-        inertia = _best_inertia(own)
-        if float(second_moments(inertia)[0]) <= 0:
-            impossible.append(f"inertia_{i + 1}")
-        chosen.append(inertia)
-    return torch.stack(chosen), impossible
 
 
 def _best_inertia(box: Float[Tensor, "6 2"]) -> Float[Tensor, "6"]:

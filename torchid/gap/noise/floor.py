@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import torch
 
 from torchid.design.columns import Columns
-from torchid.design.segments import Samples, Segment, moving_samples, when
+from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
+from torchid.effects.registry import effect_torque
 from torchid.gap.data.repeats import Repeats
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.noise.flexible import predict_out_of_fold
@@ -47,11 +48,16 @@ class Noise:
         structure: (n,) share of the noise's variance that a flexible predictor still finds in what
             the model leaves, where that is significant; else 0.
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
+        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s]: what a joint
+            did while it may have stuck would be a gap of its own.
+        uneven: (n,) joints whose noise is not the same everywhere.
     """
 
     floor: NoiseFloor
     structure: Float[Tensor, " n"]
     unpredicted: Float[Tensor, " n"]
+    reach: Float[Tensor, " n"]
+    uneven: Bool[Tensor, " n"]
 
 
 def noise_of(
@@ -67,21 +73,28 @@ def noise_of(
     Args:
         columns: at the model.
         left: what it leaves.
-        keep: samples in which something left means that something is missing.
+        keep: samples that count.
         band: of the report [Hz].
         repeats: among the segments.
         seed: of the flexible predictor.
     """
     samples, model = columns.samples, columns.model
     segments = samples.segments
-    residual = [s.tau - model.torque(s, samples) for s in segments]
-    looked = left * keep
-    share = keep.double().mean(1).clamp(min=0.05)
     report = Samples(segments, band)
+    residual = [s.tau - model.torque(s, samples) for s in segments]
     floor = _from_repeats(segments, residual, report, repeats)
+    size = left.square().mean(1).sqrt() if floor is None else floor.high
+    reach = stuck(columns, size)
+    telling = keep & moving_samples(samples, reach)
+    looked = left * telling
+    share = telling.double().mean(1).clamp(min=0.05)
     # Between the fit's cut-off and the report's nothing is predicted: all counts as noise.
     within = looked.square().mean(1) / share
-    beyond = (_mean_square(report, residual) - _mean_square(samples, residual)).clamp(min=0)
+    shown, own = (
+        (x.of([r.T for r in residual]).square() * moving_samples(x, reach)).mean(1)
+        for x in (report, samples)
+    )
+    beyond = (shown - own).clamp(min=0) / share
     above = within + beyond > 0 if floor is None else within + beyond > floor.low.square()
     joints = above.nonzero().flatten().tolist()
     found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
@@ -91,18 +104,39 @@ def noise_of(
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
+
+    uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which the structure was found.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
-    structure = found.r2 * looked.square().mean(1) / share / noise.clamp(min=1e-300)
+    structure = found.r2 * within / noise.clamp(min=1e-300)
     structure = torch.where(found.interval[:, 0] > 0, structure, torch.zeros_like(structure))
-    return Noise(floor, structure, unpredicted)
+    return Noise(floor, structure, unpredicted, reach, uneven)
 
 
-def _mean_square(samples: Samples, residual: Sequence[Tensor]) -> Float[Tensor, " n"]:
-    sliding = moving_samples(samples, sliding=True)
-    squares = samples.of([r.T for r in residual]).square() * sliding
-    return squares.sum(1) / sliding.sum(1).clamp(min=1)
+def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """How near to a reversal (n,) a joint may have stuck [s], where what is left says nothing: the
+    further the filter carries that above the noise (n,), the larger dry friction is beside it."""
+    model = columns.model
+    jumping = [p for p in model.effects if p[0].jumps and p[0].joints]
+    dry = torch.zeros(columns.n, dtype=torch.float64)
+    if jumping:
+        torques = [effect_torque(model.robot, jumping, m, m.torque) for m in columns.motions]
+        dry = torch.cat(torques).square().mean(0).sqrt()
+    return reach_of(columns.samples, dry / noise.clamp(min=1e-12))
+
+
+def sliding_only(
+    columns: Columns, keep: Bool[Tensor, "n N"], band: float, repeats: Repeats
+) -> Bool[Tensor, "n N"]:
+    """The samples that count where repeats tell the noise: those in which joints surely slide. There
+    what a joint did while it stuck would stand out as a gap of its own; all samples without."""
+    segments = columns.samples.segments
+    residual = [s.tau - columns.model.torque(s, columns.samples) for s in segments]
+    floor = _from_repeats(segments, residual, Samples(segments, band), repeats)
+    if floor is None:
+        return keep
+    return keep & moving_samples(columns.samples, stuck(columns, floor.high))
 
 
 def _from_repeats(
@@ -116,7 +150,7 @@ def _from_repeats(
         return None
     own = Samples(differences, report.cutoff)
     x = own.of([s.tau.T for s in differences])
-    counting = moving_samples(own, sliding=True)
+    counting = moving_samples(own, REACH / own.cutoff)
     length = max(4, round(BLOCK_SECONDS / own.interval))
     block = block_numbers(own.bounds, length)
     squares = x.square() * counting

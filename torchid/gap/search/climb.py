@@ -6,24 +6,27 @@ one that lowers the held-out error of no joint by a share that the user finds wo
 the least worthy first.
 """
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 
 import torch
 
-from torchid.design.gram import Normal
+from torchid.design.gram import Normal, Solved
 from torchid.effects.registry import KINDS
 from torchid.gap.search.evidence import (
     Fitted,
     Offer,
     Question,
     causes,
+    cost,
     effective_samples,
     fit_terms,
     is_common,
     offers,
-    residual,
+    refused,
+    ridge_of,
+    subset_of,
 )
 from torchid.gap.search.terms import BASE, Term
 from torchid.typing import Float, Tensor
@@ -31,23 +34,17 @@ from torchid.typing import Float, Tensor
 TRIED = 10
 """Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no name."""
 
+FRICTION = ("coulomb_friction", "viscous_friction")
+"""What a joint without any friction in its model lacks at once: one alone takes the other's part."""
+
 CLOSELY = 3
 """Of these, those whose effective samples are computed."""
 
+FORETOLD = 0.3
+"""Share of a term's squares that the other folds must hold for its coefficients to be taken from
+them [1]; of something that is there all the time four folds of five hold 0.8."""
+
 Move = tuple[Term, ...]
-
-
-@dataclass(frozen=True)
-class Worth:
-    """From which size on a cause is worth a name.
-
-    Attributes:
-        gap: share of a joint's gap, as far as it can be explained [1].
-        torque: share of a joint's torque [1].
-    """
-
-    gap: float = 0.05
-    torque: float = 0.01
 
 
 def empty_fit(question: Question) -> Fitted:
@@ -59,7 +56,7 @@ def empty_fit(question: Question) -> Fitted:
 
 def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
-    fit = _refitted(question, tuple(start))
+    fit = allowed(question, _refitted(question, tuple(start)))
     seen = {_signature(fit)}
     while True:
         better = _added(question, fit, most) or _lighter(question, fit) or _swapped(question, fit)
@@ -73,6 +70,17 @@ def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
             fit = lighter
             seen.add(_signature(fit))
             lighter = _lighter(question, fit)
+
+
+def allowed(question: Question, fit: Fitted) -> Fitted:
+    """Without the terms that physics refuses beside the others."""
+    while fit.evidence == -math.inf:
+        gone = refused(fit.terms, Solved(fit.x, fit.root))
+        own = [t for t in _own(question, fit) if all(t is not g for g in gone)]
+        if len(own) == len(_own(question, fit)):
+            break
+        fit = fit_terms(question, own, fit.effective, fit.weight)
+    return fit
 
 
 def _own(question: Question, fit: Fitted) -> tuple[Term, ...]:
@@ -91,41 +99,39 @@ def _refitted(question: Question, terms: Sequence[Term]) -> Fitted:
     return fit_terms(question, terms, effective, effective / fit.losses.clamp(min=1e-300))
 
 
-def moves(question: Question, fit: Fitted) -> list[tuple[float, Move]]:
+def moves(question: Question, fit: Fitted, *, groups: bool = True) -> list[tuple[float, Move]]:
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
     viscous friction of a joint together, and what most joints have at once, priced as one cause."""
     n = question.candidates.gram.n
     own = _own(question, fit)
     found = offers(question, fit)
-    out: list[tuple[float, Move]] = []
-    for offer in found:
-        price = 0.0 if is_common(offer.term.name, (*own, offer.term), n) and is_common(
-            offer.term.name, own, n
-        ) else question.price()
-        out.append((offer.net - price, (offer.term,)))
+    # A further joint of what most joints have is no further cause.
+    free = {name for name in {t.name for t in own} if is_common(name, own, n)}
+    out: list[tuple[float, Move]] = [
+        (o.net - (0.0 if o.term.name in free and o.term.place is not None else question.price()),
+         (o.term,))
+        for o in found
+    ]  # fmt: skip
     best: dict[tuple[str, int], Offer] = {}
-    for offer in found:
-        name, place = offer.term.name, offer.term.place
-        if place is not None and name in KINDS and KINDS[name].on_all:
-            best.setdefault((name, place), offer)
-    names = sorted({name for name, _ in best})
-    for pair in [(a,) for a in names] + [("coulomb_friction", "viscous_friction")]:
-        if not set(pair) <= set(names):
-            continue
-        together: list[tuple[float, Move]] = []
-        for j in range(n):
-            own_offers = [best[(name, j)] for name in pair if (name, j) in best]
-            if len(own_offers) < len(pair):
+    for offer in found if groups else ():
+        if offer.term.place is not None and KINDS[offer.term.name].on_all:
+            best.setdefault((offer.term.name, offer.term.place), offer)
+    both = FRICTION if groups else ()
+    for names in [*((name,) for name in sorted({name for name, _ in best})), both]:
+        nets: list[tuple[float, Move]] = []
+        for j in range(n) if names else ():
+            offered = [best[(name, j)] for name in names if (name, j) in best]
+            if len(offered) < len(names):
                 continue
-            net = _joint_net(question, fit, [o.term for o in own_offers], j)
-            if len(pair) > 1:
-                out.append((net - len(pair) * question.price(), tuple(o.term for o in own_offers)))
+            terms = tuple(o.term for o in offered)
+            net = offered[0].net if len(names) == 1 else _joint_net(question, fit, terms, j)
+            if len(names) > 1:
+                out.append((net - len(names) * question.price(), terms))
             if net > 0:
-                together.append((net, tuple(o.term for o in own_offers)))
-        if 2 * len(together) >= n and len(together) > 1:
-            terms = tuple(t for _, move in together for t in move)
-            net = sum(g for g, _ in together)
-            out.append((net - len(pair) * question.price(), terms))
+                nets.append((net, terms))
+        if 2 * len(nets) >= n and len(nets) > 1:
+            together = tuple(t for _, terms in nets for t in terms)
+            out.append((sum(net for net, _ in nets) - len(names) * question.price(), together))
     return sorted(out, key=lambda move: -move[0])
 
 
@@ -134,7 +140,7 @@ def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term], joint: in
     else stays as it is."""
     g, s = question.normal.g[joint], fit.subset.joints[joint]
     v = s.target.clone()
-    v[s.at] -= fit.x[s.of]
+    v.index_add_(0, s.at, -fit.x[s.of])
     at = torch.cat([t.at for t in terms])
     b = g[at] @ v
     inner = g[at.unsqueeze(1), at]
@@ -157,14 +163,23 @@ def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
 
 
 def _lighter(question: Question, fit: Fitted) -> Fitted | None:
-    """Without the term that the evidence misses least, if it rises."""
+    """Without the term that the evidence misses least, if it rises. What a term holds beside the
+    others is x' C^-1 x, C the block of the covariance (Wald): the weakest are looked at exactly."""
     own = _own(question, fit)
-    if not own:
-        return None
-    options = [tuple(t for t in own if t is not term) for term in own]
-    found = [fit_terms(question, o, fit.effective, fit.weight) for o in options]
-    best = max(found, key=lambda f: f.evidence)
-    return best if best.evidence > fit.evidence else None
+    spread = fit.root @ fit.root.T
+    held: list[tuple[float, int]] = []
+    first = len(fit.x) - sum(len(t.at) for t in own)
+    for k, term in enumerate(own):
+        rows = slice(first, first + len(term.at))
+        first = rows.stop
+        inner = torch.linalg.pinv(spread[rows, rows], rtol=1e-9, hermitian=True)
+        held.append((float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k))
+    weakest = [k for value, k in sorted(held)[:CLOSELY]]
+    found = [
+        fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight) for k in weakest
+    ]
+    best = max(found, key=lambda f: f.evidence, default=None)
+    return best if best is not None and best.evidence > fit.evidence else None
 
 
 def _swapped(question: Question, fit: Fitted) -> Fitted | None:
@@ -174,9 +189,10 @@ def _swapped(question: Question, fit: Fitted) -> Fitted | None:
     for term in own:
         rest = tuple(t for t in own if t is not term)
         without = fit_terms(question, rest, fit.effective, fit.weight)
-        options = [m for _, m in moves(question, without)[:3]]
-        for move in options:
-            if move == (term,) or any(t.name == BASE for t in move):
+        for _, move in moves(question, without, groups=False)[:CLOSELY]:
+            if move[0] is term:
+                break  # nothing is better to first order
+            if move[0].name == BASE:
                 continue
             other = fit_terms(question, (*rest, *move), fit.effective, fit.weight)
             if best is None or other.evidence > best.evidence:
@@ -197,7 +213,11 @@ def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) 
         then = fit_terms(question, own, after, after / likely.losses.clamp(min=1e-300))
         now = fit_terms(question, _own(question, fit), after, after / fit.losses.clamp(min=1e-300))
         rise = then.evidence - now.evidence
-        if rise > 0 and (best is None or rise > best[0]):
+        # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
+        # error falls by as much: what is still missing may be larger.
+        size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
+        least = question.least(now.losses / rows.clamp(min=1.0))
+        if rise > 0 and bool((size >= least).any()) and (best is None or rise > best[0]):
             best = rise, then
     return None if best is None else best[1]
 
@@ -205,24 +225,34 @@ def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) 
 def held_out_losses(
     question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted, terms: Sequence[Term]
 ) -> Float[Tensor, " n"]:
-    """Sums of squares that terms leave on data they were not fitted on."""
-    from torchid.gap.search.evidence import ridge_of, subset_of
-
+    """Sums of squares that terms leave on data they were not fitted on. What happened once cannot be
+    foretold: a term that the other folds hardly hold keeps the coefficients of all data there."""
     every = (*question.fixed, *terms)
     total = torch.zeros_like(fit.losses)
     subset, ridge = subset_of(question.normal, every), ridge_of(every)
+    whole = question.normal.solve(subset, fit.weight, ridge).x
+    held = _energies(question.normal, every)
     for train, test in folds:
         x = train.solve(subset, fit.weight, ridge).x
-        total += test.losses(subset, x)
+        seen = _energies(train, every) >= FORETOLD * held
+        total += test.losses(subset, torch.where(seen, x, whole))
     return total
+
+
+def _energies(normal: Normal, terms: Sequence[Term]) -> Float[Tensor, " K"]:
+    """Squares of the terms' columns, each term's largest for all of its columns."""
+    parts = []
+    for term in terms:
+        joints = range(len(normal.g)) if term.place is None else (term.place,)
+        rows = torch.stack([normal.g[j].diagonal()[term.at] for j in joints]).sum(0)
+        parts.append(torch.full_like(rows, float(rows.max())))
+    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.float64)
 
 
 def worthy(
     question: Question,
     folds: Sequence[tuple[Normal, Normal]],
     fit: Fitted,
-    torque: Float[Tensor, " n"],
-    worth: Worth,
 ) -> tuple[Fitted, list[Term]]:
     """Without the causes that are not worth a name, the least worthy first.
 
@@ -230,26 +260,22 @@ def worthy(
         question: what is explained.
         folds: (fitted on, judged on).
         fit: a finished explanation.
-        torque: (n,) RMS of the joints' torque.
-        worth: the user's.
 
     Returns:
         what is left, and the terms that left.
     """
     left: list[Term] = []
+    fit = allowed(question, fit)
     rows = sum(test.rows for _, test in folds)
     assert isinstance(rows, Tensor)
     rows = rows.clamp(min=1.0)
     while own := _own(question, fit):
-        before = held_out_losses(question, folds, fit, ())
         now = held_out_losses(question, folds, fit, own)
-        explained = (before / rows - now / rows).clamp(min=0).sqrt()
-        least = torch.maximum(worth.gap * explained, worth.torque * torque).clamp(min=1e-300)
         ratios = []
         for cause in cause_groups(own, len(now)):
             rest = [t for t in own if all(t is not c for c in cause)]
             lost = held_out_losses(question, folds, fit, rest)
-            fall = ((lost / rows).sqrt() - (now / rows).sqrt()) / least
+            fall = ((lost / rows).sqrt() - (now / rows).sqrt()) / question.least(lost / rows)
             joints = sorted({j for t in cause for j in _joints(t, len(now))})
             ratio = fall[joints].sort(descending=True).values
             # What most joints have must be worth it on more than half of them.
@@ -262,7 +288,7 @@ def worthy(
             gone = [min(gone, key=lambda t: _single_fall(question, folds, fit, own, t))]
         left += gone
         keep = [t for t in own if all(t is not c for c in gone)]
-        fit = fit_terms(question, keep, fit.effective, fit.weight)
+        fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))
     return fit, left
 
 

@@ -19,7 +19,7 @@ import torch
 
 from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
-from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
+from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
 
@@ -27,6 +27,9 @@ VISIBLE = 0.01
 """Share of a column's square that must be left beside the model for it to be seen at all. Of less,
 what is left is noise of the columns and the misfit of what is there: the coefficient would be large
 and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are unseen."""
+
+LOOKED_AT = 24
+"""Terms of one place and number of columns that are offered at most; more than all effects there."""
 
 SURE = 2.0
 """Standard deviations beyond what physics allows from which a coefficient is refused."""
@@ -63,6 +66,19 @@ class Fitted:
         return list(self.x.split([len(t.at) for t in self.terms]))
 
 
+@dataclass(frozen=True)
+class Worth:
+    """From which size on a cause is worth a name.
+
+    Attributes:
+        gap: share of a joint's error without the cause [1].
+        torque: share of a joint's torque [1].
+    """
+
+    gap: float = 0.05
+    torque: float = 0.01
+
+
 @dataclass(frozen=True, eq=False)
 class Question:
     """What is to be explained, by which candidates.
@@ -71,12 +87,16 @@ class Question:
         candidates: with their normal equations.
         normal: of the samples that are explained.
         alpha: family-wise level.
+        worth: least size of a cause.
+        torque: (n,) mean square of the joints' torque.
         rows: columns of terms that were in a model, as samples.
     """
 
     candidates: Candidates
     normal: Normal
     alpha: float
+    worth: Worth
+    torque: Float[Tensor, " n"]
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
 
     @property
@@ -88,6 +108,12 @@ class Question:
     def looks(self) -> float:
         """Candidates that are looked at."""
         return float(max(1, len(self.candidates.terms)))
+
+    def least(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is so
+        large, as a mean square."""
+        gap = self.worth.gap * error.clamp(min=0).sqrt()
+        return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
 
     def price(self) -> float:
         """Of a cause."""
@@ -193,7 +219,31 @@ def fit_terms(
     gain = effective * (nothing.clamp(min=1e-300) / losses.clamp(min=1e-300)).log()
     prior = float((ridge * solved.x.square()).sum())
     evidence = float(gain.sum()) - prior - cost(question, terms, effective)
+    if refused(every, solved):
+        evidence = -math.inf
     return Fitted(every, subset, solved.x, solved.root, losses, evidence, effective)
+
+
+def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
+    """Terms of which physics forbids a coefficient, or that are larger than on any arm, beyond what
+    their own uncertainty explains: a friction that drives, a load of negative mass."""
+    first = 0
+    out = []
+    std = solved.root.norm(dim=1)
+    for term in terms:
+        own = slice(first, first + len(term.at))
+        first = own.stop
+        if term.name == BASE:
+            continue
+        known = torch.tensor(term.known, dtype=torch.float64)
+        signed = torch.tensor([c.non_negative for c in term.coefficients])
+        largest = torch.tensor([c.largest for c in term.coefficients], dtype=torch.float64)
+        # A term that stands in the place of the model's own is the whole of it.
+        total = solved.x[own] + (0 if term.instead else known)
+        slack = SURE * std[own] + 1e-12
+        if bool((signed & (total < -slack)).any() or (solved.x[own].abs() > largest + slack).any()):
+            out.append(term)
+    return out
 
 
 def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
@@ -271,7 +321,7 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
     pulls: list[Tensor] = []
     for w, g, s in zip(weight.tolist(), normal.g, fit.subset.joints, strict=True):
         v = s.target.clone()
-        v[s.at] -= solved.x[s.of]
+        v.index_add_(0, s.at, -solved.x[s.of])
         b = w * (g @ v)
         h = w * (g[:, s.at] @ solved.root[s.of])
         held_common += h[:common]
@@ -304,16 +354,14 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
         gains, counts, x = _gains(batch, gram, h, b)
         if batch.place is not None:
             gains = gains - extra
-        n = normal.rows.sum() if batch.place is None else normal.rows[batch.place]
-        price = math.log(max(float(n), 2.0))
-        for m, term in enumerate(batch.terms):
-            gain = float(gains[m])
-            if gain <= 0 or term.key in present or term in fit.terms:
-                continue
-            # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
-            share = min(gain / max(float(n), 1e-9), 1 - 1e-9)
-            rise = -float(n) * math.log1p(-share)
-            out.append(Offer(term, rise, (int(counts[m]) + term.shapes) * price))
+        n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
+        # What is gained on one joint cannot exceed what is there: n log(1 / (1 - share)).
+        rise = -n * torch.log1p(-(gains / max(n, 1e-9)).clamp(0, 1 - 1e-9))
+        paid = (counts + batch.shapes) * math.log(max(n, 2.0))
+        for m in (rise - paid).argsort(descending=True)[:LOOKED_AT].tolist():
+            term = batch.terms[m]
+            if float(gains[m]) > 0 and term.key not in present and term not in fit.terms:
+                out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 
 

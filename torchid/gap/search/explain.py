@@ -10,8 +10,15 @@ from torchid.design.gram import Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data.prepare import Data
-from torchid.gap.search.climb import Worth, climbed, empty_fit, worthy
-from torchid.gap.search.evidence import Fitted, Question, fit_terms, residual, rows_of
+from torchid.gap.search.climb import allowed, climbed, empty_fit, held_out_losses, worthy
+from torchid.gap.search.evidence import (
+    Fitted,
+    Question,
+    Worth,
+    fit_terms,
+    residual,
+    rows_of,
+)
 from torchid.gap.search.events import contacts
 from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
@@ -85,7 +92,7 @@ def explained(
         parts: (N,) fold of every sample; the last number is of those between folds.
         block: (N,) block of every sample.
     """
-    torque = torch.cat([s.tau for s in data.segments]).square().mean(0).sqrt()
+    torque = torch.cat([s.tau for s in data.segments]).square().mean(0)
     at, extra = model, list[Effect]()
     start: tuple[Term, ...] = ()
     gap = Columns(model, data.samples).gap()
@@ -93,7 +100,8 @@ def explained(
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
         candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
-        return Question(candidates, candidates.gram.over(), rules.alpha)
+        normal = candidates.gram.over()
+        return Question(candidates, normal, rules.alpha, rules.worth, torque)
 
     for attempt in range(PASSES):
         columns = Columns(at, data.samples)
@@ -114,8 +122,8 @@ def explained(
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
             fit = climbed(question, again, rules.most)
         folds = folds_of(question.candidates)
-        fit, left = worthy(question, folds, fit, torque, rules.worth)
-        fit = with_bodies(question, folds, fit, torque, rules)
+        fit, left = worthy(question, folds, fit)
+        fit = with_bodies(question, folds, fit)
         latest = corrected(model, fit.terms, fit.values(), wanted)
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
@@ -123,7 +131,7 @@ def explained(
         # Secants at the estimate stand beside those at the usual place.
         pairs = zip(fit.terms, fit.values(), strict=True)
         moved = [at_estimate(t, v) for t, v in pairs]
-        start = tuple(moved[len(question.fixed) :])
+        start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     columns = Columns(model, data.samples)
     solution = solved(columns, fit.terms, fit.values(), data, wanted, block)
@@ -143,16 +151,13 @@ def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
 def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
     """The best of what is found from several starts: nothing, dry and viscous friction on all joints,
     and, where more than one body was blamed, all base parameters in their place."""
-    if start:
-        return climbed(question, start, rules.most)
     friction = [
         t
         for t in question.candidates.terms
         if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
     ]
-    found = [climbed(question, (), rules.most)]
-    if friction:
-        found.append(climbed(question, friction, rules.most))
+    starts = [start] if start else [(), friction] if friction else [()]
+    found = [climbed(question, s, rules.most) for s in starts]
     best = max(found, key=lambda f: f.evidence)
     own = best.terms[len(question.fixed) :]
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
@@ -164,11 +169,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
 
 
 def with_bodies(
-    question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
-    fit: Fitted,
-    torque: Float[Tensor, " n"],
-    rules: Rules,
+    question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted
 ) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share of
     every cause, and without displacing any."""
@@ -176,12 +177,28 @@ def with_bodies(
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
-    others = [t for t in own if not t.inertial]
-    more = fit_terms(question, [*others, *base], fit.effective, fit.weight)
+    more = fit_terms(question, [*(t for t in own if not t.inertial), *base], fit.effective, fit.weight)
     if more.evidence <= fit.evidence:
         return fit
-    kept, left = worthy(question, folds, more, torque, rules.worth)
-    return fit if any(t in base for t in left) else kept if not left else more
+    rows = question.normal.rows.clamp(min=1.0)
+    without, beside = (
+        held_out_losses(question, folds, more, terms) / rows
+        for terms in (own, more.terms[len(question.fixed) :])
+    )
+    fall = without.sqrt() - beside.sqrt()
+    return more if bool((fall >= question.least(without)).any()) else fit
+
+
+def without_terms(found: Explanation, gone: Sequence[Term], data: Data, block: Tensor) -> Explanation:
+    """The same explanation without some terms."""
+    question, fit = found.question, found.fit
+    kept = [t for t in found.terms if all(t is not g for g in gone)]
+    less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
+    start = found.solution.start
+    columns = Columns(start, data.samples)
+    wanted = found.solution.wanted
+    solution = solved(columns, less.terms, less.values(), data, wanted, block)
+    return Explanation(question, found.empty, less, found.unworthy, solution)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:
@@ -240,6 +257,8 @@ def _closest(
         k = min(range(len(losses)), key=losses.__getitem__)
         if losses[k] < least:
             best, least = tried[k], losses[k]
+    if isinstance(best, JointEffect) and best.at_an_end(columns.motions):
+        return None
     return best
 
 

@@ -80,6 +80,7 @@ class Batch:
     known: Float[Tensor, "M C"]
     largest: Float[Tensor, "M C"]
     ridge: Float[Tensor, "M C"]
+    shapes: Int[Tensor, " M"]
 
 
 @dataclass(frozen=True)
@@ -364,4 +365,5 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.tensor([[c.largest for c in t.coefficients] for t in own], dtype=torch.float64),
             ridge,
+            torch.tensor([t.shapes for t in own]),
         )

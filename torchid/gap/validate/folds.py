@@ -80,6 +80,8 @@ def traces(
     before: Sequence[Model],
     after: Sequence[Model],
     band: float,
+    *,
+    reach: Float[Tensor, " n"] | None = None,
 ) -> list[Trace]:
     """Torque before and after along every segment, each instant by the models of its own fold.
 
@@ -88,6 +90,8 @@ def traces(
         folds: None where all segments are held out from one pair of models.
         before, after: one model a fold, or one for all.
         band: low-pass of what is reported [Hz].
+        reach: (n,) how near to a joint's reversal instants do not count for how far the gap closes
+            [s]; None where all count.
     """
     out = []
     for k, segment in enumerate(samples.segments):
@@ -119,7 +123,7 @@ def traces(
                 torques[0],
                 torques[1],
                 valid,
-                moving_instants(segment),
+                moving_instants(segment, reach),
             )
         )
     return out

@@ -20,7 +20,7 @@ import torch
 from torchid.effects.base import Motion
 from torchid.extraction.convex.conic import Rows, minimise, triangle
 from torchid.extraction.equal_torque.hit_and_run import Region, analytic_centre, interior_point
-from torchid.extraction.equal_torque.space import EqualTorqueSpace, Limits
+from torchid.extraction.equal_torque.space import EqualTorqueSpace
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -136,19 +136,6 @@ class _Cone:
 
 def _cone(space: EqualTorqueSpace, relaxed: frozenset[str]) -> _Cone | None:
     """The region of a kind as conic rows; None if it has no interior or nothing is relaxed."""
-    limits = _relaxed(space, relaxed)
-    if limits is None:
-        return None
-    region = space.region(limits)
-    start, inside = interior_point(region)
-    if not bool(inside[0]):
-        return None
-    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
-    rows = _rows(region.at(centre, axes), with_bodies="inertia" not in relaxed)
-    return _Cone(rows, centre[0].numpy(), axes[0].numpy())
-
-
-def _relaxed(space: EqualTorqueSpace, relaxed: frozenset[str]) -> Limits | None:
     limits = space.limits(1)
     if "com" in relaxed:
         if bool((space.widest == space.conditions.com_box).all()):
@@ -163,7 +150,13 @@ def _relaxed(space: EqualTorqueSpace, relaxed: frozenset[str]) -> Limits | None:
         # Only |J| limits the inertias then; depth for the barrier to have an inside.
         depth = 4 * space.inertia.amax(-1)
         limits = replace(limits, second=-depth.unsqueeze(0))
-    return limits
+    region = space.region(limits)
+    start, inside = interior_point(region)
+    if not bool(inside[0]):
+        return None
+    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
+    rows = _rows(region.at(centre, axes), with_bodies="inertia" not in relaxed)
+    return _Cone(rows, centre[0].numpy(), axes[0].numpy())
 
 
 def _rows(region: Region, *, with_bodies: bool) -> tuple[Rows, ...]:

@@ -60,23 +60,16 @@ class Setting:
     def widened(self, name: str, share: float, *, total_mass: bool = True) -> "Setting":
         """The same setting with outer bounds that are only a share of the way from the conditions'
         boxes to the outer ones; and without the condition on the total mass, if asked for."""
-        box, outer = self.conditions.com_box, self.outer.com
-        low, high = (torch.minimum, torch.maximum)
-        widest = torch.stack(
-            [low(box[..., 0], outer[..., 0]), high(box[..., 1], outer[..., 1])], -1
-        )
+        box, outer, asked = self.conditions.com_box, self.outer, self.conditions
+        low = torch.minimum(box[..., 0], outer.com[..., 0])
+        high = torch.maximum(box[..., 1], outer.com[..., 1])
+        com = box + share * (torch.stack([low, high], -1) - box)
         own = read_bounds(self.robot, self.geometry).mass
-        free = self.conditions.total_mass.new_tensor([-torch.inf, torch.inf])
-        return replace(
-            self,
-            outer=replace(
-                self.outer,
-                name=name,
-                com=box + share * (widest - box),
-                mass=own + share * (self.outer.mass - own),
-            ),
-            conditions=self.conditions if total_mass else replace(self.conditions, total_mass=free),
-        )
+        mass = own + share * (outer.mass - own)
+        if not total_mass:
+            free = asked.total_mass.new_tensor([-torch.inf, torch.inf])
+            asked = replace(asked, total_mass=free)
+        return replace(self, outer=replace(outer, name=name, com=com, mass=mass), conditions=asked)
 
 
 def equal_torque_setting(
@@ -108,11 +101,29 @@ def equal_torque_setting(
     mass = float(nominal.parameters.mass.sum())
     interval = total_mass or read_total_mass(robot) or (TOTAL_MASS[0] * mass, TOTAL_MASS[1] * mass)
     asked = conditions(robot, com_box=read_bounds(robot, geometry).com, total_mass=interval)
-    nominal_is_feasible = bool(feasibility(nominal, asked).feasible[0])
-    notes: tuple[str, ...] = ()
+    checked, notes = feasibility(nominal, asked), []
     reference, change = nominal, torch.zeros(robot.n, dtype=torch.float64)
-    if not nominal_is_feasible:
-        reference, change, notes = _nearest(robot, nominal, asked, margin)
+    reasons = ", ".join(checked.reasons(0))
+    if reasons:
+        found = nearest_feasible(robot, nominal, asked, margin=margin)
+        if not bool(found.feasible[0]):
+            raise TorchidError(
+                f"no feasible set near the parameters of robot '{robot.name}' was found.",
+                got=f"{reasons}; solver: {found.status[0]}",
+                hint="wider boxes, another interval of the total mass, or a smaller margin",
+            )
+        reference, change = replace(found.sets, ids=("reference",)), found.torque_change[0]
+        notes = [
+            f"the nominal parameters are not feasible ({reasons}): the reference is the feasible "
+            f"set nearest in torque, {float(change.square().mean().sqrt()):.3g} N m from them (RMS "
+            "over joints and random states)"
+        ]
+        before, after = nominal.coefficients[0].tolist(), reference.coefficients[0].tolist()
+        for k in checked.violated_coefficients[0].nonzero().flatten().tolist():
+            name = checked.coefficient_names[k]
+            notes.append(
+                f"{name}: {before[k]:.4g} became {after[k]:.4g}, as physics forbids its sign"
+            )
     return Setting(
         robot=robot,
         geometry=geometry,
@@ -121,9 +132,9 @@ def equal_torque_setting(
         base=base_parameters(robot, nominal.effects),
         nominal=nominal,
         reference=reference,
-        origin="nominal" if nominal_is_feasible else "nearest",
+        origin="nearest" if reasons else "nominal",
         torque_change=change,
-        notes=notes,
+        notes=tuple(notes),
     )
 
 
@@ -142,36 +153,3 @@ def corrected_group(robot: Robot, group: str) -> str:
     the true parameters; else the group itself."""
     name = f"{group}_corrected"
     return name if name in bounds_groups(robot) else group
-
-
-def _nearest(
-    robot: Robot, nominal: ParameterSets, asked: Conditions, margin: float
-) -> tuple[ParameterSets, Tensor, tuple[str, ...]]:
-    """The nearest feasible set, its change of torque, and what to tell the user."""
-    checked = feasibility(nominal, asked)
-    found = nearest_feasible(robot, nominal, asked, margin=margin)
-    if not bool(found.feasible[0]):
-        raise TorchidError(
-            f"no feasible set near the parameters of robot '{robot.name}' was found.",
-            got=f"{', '.join(checked.reasons(0))}; solver: {found.status[0]}",
-            hint="wider boxes, another interval of the total mass, or a smaller margin",
-        )
-    change = found.torque_change[0]
-    reasons = ", ".join(checked.reasons(0))
-    notes = [
-        f"the nominal parameters are not feasible ({reasons}): the reference is the feasible set "
-        f"nearest in torque, {float(change.square().mean().sqrt()):.3g} N m from them (RMS over "
-        "joints and random states)"
-    ]
-    notes += [
-        f"{name}: {before:.4g} became {after:.4g}, as physics forbids its sign"
-        for name, before, after, bad in zip(
-            checked.coefficient_names,
-            nominal.coefficients[0].tolist(),
-            found.sets.coefficients[0].tolist(),
-            checked.violated_coefficients[0].tolist(),
-            strict=True,
-        )
-        if bad
-    ]
-    return replace(found.sets, ids=("reference",)), change, tuple(notes)

@@ -36,7 +36,7 @@ from torchid.study.equal_torque.setting import (
     equal_torque_setting,
     reference_motion,
 )
-from torchid.study.equal_torque.statistics import Samples, Statistics, statistics
+from torchid.study.equal_torque.statistics import Statistics, statistics
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
@@ -167,20 +167,24 @@ def equal_torque_study(
     rate = RATE if motion is None else None
     motion = motion or reference_motion(robot, seed)
     total = 3 if with_variants else 2
-    _tell(progress, "sets with equal torque", 0, total)
+    tell: Progress = progress or (lambda stage, done, total: None)
+    tell("sets with equal torque", 0, total)
     drawn = draw(setting, motion, kinds, per_kind, chains, seed)
-    _tell(progress, "statistics and greatest errors", 1, total)
+    tell("statistics and greatest errors", 1, total)
     samples = drawn.samples()
     to_nominal, offset = _to_nominal(drawn, motion, resamples, seed)
     reach, warnings = _reach(setting, drawn.squares)
     truths, firm = other_truths(samples.kind, samples.degree, drawn.distances())
     variants: tuple[Variant, ...] = ()
     found = statistics(samples, resamples=resamples, seed=seed)
+    tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
+    weight = samples.carried * float(setting.robot.gravity.norm())
+    low, middle, high = np.percentile(weight / samples.error, [2.5, 50, 97.5]).tolist()
     comparison = drawn.compared(resamples, seed)
     if with_variants:
-        _tell(progress, "other outer bounds", 2, total)
+        tell("other outer bounds", 2, total)
         variants = _variants(setting, motion, kinds, per_kind, chains, resamples, seed)
-    _tell(progress, "done", total, total)
+    tell("done", total, total)
     return EqualTorqueStudy(
         setting=setting,
         motion=motion,
@@ -188,7 +192,7 @@ def equal_torque_study(
         family=drawn.family,
         checked=drawn.checked,
         errors=drawn.errors,
-        torque_relative=_torque_relative(setting, motion, drawn.errors),
+        torque_relative=drawn.errors.torque_rms / tau.square().mean(0).sqrt(),
         degree=drawn.degree,
         carried=drawn.carried,
         comparison=comparison,
@@ -196,7 +200,7 @@ def equal_torque_study(
         truths=truths,
         firm_truths=firm,
         reach=reach,
-        static_share=_static_share(samples, setting.robot),
+        static_share=(middle, low, high),
         to_nominal=to_nominal,
         reference_to_nominal=offset,
         variants=variants,
@@ -216,11 +220,6 @@ def _reach(
         return (), (f"no greatest errors: {error.problem}",)
 
 
-def _torque_relative(setting: Setting, motion: Motion, errors: WrenchErrors) -> Tensor:
-    tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
-    return errors.torque_rms / tau.square().mean(0).sqrt()
-
-
 def _first(one: ParameterSets) -> InertialParameters:
     return InertialParameters(one.parameters.pi[0])
 
@@ -238,12 +237,6 @@ def _to_nominal(
         for sets in (drawn.family.sets, setting.reference)
     )
     return drawn.compared(resamples, seed, errors), float(offset.force_rms.amax())
-
-
-def _static_share(samples: Samples, robot: Robot) -> tuple[float, float, float]:
-    share = samples.carried * float(robot.gravity.norm()) / samples.error
-    low, middle, high = np.percentile(share, [2.5, 50, 97.5]).tolist()
-    return middle, low, high
 
 
 def _variants(
@@ -267,22 +260,12 @@ def _variants(
         compared = drawn.compared(resamples, seed)
         rho = compared.correlation.rho
         worst, own = drawn.samples().error, np.array(drawn.family.kind)
-        found.append(
-            Variant(
-                name,
-                {k: float(np.median(worst[own == k])) for k in dict.fromkeys(drawn.family.kind)},
-                {
-                    e.first: (e.delta.value, e.delta.low, e.delta.high)
-                    for e in compared.effects
-                    if e.second == "feasible"
-                },
-                (rho.value, rho.low, rho.high),
-                _reach(other, drawn.squares)[0],
-            )
-        )
+        medians = {k: float(np.median(worst[own == k])) for k in dict.fromkeys(drawn.family.kind)}
+        deltas = {
+            e.first: (e.delta.value, e.delta.low, e.delta.high)
+            for e in compared.effects
+            if e.second == "feasible"
+        }
+        reach, _ = _reach(other, drawn.squares)
+        found.append(Variant(name, medians, deltas, (rho.value, rho.low, rho.high), reach))
     return tuple(found)
-
-
-def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
-    if progress is not None:
-        progress(stage, done, total)

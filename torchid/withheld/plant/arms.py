@@ -220,9 +220,34 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
     """
     lines = ['<?xml version="1.0"?>', '<robot name="arm">', '  <link name="base"/>']
     for k, joint in enumerate(arm.joints, 1):
-        lines += _link(f"link{k}", joint.inertial())
+        name = f"link{k}"
+        body = joint.inertial()
+        entries = {f"i{'xyz'[a]}{'xyz'[b]}": float(body.inertia[a, b]) for a, b in _UPPER}
+        moments = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
+        lines += [
+            f'  <link name="{name}">',
+            "    <inertial>",
+            f'      <origin xyz="{spaced(body.com)}" rpy="0 0 0"/>',
+            f'      <mass value="{float(body.mass)!r}"/>',
+            f"      <inertia {moments}/>",
+            "    </inertial>",
+            "  </link>",
+        ]
         parent = f"link{k - 1}" if k > 1 else "base"
-        lines += _joint(k, joint, parent, float(damping[k - 1]), float(friction[k - 1]))
+        viscous = float(damping[k - 1])
+        coulomb = float(friction[k - 1])
+        dynamics = f'    <dynamics damping="{viscous!r}" friction="{coulomb!r}"/>'
+        lines += [
+            f'  <joint name="joint{k}" type="revolute">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="link{k}"/>',
+            f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
+            f'    <axis xyz="{spaced(joint.axis)}"/>',
+            f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
+            f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
+            *([dynamics] if viscous or coulomb else []),
+            "  </joint>",
+        ]
     lines += [
         '  <link name="tool"/>',
         '  <joint name="tool_mount" type="fixed">',
@@ -238,32 +263,3 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
 def spaced(values: Array | Triple) -> str:
     """Numbers separated by spaces, none of their digits lost."""
     return " ".join(repr(float(v)) for v in values)
-
-
-def _link(name: str, body: Inertial) -> list[str]:
-    entries = {f"i{'xyz'[a]}{'xyz'[b]}": float(body.inertia[a, b]) for a, b in _UPPER}
-    moments = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
-    return [
-        f'  <link name="{name}">',
-        "    <inertial>",
-        f'      <origin xyz="{spaced(body.com)}" rpy="0 0 0"/>',
-        f'      <mass value="{float(body.mass)!r}"/>',
-        f"      <inertia {moments}/>",
-        "    </inertial>",
-        "  </link>",
-    ]
-
-
-def _joint(k: int, joint: Joint, parent: str, damping: float, friction: float) -> list[str]:
-    dynamics = f'    <dynamics damping="{damping!r}" friction="{friction!r}"/>'
-    return [
-        f'  <joint name="joint{k}" type="revolute">',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="link{k}"/>',
-        f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
-        f'    <axis xyz="{spaced(joint.axis)}"/>',
-        f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
-        f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
-        *([dynamics] if damping or friction else []),
-        "  </joint>",
-    ]

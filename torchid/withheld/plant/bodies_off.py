@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from torchid.withheld.plant.bodies import Array, Inertial, combined, deformed
+from torchid.withheld.plant.bodies import Inertial, combined, deformed
 from torchid.withheld.plant.friction import Planted
 from torchid.withheld.plant.model import Plant
 from torchid.withheld.plant.plan import EffectSpec, Plan, Scene
@@ -38,7 +38,18 @@ def link_inertia(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plan
     parameters = {}
     for joint in effect.joints:
         body = links[joint].body
-        factor, shift, stretch = _change(effect, joint, body, s)
+        # Mass factor, shift [m] and stretch of a link at a scale.
+        draws = effect.draws
+        factor = float(np.exp(s * draws[f"mass_{joint}"]))
+        reach = np.sqrt(np.trace(body.inertia) / body.mass)  # size of the body
+        shift = s * reach * np.array([draws[f"shift_{a}_{joint}"] for a in "xyz"])
+        stretch = np.zeros((3, 3))
+        for entry, value in zip(
+            ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
+            (draws[f"stretch_{k}_{joint}"] for k in range(6)),
+            strict=True,
+        ):
+            stretch[entry] = stretch[entry[::-1]] = s * value
         links[joint] = replace(links[joint], body=deformed(body, factor, shift, stretch))
         parameters[f"link{joint + 1}"] = {
             "mass_factor": factor, "shift": shift.tolist(), "stretch": stretch.tolist()
@@ -72,22 +83,6 @@ def kinematics(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plante
     links = tuple(moved if k == joint else old for k, old in enumerate(plan.plant.links))
     parameters = {"shift": shift.tolist(), "turn": turn.tolist()}
     return _with(plan, replace(plan.plant, links=links)), parameters
-
-
-def _change(effect: EffectSpec, joint: int, body: Inertial, s: float) -> tuple[float, Array, Array]:
-    """Mass factor, shift [m] and stretch of a link at a scale."""
-    draws = effect.draws
-    heavier = float(np.exp(s * draws[f"mass_{joint}"]))
-    reach = np.sqrt(np.trace(body.inertia) / body.mass)  # size of the body
-    shift = s * reach * np.array([draws[f"shift_{a}_{joint}"] for a in "xyz"])
-    stretch = np.zeros((3, 3))
-    for entry, value in zip(
-        ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
-        (draws[f"stretch_{k}_{joint}"] for k in range(6)),
-        strict=True,
-    ):
-        stretch[entry] = stretch[entry[::-1]] = s * value
-    return heavier, shift, stretch
 
 
 def _with(plan: Plan, plant: Plant) -> Plan:

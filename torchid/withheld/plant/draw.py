@@ -138,7 +138,22 @@ def draw_case(
     motion = _motion(np.random.default_rng([seed, number, 3]), n)
     poor, excitation = None, "rich"
     if kind == "poor":
-        poor, excitation = _poor(np.random.default_rng([seed, number, 4]), motion, n)
+        # A motion that tells little: slow, small, or of one or two joints.
+        rng = np.random.default_rng([seed, number, 4])
+        what = str(rng.choice(POOR))
+        levels, reach, moving = motion.levels, 1.0, motion.moving
+        if what == "slow":
+            factor = float(rng.uniform(0.06, 0.12))
+            levels = tuple(level * factor for level in levels)
+        elif what == "small":
+            reach = float(rng.uniform(0.03, 0.08))
+        else:
+            count = int(rng.integers(1, 3))
+            moving = tuple(sorted(int(j) for j in rng.choice(n, count, replace=False)))
+        plan = MotionPlan(
+            motion.seed, motion.shapes, levels, motion.seconds, motion.pauses, moving, reach
+        )
+        poor, excitation = plan, what
     quiet = np.random.default_rng([seed, number, 5])
     knows = quiet.random() < 0.7
     viscous, coulomb = (quiet.uniform(0.003, 0.02, n) * knows for _ in range(2))
@@ -207,27 +222,23 @@ def _effects(
         links = tuple(range(n))
         return (EffectSpec("link_inertia", links, KINDS["link_inertia"].draws(rng, n, links)),)
     if kind == "several":
-        return _several(rng, n)
+        # A pair that looks alike, on one joint; or two or three, each on its own.
+        if rng.random() < 0.35:
+            first, second = COLLINEAR[int(rng.integers(len(COLLINEAR)))]
+            one = drawn_effect(rng, first, n)
+            others = tuple(j for j in range(n) if j not in one.joints)
+            return one, drawn_effect(rng, second, n, avoid=others)
+        count = 2 if rng.random() < 0.7 else 3
+        while True:
+            names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
+            found = _apart(rng, names, n)
+            if found is not None:
+                return found
     if kind == "outside":
         return (drawn_effect(rng, _in_turn(seed, turn, FOREIGN, 103), n),)
     if kind == "single":
         return (drawn_effect(rng, _in_turn(seed, turn, LIBRARY, 104), n),)
     return (drawn_effect(rng, str(rng.choice(LIBRARY)), n),)
-
-
-def _several(rng: np.random.Generator, n: int) -> tuple[EffectSpec, ...]:
-    """A pair that looks alike, on one joint; or two or three, each on its own."""
-    if rng.random() < 0.35:
-        first, second = COLLINEAR[int(rng.integers(len(COLLINEAR)))]
-        one = drawn_effect(rng, first, n)
-        others = tuple(j for j in range(n) if j not in one.joints)
-        return one, drawn_effect(rng, second, n, avoid=others)
-    count = 2 if rng.random() < 0.7 else 3
-    while True:
-        names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
-        found = _apart(rng, names, n)
-        if found is not None:
-            return found
 
 
 def _apart(rng: np.random.Generator, names: Sequence[str], n: int) -> tuple[EffectSpec, ...] | None:
@@ -260,22 +271,6 @@ def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
         pauses=(0.0, *rng.uniform(2.0, 6.0, 3).round(2).tolist()),
         moving=tuple(range(n)),
     )
-
-
-def _poor(rng: np.random.Generator, rich: MotionPlan, n: int) -> tuple[MotionPlan, str]:
-    """A motion that tells little: slow, small, or of one or two joints."""
-    what = str(rng.choice(POOR))
-    levels, reach, moving = rich.levels, 1.0, rich.moving
-    if what == "slow":
-        factor = float(rng.uniform(0.06, 0.12))
-        levels = tuple(level * factor for level in levels)
-    elif what == "small":
-        reach = float(rng.uniform(0.03, 0.08))
-    else:
-        count = int(rng.integers(1, 3))
-        moving = tuple(sorted(int(j) for j in rng.choice(n, count, replace=False)))
-    plan = MotionPlan(rich.seed, rich.shapes, levels, rich.seconds, rich.pauses, moving, reach)
-    return plan, what
 
 
 def _logger(rng: np.random.Generator) -> Logger:

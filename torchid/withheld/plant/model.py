@@ -141,15 +141,6 @@ def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Arra
     Returns:
         The model, and the degrees of freedom (n,) of the motors; any others are deflections.
     """
-    model = mujoco().MjModel.from_xml_string(_xml(plant, kp, kd, step))
-    motors = np.array([int(model.joint(f"motor{k}").dofadr[0]) for k in range(plant.n)])
-    for drive in plant.drives:
-        # What the rotor has the link has not: XML takes no negative number.
-        model.tendon_armature[model.tendon(f"link{drive.joint}").id] = -drive.rotor
-    return model, motors
-
-
-def _xml(plant: Plant, kp: Array, kd: Array, step: float) -> str:
     inner = ""
     for k in reversed(range(plant.n)):
         inner = _body(plant, k, inner)
@@ -160,7 +151,7 @@ def _xml(plant: Plant, kp: Array, kd: Array, step: float) -> str:
         f'biasprm="0 {-float(kp[k])!r} {-float(kd[k])!r}"/>'
         for k in range(plant.n)
     )
-    return (
+    model = mujoco().MjModel.from_xml_string(
         f'<mujoco><compiler angle="radian" autolimits="false"/>'
         f'<option timestep="{step!r}" integrator="implicitfast" gravity="{spaced(plant.gravity)}" '
         f'density="{plant.fluid!r}"/>'
@@ -168,6 +159,11 @@ def _xml(plant: Plant, kp: Array, kd: Array, step: float) -> str:
         f"<worldbody>{_mounted(plant, inner)}</worldbody>"
         f"<tendon>{_tendons(plant)}</tendon><actuator>{actuators}</actuator></mujoco>"
     )
+    motors = np.array([int(model.joint(f"motor{k}").dofadr[0]) for k in range(plant.n)])
+    for drive in plant.drives:
+        # What the rotor has the link has not: XML takes no negative number.
+        model.tendon_armature[model.tendon(f"link{drive.joint}").id] = -drive.rotor
+    return model, motors
 
 
 def _mounted(plant: Plant, inner: str) -> str:

@@ -87,7 +87,17 @@ def _trajectory(scene: Scene, plan: Plan, nominal: Nominal, step: float, number:
         ddq=np.diff(dq, axis=0) / step,
         tau=tau,
     )
-    return Trace(_from(truth, settle), friction[settle:], (friction + added)[settle:])
+    return Trace(
+        Signals(
+            truth.t[settle:],
+            truth.q[settle:],
+            truth.dq[settle:],
+            truth.ddq[settle:],
+            truth.tau[settle:],
+        ),
+        friction[settle:],
+        (friction + added)[settle:],
+    )
 
 
 def _run(
@@ -130,13 +140,3 @@ def commands(shape: Sum, t: Array, scene: Scene, nominal: Nominal) -> Array:
     feed = nominal.rigid(*state) + nominal.damping * state[1] + nominal.friction * speed
     fine = np.stack([np.interp(t, coarse, column) for column in feed.T], 1)
     return scene.kp * q + scene.kd * dq + fine
-
-
-def _from(signals: Signals, start: int) -> Signals:
-    return Signals(
-        signals.t[start:],
-        signals.q[start:],
-        signals.dq[start:],
-        signals.ddq[start:],
-        signals.tau[start:],
-    )

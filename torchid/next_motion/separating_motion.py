@@ -16,13 +16,20 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
-from torchid.excitation.beyond import beyond
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
-from torchid.excitation.rows import Rows, Setting
-from torchid.excitation.separation import HOPELESS, Rival, Told, left_by_forms, named, separations
 from torchid.excitation.torque import TorqueLimits, corrected_torque_limits
 from torchid.excitation.trajectories import random_trajectory
+from torchid.next_motion.rows import Rows, Setting
+from torchid.next_motion.separation import (
+    HOPELESS,
+    Rival,
+    Told,
+    beyond,
+    left_by_forms,
+    named,
+    separations,
+)
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
 
@@ -162,7 +169,9 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     for x in tried:
         rows = Rows(setting, x)
         truth = rows.columns(rival.truth.effects, rival.leaving)
-        own = rows.beside(truth @ torch.tensor(rival.truth.values).double(), rival.leaving)
+        own = rows.beside(
+            truth @ torch.tensor(rival.truth.values, dtype=torch.float64), rival.leaving
+        )
         near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 

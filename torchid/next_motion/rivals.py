@@ -6,10 +6,10 @@ from itertools import product
 
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.registry import KINDS
-from torchid.excitation.ambiguity import INERTIAL, LINK, Open, Question
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rows import Group, Rows
-from torchid.excitation.separation import Explanation, Rival, imitation
+from torchid.next_motion.ambiguity import INERTIAL, LINK, Open, Question
+from torchid.next_motion.rows import Group, Rows
+from torchid.next_motion.separation import Explanation, Rival, imitation
 from torchid.robot.model import Robot
 
 PLAUSIBLE = 0.1

@@ -13,12 +13,15 @@ from torchid.effects.friction_laws import AsymmetricFriction, StribeckFriction
 from torchid.effects.gravity import EncoderOffset
 from torchid.effects.inertia import Payload
 from torchid.errors import TorchidError
-from torchid.excitation.ambiguity import read_open
 from torchid.excitation.limits import limit_usage, motion_limits
-from torchid.excitation.rivals import rivals
-from torchid.excitation.rows import RATE, Rows, Setting
-from torchid.excitation.separating_motion import design_separation
-from torchid.excitation.separation import (
+from torchid.excitation.trajectories import random_trajectory
+from torchid.identification.base_parameters import base_parameters
+from torchid.log.filtering import ZeroPhaseFilter
+from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.rows import RATE, Rows, Setting
+from torchid.next_motion.separating_motion import design_separation
+from torchid.next_motion.separation import (
     DECISIVE,
     SAME,
     Explanation,
@@ -27,9 +30,6 @@ from torchid.excitation.separation import (
     imitation,
     separations,
 )
-from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.base_parameters import base_parameters
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.report.next_motion import separation_verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -63,7 +63,7 @@ def fitted_difference(setting, truth, others, trajectory, *, base=True):
     parts = [z[:, z.norm(dim=0) > 1e-9]] if base else []
     a = torch.cat([*parts, *(rows(o.torque_columns(motion)) for o in others)], 1)
     a = a / a.norm(dim=0)
-    y = rows(truth[0].torque_columns(motion)) @ torch.tensor(truth[1])
+    y = rows(truth[0].torque_columns(motion)) @ torch.tensor(truth[1], dtype=torch.float64)
     x = torch.linalg.lstsq(a, y.unsqueeze(-1), driver="gelsd").solution
     return float((y - (a @ x).flatten()).square().sum()) * 2 * 20.0 / (RATE / 2)
 
@@ -128,7 +128,7 @@ def test_a_decision_needs_more_than_noise_and_more_than_a_share(robot, setting):
 
 
 def test_what_is_told_all_the_time_decides_more_than_what_is_told_once():
-    even, once = torch.full((400,), 0.1), torch.zeros(400)
+    even, once = torch.full((400,), 0.1, dtype=torch.float64), torch.zeros(400, dtype=torch.float64)
     once[40:60] = 2.0
     assert _in_blocks(even, 0) == pytest.approx(40 / DECISIVE)
     assert _in_blocks(once, 0) < 0.25 * _in_blocks(even, 0)
@@ -219,7 +219,7 @@ def diagnosis(robot, **changes):
 def test_pairs_of_a_diagnosis(robot, tmp_path):
     found = read_open(tmp_path, diagnosis(robot), None)
     assert found.kind == "ambiguity"
-    torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.2))
+    torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.2, dtype=torch.float64))
     assert not found.setting.free
     assert found.setting.fitted == ((StribeckFriction(1, vs=0.1),),)
     assert found.notes == (
@@ -239,7 +239,7 @@ def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted
     floor = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
     settings = {"background": ["viscous_friction"], "parameters": "free"}
     found = read_open(tmp_path, diagnosis(robot, noise_floor=floor, settings=settings), None)
-    torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4))
+    torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4, dtype=torch.float64))
     assert found.setting.free
     assert (ViscousFriction(2),) in found.setting.fitted
     hidden = [{"effect": "viscous_friction", "joint": 3, "smallest_detectable": None}]
@@ -250,7 +250,7 @@ def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted
 
 def test_an_effect_common_to_all_joints_and_a_link(robot, tmp_path):
     heavier = robot.with_parameters(
-        InertialParameters(robot.parameters.pi + 0.1 * torch.eye(3, 10).double())
+        InertialParameters(robot.parameters.pi + 0.1 * torch.eye(3, 10, dtype=torch.float64))
     )
     which = [
         {"effect": "time_delay", "joints": [1, 3], "common": True, "parameters": {"delay": 0.01},
@@ -316,7 +316,9 @@ def test_diagnoses_that_ask_for_no_motion(robot, tmp_path, changes, match):
 
 
 def test_a_diagnosis_of_another_robot_is_refused(robot, tmp_path):
-    other = replace(robot, before=robot.before + 0.1 * torch.eye(4).double(), name="other")
+    other = replace(
+        robot, before=robot.before + 0.1 * torch.eye(4, dtype=torch.float64), name="other"
+    )
     for wrong in (load_robot("kuka_lwr4"), other):
         with pytest.raises(TorchidError, match="is of another robot"):
             read_open(tmp_path, diagnosis(robot), wrong)

@@ -7,16 +7,16 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque
-from torchid.excitation.ambiguity import read_open
 from torchid.excitation.design import optimise_trajectory
-from torchid.excitation.rivals import rivals
-from torchid.excitation.separating_motion import design_separation
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
+from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.separating_motion import design_separation
 from torchid.robot.library import load_robot
 
 NOISE = torch.tensor([0.006, 0.08, 0.026], dtype=torch.float64)
@@ -29,7 +29,7 @@ def driven_twice(robot, trajectory, effects):
     state = Motion(motion.q, motion.dq, motion.ddq, t=motion.t)
     tau = nominal_torque(robot, state) + effect_torque(robot, effects, state)
     generator = torch.Generator().manual_seed(1)
-    noise = (NOISE * torch.randn(2, *tau.shape, generator=generator).double()).unbind()
+    noise = (NOISE * torch.randn(2, *tau.shape, generator=generator, dtype=torch.float64)).unbind()
     return Log.concatenate([motion.replace(ddq=None, tau=tau + e) for e in noise])
 
 
@@ -44,7 +44,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion(tmp_path):
     of the other is nearly a combination of base parameters."""
     robot = load_robot("3r")
     poor = random_trajectory(robot, 3, fill=True, usage=0.3, harmonics=2, duration=10.0)
-    moves = torch.tensor([[1.0], [1.0], [0.0]])
+    moves = torch.tensor([[1.0], [1.0], [0.0]], dtype=torch.float64)
     found = diagnosed(
         robot, driven_twice(robot, replace(poor, a=poor.a * moves, b=poor.b * moves), [])
     )

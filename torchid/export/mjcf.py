@@ -1,4 +1,5 @@
-"""A copy of an MJCF with other dynamics: <inertial> and <joint> are written, the rest stays.
+"""MJCF: a copy of a file with other dynamics, in which <inertial> and <joint> are written and the
+rest stays; or, where there is no file to edit, a new one.
 
 Files that the original includes are put in their places, because bodies may be in them.
 """
@@ -8,14 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+from lxml import etree
+
 from torchid.digits import number
 from torchid.errors import TorchidError
-from torchid.export.exact_text import principal, text
+from torchid.export.exact_text import principal, quaternion_of, text
 from torchid.export.joint_dynamics import JointDynamics
-from torchid.export.urdf_edit import refuse_moment_without_mass
+from torchid.export.urdf import refuse_moment_without_mass
 from torchid.export.xml_tree import (
+    DECLARATION,
     XmlFile,
-    child,
+    child_or_new,
     children,
     comment,
     local,
@@ -26,9 +31,18 @@ from torchid.export.xml_tree import (
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
 _UNNAMED = re.compile(r"body_(\d+)_*")
+ATTRIBUTES = {
+    "damping": "damping",
+    "frictionloss": "friction",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
+"""Attributes of a <joint>, and what they are in `JointDynamics`."""
+_DEGREES = 57.29577951308232
 _POSES = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia", "diaginertia")
 _OVERRIDES = ("boundmass", "boundinertia", "balanceinertia", "settotalmass")
 """Settings by which the compiler changes the masses and inertias that a file gives."""
@@ -54,13 +68,33 @@ def edited_mjcf(
             massless link between two joints of one body.
     """
     file = read_xml(original)
-    _expand_includes(file.root, original.parent)
-    _neutral_compiler(file.root)
-    _write_chain(_Bodies(file.root, str(original)), robot, joints, _in_degrees(file.root))
+    # The content of included files in the place of each <include>.
+    while (found := next(file.root.iter("{*}include"), None)) is not None:
+        path = original.parent / (found.get("file") or "")
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+        parent, tail = found.getparent(), found.tail
+        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
+        at = parent.index(found)
+        parent.remove(found)
+        for k, node in enumerate(nodes):
+            parent.insert(at + k, node)
+            node.tail = node.tail if k and (node.tail or "").strip() == "" else tail
+        nodes[-1].tail = tail
+    angles = []
+    for compiler in children(file.root, "compiler"):
+        # Without what would change the masses and inertias that are written.
+        for name in _OVERRIDES:
+            compiler.attrib.pop(name, None)
+        if compiler.get("inertiafromgeom") == "true":
+            compiler.set("inertiafromgeom", "auto")
+        angles += [compiler.get("angle")] if compiler.get("angle") else []
+    degrees = not angles or angles[-1] == "degree"
+    _write_chain(_Bodies(file.root, str(original)), robot, joints, degrees)
     if gravity:
-        option = child(file.root, "option")
-        option = new_child(file.root, "option", first=True) if option is None else option
-        option.set("gravity", text(robot.gravity))
+        child_or_new(file.root, "option", first=True).set("gravity", text(robot.gravity))
     if folder.resolve() != original.parent.resolve():
         _relocate(file.root, original.parent, folder)
     return file
@@ -76,7 +110,13 @@ def _write_chain(
         waiting.append(i)
         body = bodies.find(name)
         if body is None:
-            _refuse_parameters(parameters, i, name)
+            if bool(parameters.pi[i].any()):
+                raise TorchidError(
+                    f"'{name}' lies between two joints of one body, where MJCF has no place for "
+                    "its mass.",
+                    got=parameters.pi[i].tolist(),
+                    hint="--to urdf writes a new file with a link there",
+                )
             continue
         _write_inertial(body, parameters, i, name)
         for fixed in _fixed_below(body):
@@ -85,8 +125,12 @@ def _write_chain(
         if len(own) != len(waiting):
             raise bodies.not_written(name)
         for node, k in zip(own, waiting, strict=True):
-            turns = robot.joint_types[k] is JointType.REVOLUTE
-            _write_joint(node, joints[k], degrees and turns)
+            # All of them, so that defaults of a class do not count.
+            for key, attribute in ATTRIBUTES.items():
+                node.set(key, number(getattr(joints[k], attribute)))
+            if joints[k].stiffness:
+                turns = degrees and robot.joint_types[k] is JointType.REVOLUTE
+                node.set("springref", number(joints[k].rest * (_DEGREES if turns else 1.0)))
         waiting = []
     if waiting:
         raise bodies.not_written(robot.link_names[-1])
@@ -121,38 +165,6 @@ class _Bodies:
             available=list(self.named),
             hint="without the original, a new file is written: --robot with the robot's yaml",
         )
-
-
-def _expand_includes(root: Any, folder: Path) -> None:
-    """Put the content of included files in the place of each <include>."""
-    while (found := next(root.iter("{*}include"), None)) is not None:
-        path = folder / (found.get("file") or "")
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-        parent, tail = found.getparent(), found.tail
-        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
-        at = parent.index(found)
-        parent.remove(found)
-        for k, node in enumerate(nodes):
-            parent.insert(at + k, node)
-            node.tail = node.tail if k and (node.tail or "").strip() == "" else tail
-        nodes[-1].tail = tail
-
-
-def _neutral_compiler(root: Any) -> None:
-    """Take away what would change the masses and inertias that are written."""
-    for compiler in children(root, "compiler"):
-        for name in _OVERRIDES:
-            compiler.attrib.pop(name, None)
-        if compiler.get("inertiafromgeom") == "true":
-            compiler.set("inertiafromgeom", "auto")
-
-
-def _in_degrees(root: Any) -> bool:
-    given = [c.get("angle") for c in children(root, "compiler") if c.get("angle")]
-    return not given or given[-1] == "degree"
 
 
 def _members(body: Any) -> list[Any]:
@@ -197,31 +209,10 @@ def _write_massless(body: Any, moved_by: str) -> None:
 
 def _inertial_of(body: Any) -> Any:
     """The body's <inertial>, without its inertia; a new one where it has none."""
-    found = child(body, "inertial")
-    node = new_child(body, "inertial", first=True) if found is None else found
+    node = child_or_new(body, "inertial", first=True)
     for key in (*_POSES, "pos", "mass"):
         node.attrib.pop(key, None)
     return node
-
-
-def _refuse_parameters(parameters: InertialParameters, i: int, name: str) -> None:
-    if bool(parameters.pi[i].any()):
-        raise TorchidError(
-            f"'{name}' lies between two joints of one body, where MJCF has no place for its mass.",
-            got=parameters.pi[i].tolist(),
-            hint="--to urdf writes a new file with a link there",
-        )
-
-
-def _write_joint(node: Any, values: JointDynamics, degrees: bool) -> None:
-    """Explicit attributes, so that defaults of a class do not count."""
-    node.set("damping", number(values.damping))
-    node.set("frictionloss", number(values.friction))
-    node.set("armature", number(values.armature))
-    node.set("stiffness", number(values.stiffness))
-    if values.stiffness:
-        factor = 57.29577951308232 if degrees else 1.0
-        node.set("springref", number(values.rest * factor))
 
 
 def _relocate(root: Any, old: Path, new: Path) -> None:
@@ -230,17 +221,73 @@ def _relocate(root: Any, old: Path, new: Path) -> None:
     if not any(key.startswith("file") for node in assets for key in node.attrib):
         return
     compilers = children(root, "compiler")
-    compiler = compilers[-1] if compilers else None
-    if compiler is None:
-        compiler = new_child(root, "compiler", first=True)
-    given: dict[str, str] = {}
-    for node in compilers:
-        for key in ("assetdir", "meshdir", "texturedir"):
-            if key in node.attrib:
-                given[key] = node.attrib.pop(key)
+    compiler = compilers[-1] if compilers else new_child(root, "compiler", first=True)
+    keys = ("assetdir", "meshdir", "texturedir")
+    given = {k: node.attrib.pop(k) for node in compilers for k in keys if k in node.attrib}
     for key in ("meshdir", "texturedir"):
         place = given.get(key, given.get("assetdir", "."))
         compiler.set(key, relocated(place or ".", old, new))
     for node in assets:
         if local(node) == "model" and node.get("file"):
             node.set("file", relocated(node.get("file"), old, new))
+
+
+def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
+    """An MJCF of the chain: one body a link, a motor a joint, the site `tool`.
+
+    Body frames are the robot's link frames, so a joint has the anchor and the axis that it has in
+    them.
+
+    Args:
+        robot: with parameters.
+        joints: attributes of its n joints.
+    """
+    root = etree.Element("mujoco", model=robot.name)
+    etree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    etree.SubElement(root, "option", gravity=text(robot.gravity))
+    body = etree.SubElement(root, "worldbody")
+    parameters = robot.require_parameters("an export")
+    for i, name in enumerate(robot.link_names):
+        refuse_moment_without_mass(parameters, i, name)
+        # Pose of the link in the previous one at q = 0.
+        pose = robot.before[i].double() @ robot.after[i].double()
+        body = etree.SubElement(body, "body", name=name, **_placed(pose))
+        moments, turn = principal(parameters, i)
+        etree.SubElement(
+            body,
+            "inertial",
+            pos=text(parameters.com[i]),
+            mass=number(parameters.mass[i]),
+            quat=text(turn),
+            diaginertia=text(moments),
+        )
+        etree.SubElement(body, "joint", **_joint(robot, i, joints[i]))
+    etree.SubElement(body, "site", name="tool", **_placed(robot.tool.double()))
+    actuators = etree.SubElement(root, "actuator")
+    for name in robot.joint_names:
+        etree.SubElement(actuators, "motor", name=name, joint=name)
+    etree.indent(root)
+    return XmlFile(root, DECLARATION)
+
+
+def _placed(pose: Tensor) -> dict[str, str]:
+    return {"pos": text(pose[:3, 3]), "quat": text(quaternion_of(pose[:3, :3]))}
+
+
+def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
+    after = robot.after[i].double()
+    prismatic = robot.joint_types[i] is JointType.PRISMATIC
+    out: dict[str, Any] = {
+        "name": robot.joint_names[i],
+        "type": "slide" if prismatic else "hinge",
+        # The joint frame's origin and z axis, in the link frame at q = 0.
+        "pos": text(-after[:3, :3].T @ after[:3, 3]),
+        "axis": text(after[2, :3]),
+    }
+    for key, limits in (("range", "position"), ("actuatorfrcrange", "torque")):
+        known = getattr(robot.limits, limits)
+        if known is not None and bool(torch.isfinite(known[i]).all()):
+            out[key] = text(known[i])
+    attributes = {**ATTRIBUTES, "springref": "rest"}
+    sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
+    return out | {key: number(size) for key, size in sizes.items() if size}

@@ -18,8 +18,10 @@ from typing import NamedTuple
 import torch
 
 from torchid.effects.base import Effect
+from torchid.effects.inertia import WEIGHED
+from torchid.effects.registry import KINDS
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.rows import Group, Rows, Setting, directions, without
+from torchid.next_motion.rows import Group, Rows, Setting, directions, without
 from torchid.typing import Float, Tensor
 
 DECISIVE = 9.0
@@ -40,6 +42,9 @@ VISIBLE = 0.02
 
 HOPELESS = 1e-3
 """D below which two explanations are the same."""
+
+FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
+"""What settles a question where an effect knows nothing better."""
 
 TINY = 1e-11
 """Eigenvalue of a form's columns below which a direction is rounding."""
@@ -90,6 +95,17 @@ def named(rivals: Iterable[Rival]) -> str:
     return "; ".join(said)
 
 
+def beyond(names: Iterable[str]) -> str:
+    """What else would tell these effects, in one sentence; refitted base parameters (`all_base`)
+    are bodies too."""
+    advice: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
+        kind = KINDS.get(name)
+        own = kind.beyond if kind is not None else WEIGHED if name == "all_base" else None
+        advice.setdefault(own or FITTED, []).append(name)
+    return "; ".join(f"{', '.join(own)}: {text}" for text, own in advice.items())
+
+
 class Told(NamedTuple):
     """What a motion tells of a pair: D, and how much of what decides that is, in D and in share."""
 
@@ -107,7 +123,9 @@ def separations(
 
 def _told(rows: Rows, rival: Rival) -> Told:
     gone = rival.leaving
-    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(rival.truth.values).double()
+    whole = rows.columns(rival.truth.effects, gone) @ torch.tensor(
+        rival.truth.values, dtype=torch.float64
+    )
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
@@ -161,7 +179,7 @@ def imitation(
     Of an effect that without some coefficients would be a simpler one, only these are used: else a
     joint's spring would imitate a torque offset by having no stiffness.
     """
-    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values).double()
+    own = rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
     left = rows.beside(own, leaving)
     found: tuple[float, Explanation] | None = None
     for other in others:

@@ -10,10 +10,9 @@ import torch
 from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect
 from torchid.effects.registry import COLUMN_KINDS, KINDS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
-from torchid.excitation.beyond import beyond
-from torchid.excitation.rows import Group, Setting
-from torchid.excitation.separation import Explanation
 from torchid.identification.base_parameters import base_parameters
+from torchid.next_motion.rows import Group, Setting
+from torchid.next_motion.separation import Explanation, beyond
 from torchid.robot.model import Robot
 from torchid.robot.record import recorded_robot
 

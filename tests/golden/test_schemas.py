@@ -1,0 +1,63 @@
+"""No key of any document is lost, and none changes its type: other programs read them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.golden.documents import DOCUMENTS, SLOW, Bench
+from tests.golden.shapes import losses, shape
+from tests.withheld.fakes import plant
+
+__all__ = ["plant"]
+
+STORED = Path(__file__).parent / "schemas"
+AGAIN = "meant so? python -m tests.golden.write schemas"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return Bench(tmp_path_factory.mktemp("golden"))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in DOCUMENTS]
+)
+def test_documents_have_what_they_had(name, bench, plant, types_unchecked) -> None:
+    document = DOCUMENTS[name](bench)
+    if name.startswith("gap_") and name != "gap_rollout":
+        assert document["status"] == name.removeprefix("gap_")
+    stored = json.loads((STORED / f"{name}.json").read_text())
+    found = losses(stored, shape(document))
+    assert not found, "\n".join([*found, AGAIN])
+
+
+def test_every_document_has_a_golden_file() -> None:
+    assert {path.stem for path in STORED.glob("*.json")} == set(DOCUMENTS)
+
+
+BEFORE = {
+    "status": "explained",
+    "which": [{"effect": "a", "std": {"Fc": 1.0}}, {"effect": "b", "std": {}}],
+    "closed": 0.5,
+    "model": {"mass": [1.0]},
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"closed": None}, ["closed: was number, is also null"]),
+        ({"status": 3}, ["status: was string, is also number"]),
+        ({"model": {}}, ["model.mass: gone", "model.mass[]: gone"]),
+        ({"model": {"mass": []}}, []),
+        ({"which": []}, []),
+        ({"which": [{"effect": "a"}]}, ["which[].std: gone", "which[].std.*: gone"]),
+        ({"which": [{"effect": "a", "std": {"Fv": 2}}]}, []),
+        ({"which": [{"effect": "a", "std": {"Fv": "2"}}]},
+         ["which[].std.*: was number, is also string"]),
+        ({"more": 1}, []),
+    ],
+)  # fmt: skip
+def test_a_loss_is_said_and_a_gain_is_not(change, said) -> None:
+    assert losses(shape(BEFORE), shape(BEFORE | change)) == said

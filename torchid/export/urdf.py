@@ -1,0 +1,201 @@
+"""URDF: a copy of a file with other dynamics, in which <inertial> and <dynamics> are written and
+the rest stays; or, where there is no file to edit, a new one.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from lxml.etree import Element, SubElement, indent
+
+from torchid.digits import number
+from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.registry import Valued
+from torchid.errors import TorchidError
+from torchid.export.exact_text import roll_pitch_yaw_of, text
+from torchid.export.joint_dynamics import JointDynamics
+from torchid.export.xml_tree import (
+    DECLARATION,
+    XmlFile,
+    child,
+    child_or_new,
+    children,
+    comment,
+    read_xml,
+    relocated,
+    replace,
+)
+from torchid.robot.inertia import InertialParameters, move
+from torchid.robot.model import JointType, Robot
+from torchid.robot.tree import choose_chain
+from torchid.robot.urdf import urdf_tree
+from torchid.robot.xml_numbers import parse_xml
+from torchid.typing import Tensor
+
+TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def edited_urdf(
+    original: Path, tip: str | None, robot: Robot, joints: Sequence[JointDynamics], folder: Path
+) -> XmlFile:
+    """The original with the robot's parameters and the joints' damping and friction.
+
+    The reader merges links behind fixed joints into the link that moves them, and the result's
+    parameters are those of the whole. So the whole is written into that link, and the <inertial> of
+    the merged ones is taken away, with a comment in its place: the total is exact, whereas shares
+    of it are not in the result.
+
+    Args:
+        original: the user's file, which is only read.
+        tip: as the robot was read with.
+        robot: parameters in the frames of the original's links.
+        joints: attributes of its n joints.
+        folder: where the copy will lie, for relative references to meshes.
+    """
+    file = read_xml(original)
+    chain = choose_chain(urdf_tree(parse_xml(original), str(original), []), tip)
+    links = {node.get("name", "").strip(): node for node in children(file.root, "link")}
+    by_name = {node.get("name", "").strip(): node for node in children(file.root, "joint")}
+    parameters = robot.require_parameters("an export")
+    for i, (group, joint) in enumerate(zip(chain.groups[1:], chain.joints, strict=True)):
+        for name in [name for name in group.poses if name != group.link]:
+            for inertial in children(links[name], "inertial"):
+                mass = child(inertial, "mass")
+                had = "" if mass is None else f" ({mass.get('value', '').strip()} kg)"
+                said = comment(f"inertial{had} is part of that of link '{group.link}'")
+                replace(inertial, said)
+        _write_inertial(links[group.link], parameters, i, group.link)
+        # <dynamics>, where it is there or needed.
+        values, element = joints[i], by_name[joint.name]
+        if child(element, "dynamics") is not None or values.damping or values.friction:
+            node = child_or_new(element, "dynamics")
+            node.set("damping", number(values.damping))
+            node.set("friction", number(values.friction))
+    if folder.resolve() != original.parent.resolve():
+        for node in file.root.iter("{*}mesh", "{*}texture"):
+            if node.get("filename"):
+                node.set("filename", relocated(node.get("filename"), original.parent, folder))
+    return file
+
+
+def _write_inertial(link: Any, parameters: InertialParameters, i: int, name: str) -> None:
+    """About the centre of mass, in axes parallel to the link frame's."""
+    refuse_moment_without_mass(parameters, i, name)
+    inertial = child_or_new(link, "inertial", first=True)
+    place = child_or_new(inertial, "origin", first=True)
+    place.attrib.pop("quat_xyzw", None)
+    place.set("xyz", text(parameters.com[i]))
+    place.set("rpy", "0 0 0")
+    child_or_new(inertial, "mass").set("value", number(parameters.mass[i]))
+    tensor = child_or_new(inertial, "inertia")
+    for key, value in zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True):
+        tensor.set(key, number(value))
+
+
+def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str) -> None:
+    """Raise TorchidError for a first moment without a mass: it has no centre of mass to write."""
+    if float(parameters.mass[i]) == 0 and bool(parameters.first_moment[i].any()):
+        raise TorchidError(
+            f"link '{name}' has a first moment and no mass: no centre of mass can be written.",
+            got=parameters.first_moment[i].tolist(),
+            hint="--to yaml and --to c write first moments as they are",
+        )
+
+
+def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
+    """A URDF of the chain: `base`, the moving links, `tool`.
+
+    A URDF's link frame is the moved joint frame, so link frames that are elsewhere (`after`, as in
+    classical DH) are left out and the inertias are moved. Joints turn about z.
+
+    Args:
+        robot: with parameters.
+        joints: attributes of its n joints.
+    """
+    root = Element("robot", name=robot.name)
+    taken = set(robot.link_names)
+    base = _free("base", taken)
+    SubElement(root, "link", name=base)
+    parent, behind = base, torch.eye(4, dtype=torch.float64)
+    pi = robot.require_parameters("an export").pi.double()
+    parameters = InertialParameters(move(pi, robot.after.double()))
+    for i, name in enumerate(robot.link_names):
+        refuse_moment_without_mass(parameters, i, name)
+        inertial = SubElement(SubElement(root, "link", name=name), "inertial")
+        SubElement(inertial, "origin", xyz=text(parameters.com[i]), rpy="0 0 0")
+        SubElement(inertial, "mass", value=number(parameters.mass[i]))
+        tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
+        SubElement(inertial, "inertia", **{key: number(value) for key, value in tensor})
+        _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
+        parent, behind = name, robot.after[i].double()
+    tool = _free("tool", taken)
+    SubElement(root, "link", name=tool)
+    fixed = SubElement(
+        root, "joint", name=_free("tool_mount", set(robot.joint_names)), type="fixed"
+    )
+    _mounted(fixed, behind @ robot.tool.double(), parent, tool)
+    indent(root)
+    return XmlFile(root, DECLARATION)
+
+
+def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]:
+    """Effects with bodies' parameters in the frames that `new_urdf` gives the links."""
+    out: list[Valued] = []
+    for effect, values in pairs:
+        moved = values
+        if isinstance(effect, Payload | LinkInertia):
+            link = robot.n - 1 if isinstance(effect, Payload) else effect.joint
+            pi = torch.tensor(values, dtype=torch.float64)
+            moved = move(pi, robot.after[link].double()).tolist()
+        out.append((effect, moved))
+    return tuple(out)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _mounted(joint: Any, pose: Tensor, parent: str, link: str) -> None:
+    angles = roll_pitch_yaw_of(pose[:3, :3])
+    SubElement(joint, "origin", xyz=text(pose[:3, 3]), rpy=text(angles))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=link)
+
+
+def _joint(
+    root: Any, robot: Robot, i: int, ends: tuple[str, str], origin: Tensor, values: JointDynamics
+) -> None:
+    limits = robot.limits.position
+    known = limits is not None and bool(torch.isfinite(limits[i]).all())
+    low, high = limits[i].tolist() if limits is not None and known else (0.0, 0.0)
+    kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
+    if kind == "revolute" and not known:
+        kind = "continuous"
+    joint = SubElement(root, "joint", name=robot.joint_names[i], type=kind)
+    _mounted(joint, origin, *ends)
+    SubElement(joint, "axis", xyz="0 0 1")
+    # 0 is what exporters write for a limit that is not known; readers need the attributes.
+    limit = {
+        "effort": _symmetric(robot.limits.torque, i),
+        "velocity": _symmetric(robot.limits.velocity, i),
+    }
+    if kind != "continuous":
+        limit |= {"lower": number(low), "upper": number(high)}
+    if kind != "continuous" or set(limit.values()) != {"0.0"}:
+        SubElement(joint, "limit", **limit)
+    if values.damping or values.friction:
+        damping, friction = number(values.damping), number(values.friction)
+        SubElement(joint, "dynamics", damping=damping, friction=friction)
+
+
+def _symmetric(limits: Tensor | None, i: int) -> str:
+    """URDF's one number for both directions: the smaller size; 0 where it is not known."""
+    if limits is None:
+        return "0.0"
+    size = float(limits[i].abs().min())
+    return number(size if math.isfinite(size) else 0.0)
