@@ -7,7 +7,7 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from torchid.design.columns import Columns, Model
-from torchid.design.segments import Samples, Segment, moving_samples
+from torchid.design.segments import REACH, Samples, Segment, moving_samples
 from torchid.effects.registry import model_torque
 from torchid.gap.data.repeats import Repeats, find_repeats
 from torchid.gap.noise.floor import Noise, noise_of
@@ -35,14 +35,14 @@ def found_with(
     samples = Samples(real, CUTOFF)
     columns = Columns(Model(ROBOT, ()), samples)
     repeats = find_repeats(real) if repeats is None else repeats
-    keep = moving_samples(samples, sliding=True)
+    keep = moving_samples(samples)
     return noise_of(columns, columns.gap() * keep, keep, REPORT, repeats, seed)
 
 
 def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
     """RMS in the band of the report, where joints slide."""
     samples = Samples(segments, REPORT)
-    keep = moving_samples(samples, sliding=True)
+    keep = moving_samples(samples, REACH / CUTOFF)
     squares = samples.of([x.T for x in signals]).square() * keep
     return (squares.sum(1) / keep.sum(1)).sqrt()
 

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from tests.gap.problems import SIMPLE, (
-    halves,
+from tests.gap.problems import (
+    SIMPLE,
+    WORTH,
     measured,
     named,
     question_of,
@@ -13,7 +14,6 @@ from tests.gap.problems import SIMPLE, (
 )
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.gap.search.climb import (
-    Worth,
     cause_groups,
     climbed,
     empty_fit,
@@ -21,14 +21,15 @@ from torchid.gap.search.climb import (
     moves,
     worthy,
 )
-from torchid.gap.search.evidence import causes, fit_terms
+from torchid.gap.search.evidence import Worth, causes, fit_terms
+from torchid.gap.search.explain import folds_of
+from torchid.gap.validate.folds import make_folds
 
 PLANTED = {
     "viscous": (ViscousFriction(1), [1.0]),
     "coulomb": (CoulombFriction(0), [0.6]),
     "offset": (TorqueOffset(2), [0.3]),
 }
-TORQUE = torch.tensor([5.0, 20.0, 5.0], dtype=torch.float64)
 
 
 @pytest.mark.parametrize("names", [(), ("viscous",), ("coulomb", "offset"), tuple(PLANTED)])
@@ -94,23 +95,23 @@ def test_losses_on_held_out_data_are_those_of_fits_without_them():
     question = question_of(data, parts=parts)
     viscous = term(question, "viscous_friction", 1)
     fit = fit_terms(question, [viscous], question.normal.rows)
-    found = held_out_losses(question, halves(question), fit, [viscous])
+    found = held_out_losses(question, folds_of(question.candidates), fit, [viscous])
     x = question.candidates.columns.of(viscous.effects[0])[1][0]
     y, keep = question.candidates.gap[1], question.candidates.keep[1]
     expected = 0.0
-    for k in (0, 1):
-        test, train = keep & (parts == k), keep & (parts == 1 - k)
+    for k in (1, 2):
+        test, train = keep & (parts == k), keep & (parts == 3 - k)
         value = float(x[train] @ y[train] / x[train].square().sum())
         expected += float((y[test] - value * x[test]).square().sum())
     assert float(found[1]) == pytest.approx(expected)
 
 
-def worthy_terms(effects, *names, worth=Worth()):  # noqa: B008
+def worthy_terms(effects, *names, worth=WORTH):
     data = measured(effects, noise=0.002)
-    question = question_of(data, parts=two_folds(data))
+    question = question_of(data, parts=two_folds(data), worth=worth)
     terms = [term(question, *n) for n in names]
     fit = fit_terms(question, terms, question.normal.rows)
-    return worthy(question, halves(question), fit, TORQUE, worth)
+    return worthy(question, folds_of(question.candidates), fit)
 
 
 def test_what_is_small_leaves_and_what_is_large_stays():
@@ -131,3 +132,15 @@ def test_the_joints_that_hardly_bear_a_common_cause_leave_it():
     fit, left = worthy_terms(effects, *every)
     assert named(fit.terms) >= set(every[:2])
     assert named(left) <= {every[2]}
+
+
+def test_every_fold_is_judged_by_the_others():
+    """Whole runs, between which no sample lies: each is judged once, and fitted otherwise."""
+    data = measured([], count=3, duration=6.0)
+    folds = make_folds(data.samples, 3, (0, 1, 2))
+    question = question_of(data, parts=folds.parts)
+    counts = question.normal.rows
+    found = folds_of(question.candidates)
+    assert len(found) == 3
+    assert torch.equal(sum(test.rows for _, test in found), counts)
+    assert torch.equal(sum(train.rows for train, _ in found), 2 * counts)

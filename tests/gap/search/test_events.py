@@ -49,10 +49,10 @@ def found_in(data: Data, columns: Columns) -> list[Contact]:
 def test_a_push_is_found_in_its_window(quiet, columns, hz, force):
     found = found_in(noisy(quiet, 3, hz, force), columns)
     assert 1 <= len(found) <= 3
+    # The clearest window is a part of the push: a search that follows moves its ends.
     first = found[0]
     shared = min(first.stop, PUSH.stop) - max(first.start, PUSH.start)
-    assert shared > 0.6 * (PUSH.stop - PUSH.start)
-    assert first.stop - first.start < 2.5 * (PUSH.stop - PUSH.start)
+    assert shared > 0.6 * (first.stop - first.start)
     for k, one in enumerate(found):
         assert all(one.start >= o.stop or one.stop <= o.start for o in found[:k])
 

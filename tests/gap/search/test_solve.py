@@ -85,7 +85,6 @@ def test_standard_deviations_are_those_of_the_noise():
     square = float(found.a.square().sum())
     left = float(found.left[1].square().mean())
     assert 0.5 < std / (left / square) ** 0.5 < 2.0
-    assert 1.9 < float(torch.as_tensor(found.quantile).max()) < 3.0
     assert left**0.5 < NOISE
 
 
@@ -102,12 +101,12 @@ def test_friction_that_grows_with_load_sees_the_corrected_load():
 def test_a_fold_is_not_fitted():
     """Its torque is spoilt, and a model without it does not know."""
     data = measured([(ViscousFriction(1), [1.0])], noise=0.0)
-    held = two_folds(data) == 0
+    held = two_folds(data) == 1
     question = question_of(data)
     found = solution_of(data, question, [term(question, "viscous_friction", 1)])
     spoilt = Solution(
-        found.start, found.wanted, found.terms, found.values, found.std, found.quantile,
-        found.model, found.a, found.left + 3.0 * held,
+        found.start, found.wanted, found.terms, found.values, found.std, found.model, found.a,
+        found.left + 3.0 * held,
     )  # fmt: skip
     ((_, clean),) = spoilt.without(~held).effects
     assert clean == pytest.approx([1.0], rel=1e-6)

@@ -40,7 +40,6 @@ class Solution:
         wanted: what was looked for.
         terms: fixed ones first, secants at the estimate.
         values, std: per term (C,): coefficients, and standard deviations by a block jackknife.
-        quantile: half a 95 % interval in standard deviations.
         model: corrected.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
         left: (n, N) what the corrected model leaves; likewise.
@@ -51,7 +50,6 @@ class Solution:
     terms: tuple[Term, ...]
     values: tuple[Float[Tensor, " _"], ...]
     std: tuple[Float[Tensor, " _"], ...]
-    quantile: float
     model: Model
     a: Float[Tensor, "K n N"]
     left: Float[Tensor, "n N"]
@@ -103,9 +101,7 @@ def solved(
         if best is not None and not loss < last:
             break
         a = _stacked(at, taken, data.keep)
-        best = Solution(
-            start, wanted, tuple(taken), tuple(values), (), 1.96, model, a, left
-        )
+        best = Solution(start, wanted, tuple(taken), tuple(values), (), model, a, left)
         if step > 1 and last - loss < SETTLED * last or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
@@ -130,7 +126,7 @@ def _with_std(found: Solution, weight: Tensor, block: Int[Tensor, " N"]) -> Solu
         (found.a * weight).flatten(1).T, (found.left * weight).flatten(), block.repeat(n)
     )
     std = spread.std.split([len(v) for v in found.values])
-    return replace(found, std=tuple(std), quantile=spread.quantile(0.95))
+    return replace(found, std=tuple(std))
 
 
 def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
