@@ -19,11 +19,12 @@ import torch
 from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
 
-from torchid.design.columns import Model
+from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
 from torchid.gap.data.prepare import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.noise.floor import stuck
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import traces
 from torchid.log.model import Log
@@ -92,7 +93,8 @@ def fresh_closed(
     for model in models:
         robot, effects = robot_of(arm.scene.robot, model)
         after = Model(robot, tuple(effects))
-        shown = traces(given.samples, None, [nominal], [after], band)
+        reach = stuck(Columns(after, given.samples), arm.scene.noise)
+        shown = traces(given.samples, None, [nominal], [after], band, reach=reach)
         losses = []
         for predicted in ("before", "after"):
             left = [

@@ -1,5 +1,7 @@
 """Columns are what a model's torque changes by, through the filter that the torque passes."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -21,15 +23,11 @@ SHAPED = [n for n, k in KINDS.items() if issubclass(k, JointEffect) and k.shapes
 @pytest.fixture(scope="module")
 def samples() -> Samples:
     """Two runs of the 3R with all that effects may need: a measured torque, and its age."""
-    made = measured(FRICTION)
-    ages = [
-        0.004 * (s.motion.t[:, None] % 0.1 > 0.05).double().expand(-1, 3) for s in made.segments
-    ]
-    motion = [
-        s.motion._replace(age=age, sensed=s.tau) for s, age in zip(made.segments, ages, strict=True)
-    ]
-    pairs = zip(made.segments, motion, strict=True)
-    return data_of([type(s)(s.name, s.rate, s.band, m, s.tau, False) for s, m in pairs]).samples
+    out = []
+    for s in measured(FRICTION).segments:
+        age = 0.004 * (s.motion.t[:, None] % 0.1 > 0.05).double().expand(-1, 3)
+        out.append(replace(s, motion=s.motion._replace(age=age, sensed=s.tau)))
+    return data_of(out).samples
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from torchid.design.segments import (
     Segment,
     moving_instants,
     moving_samples,
+    reach_of,
     segments_of,
     still_joints,
     when,
@@ -101,7 +102,7 @@ def test_samples_at_reversals_do_not_slide():
     """A sine reverses at its peaks: it moves but for an instant, and slides away from there."""
     run = sines(2.0, 3.0)
     samples = Samples([run], CUTOFF)
-    moves, slides = moving_samples(samples), moving_samples(samples, sliding=True)
+    moves, slides = moving_samples(samples), moving_samples(samples, REACH / CUTOFF)
     assert not bool((slides & ~moves).any())
     for j, w in enumerate((2.0, 3.0)):
         away = (samples.t * w / math.pi - 0.5) % 1.0 * math.pi / w  # since the last peak [s]
@@ -109,6 +110,33 @@ def test_samples_at_reversals_do_not_slide():
         assert bool(moves[j][away > 0.02].all())
         assert not bool(slides[j][away < 0.9 * REACH / CUTOFF].any())
         assert bool(slides[j][away > 1.1 * REACH / CUTOFF].all())
+
+
+def test_each_joint_has_its_own_reach():
+    samples = Samples([sines(2.0, 3.0)], CUTOFF)
+    near, far = (moving_samples(samples, k * REACH / CUTOFF) for k in (1, 2))
+    mixed = moving_samples(samples, torch.tensor([1.0, 2.0]) * REACH / CUTOFF)
+    assert torch.equal(mixed[0], near[0])
+    assert torch.equal(mixed[1], far[1])
+    assert int(far.sum()) < int(near.sum())
+    assert not bool((far & ~near).any())
+
+
+def test_a_reversal_reaches_as_far_as_it_is_heard_beside_the_noise():
+    """The filtered pulse of a direction that is wrong for an eighth of a period, by hand."""
+    samples, dry = Samples([sines(2.0, 3.0)], CUTOFF), torch.tensor([50.0, 400.0])
+    far = reach_of(samples, dry) * CUTOFF
+    assert REACH <= float(far[0]) < float(far[1]) < 4.0
+    pulse = torch.zeros(4001, 1)
+    half = round(0.0625 * RATE / CUTOFF)
+    pulse[2000 - half : 2001 + half] = 2.0
+    heard = samples.low_passed(pulse)[2000:, 0].abs()
+    for own, ratio in zip(far.tolist(), dry.tolist(), strict=True):
+        last = round(own * RATE / CUTOFF)
+        assert float(heard[last - 1] * ratio) > 1.0
+        assert float(heard[last:].max() * ratio) <= 1.0
+    little = reach_of(samples, torch.tensor([0.0, 1.0])) * CUTOFF
+    assert little.tolist() == pytest.approx([REACH, REACH])
 
 
 def test_a_joint_at_rest_counts_only_if_it_hardly_ever_moves():

@@ -8,12 +8,11 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from torchid.design.columns import Columns, Model
-from torchid.design.gram import Normal
 from torchid.design.segments import Samples, Segment, moving_samples
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, model_torque
 from torchid.gap.data.prepare import Data, sharp_direction
-from torchid.gap.search.evidence import Question
+from torchid.gap.search.evidence import Question, Worth
 from torchid.gap.search.terms import Term, Wanted, candidates_of
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.robot.model import Robot
@@ -21,6 +20,7 @@ from torchid.typing import Tensor
 
 CUTOFF = 8.0
 NOISE = 0.05
+WORTH = Worth()
 SIMPLE = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 
@@ -81,6 +81,7 @@ def question_of(
     columns: Columns | None = None,
     free: bool = False,
     inertial: bool = False,
+    worth: Worth = WORTH,
 ) -> Question:
     """Candidates for the gap between data and the 3R with given effects."""
     columns = columns or Columns(Model(ROBOT, tuple(given)), data.samples)
@@ -92,23 +93,18 @@ def question_of(
         parts = torch.zeros(len(data.samples), dtype=torch.long)
     wanted = wanted_of(names, free=free, inertial=inertial)
     found = candidates_of(columns, gap, data, wanted, parts, tuple(given), tuple(extra))
-    return Question(found, found.gram.over(), 0.01)
+    size = data.samples.of([t.T for t in tau]).square().mean(1)
+    return Question(found, found.gram.over(), 0.01, worth, size)
 
 
 def two_folds(data: Data) -> Tensor:
-    """Folds of two stretches a run; the last part, of samples between folds, has a few."""
-    parts = torch.zeros(len(data.samples), dtype=torch.long)
+    """Two folds, a half of every run each; a few samples are between them."""
+    parts = torch.ones(len(data.samples), dtype=torch.long)
     for own in data.samples.bounds:
         middle = (own.start + own.stop) // 2
-        parts[middle : own.stop] = 1
-        parts[middle - 3 : middle + 3] = 2
+        parts[middle : own.stop] = 2
+        parts[middle - 3 : middle + 3] = 0
     return parts
-
-
-def halves(question: Question) -> list[tuple[Normal, Normal]]:
-    """(Fitted on, judged on) of `two_folds`."""
-    gram = question.candidates.gram
-    return [(gram.over([1]), gram.over([0])), (gram.over([0]), gram.over([1]))]
 
 
 def term(question: Question, name: str, place: int | None) -> Term:

@@ -48,7 +48,7 @@ HARDLY = 0.1
 about it, and all its samples count."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segment:
     """One trajectory in the wide band.
 

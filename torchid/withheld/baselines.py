@@ -12,7 +12,7 @@ Nothing here knows a key.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -23,10 +23,11 @@ from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS, nominal_effects
 from torchid.gap.data.prepare import prepare
 from torchid.gap.data.repeats import find_repeats
-from torchid.gap.noise.floor import noise_of
+from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
-from torchid.gap.search.terms import LINK, Candidates, Term, Wanted, candidates_of
+from torchid.gap.search.explain import folds_of
+from torchid.gap.search.terms import LINK, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import noise_variance
 from torchid.gap.validate.folds import make_folds
@@ -78,20 +79,21 @@ class Data:
 
 
 def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
-    """Samples and columns of a log."""
+    """Samples and columns of a log, as the diagnosis has them."""
     given = prepare(robot, log, None)
     samples = given.samples
-    model = Model(robot, tuple(nominal_effects(robot)))
-    columns = Columns(model, samples)
-    gap = columns.gap()
+    columns = Columns(Model(robot, tuple(nominal_effects(robot))), samples)
     repeats = find_repeats(samples.segments)
-    noise = noise_of(columns, gap * given.keep, given.keep, samples.cutoff, repeats, settings.seed)
+    keep = sliding_only(columns, given.keep, samples.cutoff, repeats)
+    given, gap = replace(given, keep=keep), columns.gap()
+    noise = noise_of(columns, gap * keep, keep, samples.cutoff, repeats, settings.seed)
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
     wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
+    torque = samples.of([s.tau.T for s in samples.segments])
 
     def asked(extra: Sequence[Effect]) -> Question:
-        found: Candidates = candidates_of(
-            columns, gap, given, wanted, folds.parts, model.effects, extra
+        found = candidates_of(
+            columns, gap, given, wanted, folds.parts, columns.model.effects, extra
         )
         return Question(found, found.gram.over(), settings.alpha)
 
@@ -99,13 +101,11 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     pushes = contacts(question, settings.alpha)
     if pushes:
         question = asked(pushes)
-    gram, every = question.candidates.gram, range(folds.count)
-    torque = samples.of([s.tau.T for s in samples.segments])
     return Data(
         question,
         1 / noise_variance(noise.floor),
-        (gap * given.keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
-        tuple((gram.over([p for p in every if p != k]), gram.over([k])) for k in every),
+        (gap * keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
+        tuple(folds_of(question.candidates)),
     )
 
 

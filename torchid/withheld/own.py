@@ -14,12 +14,13 @@ from typing import Any
 import torch
 
 from torchid import __version__
-from torchid.design.columns import Model
+from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data.prepare import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
+from torchid.gap.noise.floor import stuck
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
@@ -242,10 +243,10 @@ def _withheld(job: _Hidden) -> Withheld:
     torch.set_num_threads(1)
     found = diagnose(job.robot, job.log, settings=job.settings)
     given = prepare(job.robot, job.log, found.cutoff)
-    models = [_model(job.robot)], [_model(job.corrected)]
-    known = closing(
-        traces(given.samples, None, *models, found.band), found.floor, job.settings.seed
-    )
+    before, after = _model(job.robot), _model(job.corrected)
+    reach = stuck(Columns(after, given.samples), found.floor.high)
+    shown = traces(given.samples, None, [before], [after], found.band, reach=reach)
+    known = closing(shown, found.floor, job.settings.seed)
     name, place = job.finding.effect.name, job.finding.located
     return Withheld(
         name,

@@ -3,7 +3,7 @@
 The arm of a case, with its effects, moves along other trajectories of the same kind, read without
 noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data that it was not
 fitted on. The noise's part in (L0 - L*) / (L0 - Ln) is then zero, and the closed share is
-1 - L*/L0, with L the mean square of the gap below the report's band while the joint moves, joints
+1 - L*/L0, with L the mean square of the gap below the report's band away from reversals, joints
 weighted by their noise. It belongs to scoring: who knows the seed knows the keys.
 """
 
@@ -13,10 +13,11 @@ from typing import Any
 
 import torch
 
-from torchid.design.columns import Model
+from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.data.prepare import prepare
+from torchid.gap.noise.floor import stuck
 from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
@@ -102,7 +103,9 @@ def closed_share(
     before = Model(robot, tuple(nominal_effects(robot)))
     after = Model(better, tuple(effects))
     losses = torch.zeros(2, dtype=torch.float64)
-    for t in traces(given.samples, None, [before], [after], band):
+    # At a reversal the arm may stick, whatever its model: no effect closes that.
+    reach = stuck(Columns(after, given.samples), noise)
+    for t in traces(given.samples, None, [before], [after], band, reach=reach):
         for k, predicted in enumerate((t.before, t.after)):
             left = (t.measured - predicted) * t.counting / noise
             losses[k] += left.square().sum()

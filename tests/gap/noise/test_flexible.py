@@ -6,17 +6,23 @@ import pytest
 import torch
 from torchid.gap.passages import Passage, Rows
 
-from tests.gap.motions import motion_at, noises, passage_of, times
+from tests.gap.motions import motion_at, noises, segment_of, times
+from torchid.design.segments import Samples, Segment
+from torchid.effects.base import Motion
 from torchid.gap.noise.flexible import predict_out_of_fold
 
 
-def passages_of_seed(seed: int, robot: str = "3r", duration: float = 20.0) -> list[Passage]:
+def segments_of_seed(seed: int, robot: str = "3r", duration: float = 20.0) -> list[Segment]:
     out = []
     for k in range(3):
         m = motion_at(times(duration), 10 * seed + k, robot)
         m = m._replace(t=m.t + 30 * k, torque=20 * m.q.sin() + m.ddq)
-        out.append(passage_of(m, name=f"run{k}"))
+        out.append(segment_of(m, name=f"run{k}"))
     return out
+
+
+def motions(segments: list[Segment]) -> list[Motion]:
+    return [s.motion for s in segments]
 
 
 @pytest.mark.parametrize("hz", [None, 2.0, 0.5])
@@ -24,10 +30,10 @@ def test_noise_is_not_predicted(hz):
     """Of 15 joints at most two have a positive lower bound (2.5 % each), and R^2 is about zero."""
     r2, lower = [], []
     for seed in range(5):
-        passages = passages_of_seed(seed)
-        rows = Rows(passages, 8.0)
+        segments = segments_of_seed(seed)
+        samples = Samples(segments, 8.0)
         found = predict_out_of_fold(
-            passages, rows, rows.apply([x.T for x in noises(passages, seed, hz)])
+            motions(segments), samples, samples.of([x.T for x in noises(segments, seed, hz)])
         )
         r2.append(found.r2)
         lower.append(found.interval[:, 0])
@@ -41,16 +47,16 @@ def test_noise_is_not_predicted(hz):
 @pytest.mark.parametrize("seed", range(2))
 def test_a_hidden_function_of_the_motion_is_found(seed):
     """On joint 2 only, of its position and speed; what remains is near the noise."""
-    passages = passages_of_seed(seed)
-    rows = Rows(passages, 8.0)
-    noise = rows.apply([x.T for x in noises(passages, seed, 5.0)])
-    hidden = rows.apply(
+    segments = segments_of_seed(seed)
+    samples = Samples(segments, 8.0)
+    noise = samples.of([x.T for x in noises(segments, seed, 5.0)])
+    hidden = samples.of(
         [
             (torch.tensor([0.0, 1.0, 0.0]) * (3 * torch.tanh(4 * p.motion.dq) * p.motion.q.cos())).T
-            for p in passages
+            for p in segments
         ]
     )
-    found = predict_out_of_fold(passages, rows, noise + hidden)
+    found = predict_out_of_fold(motions(segments), samples, noise + hidden)
     best = 1 - noise[1].square().sum() / (noise + hidden)[1].square().sum()
     assert float(found.r2[1]) > 0.7 * float(best)
     assert float(found.interval[1, 0]) > 0.3
@@ -59,61 +65,58 @@ def test_a_hidden_function_of_the_motion_is_found(seed):
     assert float(left[1].square().mean() / noise[1].square().mean()) < 2.5
 
 
-def test_it_never_sees_the_measured_torque_and_is_reproducible():
-    passages = passages_of_seed(0)
-    rows = Rows(passages, 8.0)
-    noise = rows.apply([x.T for x in noises(passages, 0, 5.0)])
-    other = [
-        Passage(p.name, p.trajectory, p.rate, p.band, p.motion, p.tau + torch.inf, p.own_velocity)
-        for p in passages
-    ]
-    one, two = (predict_out_of_fold(p, rows, noise, seed=3) for p in (passages, other))
+def test_the_same_seed_gives_the_same():
+    segments = segments_of_seed(0)
+    samples = Samples(segments, 8.0)
+    noise = samples.of([x.T for x in noises(segments, 0, 5.0)])
+    one, two = (predict_out_of_fold(motions(segments), samples, noise, seed=3) for _ in range(2))
     assert torch.equal(one.prediction, two.prediction)
+
+
+def test_joints_that_are_not_asked_for_are_not_predicted():
+    segments = segments_of_seed(0)
+    samples = Samples(segments, 8.0)
+    known = samples.of([3 * torch.tanh(4 * s.motion.dq).T for s in segments])
+    every = predict_out_of_fold(motions(segments), samples, known)
+    some = predict_out_of_fold(motions(segments), samples, known, joints=[1])
+    assert torch.equal(some.prediction[1], every.prediction[1])
+    assert float(some.prediction[[0, 2]].abs().max()) == 0
+    assert some.r2[[0, 2]].tolist() == [0.0, 0.0]
+    assert torch.equal(some.left(known)[0], known[0])
 
 
 def test_a_row_does_not_predict_itself():
     """A spike changes no prediction within its own block, where its fold is held out; the shrinkage
     may move by as little as one row weighs."""
-    passages = passages_of_seed(1)
-    rows = Rows(passages, 8.0)
-    noise = rows.apply([x.T for x in noises(passages, 1)])
-    smooth = rows.apply([3 * torch.tanh(4 * p.motion.dq).T for p in passages])
+    segments = segments_of_seed(1)
+    samples = Samples(segments, 8.0)
+    noise = samples.of([x.T for x in noises(segments, 1)])
+    smooth = samples.of([3 * torch.tanh(4 * p.motion.dq).T for p in segments])
     spiked = noise + smooth
     spiked[0, 600] += 5.0
-    a, b = (predict_out_of_fold(passages, rows, r).prediction for r in (noise + smooth, spiked))
+    found = [predict_out_of_fold(motions(segments), samples, r) for r in (noise + smooth, spiked)]
+    a, b = (f.prediction for f in found)
     assert float((a - b)[0, 598:603].abs().max()) < 0.05
     assert torch.equal(a[1:], b[1:])
 
 
-def test_autocorrelation_time_of_an_autoregression():
-    """1 + 2 sum rho^k = (1 + rho) / (1 - rho), the tail below 0.05 left out."""
-    g = torch.Generator().manual_seed(0)
-    rho, count = 0.8, 100_000
-    x = torch.zeros(count)
-    e = torch.randn(count, generator=g)
-    for t in range(1, count):
-        x[t] = rho * x[t - 1] + e[t]
-    expected = (1 + rho) / (1 - rho) - 2 * 0.05 / (1 - rho)
-    assert autocorrelation_rows(x, (slice(0, count),)) == pytest.approx(expected, rel=0.1)
-
-
 @pytest.mark.parametrize("duration", [1.5, 4.0])
 def test_short_logs_do_not_break_it(duration):
-    passages = passages_of_seed(0, duration=duration)
-    rows = Rows(passages, 8.0)
-    noise = rows.apply([x.T for x in noises(passages, 0)])
-    found = predict_out_of_fold(passages, rows, noise)
+    segments = segments_of_seed(0, duration=duration)
+    samples = Samples(segments, 8.0)
+    noise = samples.of([x.T for x in noises(segments, 0)])
+    found = predict_out_of_fold(motions(segments), samples, noise)
     assert bool(found.prediction.isfinite().all())
     assert float(found.r2.max()) < 0.3
 
 
 @pytest.mark.slow
 def test_seven_joints_take_three_seconds():
-    passages = passages_of_seed(0, "kuka_lwr4")
-    rows = Rows(passages, 8.0)
-    noise = rows.apply([x.T for x in noises(passages, 0)])
-    assert len(rows) > 1200
+    segments = segments_of_seed(0, "kuka_lwr4")
+    samples = Samples(segments, 8.0)
+    noise = samples.of([x.T for x in noises(segments, 0)])
+    assert len(samples) > 1200
     # Processor time of all threads: neither another process nor more threads than one count.
     start = time.process_time()
-    predict_out_of_fold(passages, rows, noise)
+    predict_out_of_fold(motions(segments), samples, noise)
     assert time.process_time() - start < 3

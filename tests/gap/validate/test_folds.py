@@ -43,7 +43,7 @@ def test_whole_trajectories(groups, wanted, count):
             if groups[other] == groups[k]:
                 assert not fitted[elsewhere].any()
         assert torch.equal(fitted, folds.fold != fold)
-    assert torch.equal(folds.parts, folds.fold)
+    assert torch.equal(folds.parts, folds.fold + 1)
 
 
 @pytest.mark.parametrize(("groups", "count"), [((0,), 5), ((0, 0, 0), 3), ((0, 1, 0), 4)])
@@ -70,8 +70,8 @@ def test_stretches(groups, count):
         assert not folds.fitted(k)[folds.fold == k].any()
         # No more is lost than a gap on both sides of every border.
         assert len(fitted) >= len(samples) - len(held) - 2 * (gap + 2) * count * len(groups)
-    assert torch.equal(folds.parts == count, folds.border)
-    assert torch.equal(folds.parts[~folds.border], folds.fold[~folds.border])
+    assert torch.equal(folds.parts == 0, folds.border)
+    assert torch.equal(folds.parts[~folds.border], folds.fold[~folds.border] + 1)
 
 
 def test_every_instant_is_predicted_by_its_own_fold():

@@ -90,7 +90,7 @@ def explained(
         data: of the log.
         wanted: what is looked for.
         rules: how it is decided.
-        parts: (N,) fold of every sample; the last number is of those between folds.
+        parts: (N,) fold of every sample, from 1; 0 of those between folds.
         block: (N,) block of every sample.
     """
     at, extra = model, list[Effect]()
@@ -140,8 +140,7 @@ def explained(
 
 def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
     """(Fitted on, judged on) of every fold; samples between folds are in neither."""
-    count = candidates.gram.parts - 1
-    every = range(count)
+    every = range(1, candidates.gram.parts)
     return [
         (candidates.gram.over([p for p in every if p != k]), candidates.gram.over([k]))
         for k in every

@@ -126,7 +126,7 @@ class Candidates:
         columns: at the model whose gap is to be explained.
         gap: (n, N) what is to be explained.
         keep: (n, N) samples that count.
-        gram: joint by joint, fold by fold; the last part holds samples between folds.
+        gram: joint by joint, fold by fold; part 0 holds samples between folds.
         terms: candidates.
         fixed: terms that are always in the model.
         batches: the candidates, by place and number of columns.
@@ -168,7 +168,7 @@ def candidates_of(
         gap: what is to be explained.
         data: which samples count, and what the log holds.
         wanted: what is looked for.
-        parts: (N,) fold of every sample; the last number is of those between folds.
+        parts: (N,) fold of every sample, from 1; 0 of those between folds.
         given: effects of the model as given.
         extra: further shapes and windows of effects.
     """

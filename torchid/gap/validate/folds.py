@@ -38,9 +38,9 @@ class Folds:
 
     @property
     def parts(self) -> Int[Tensor, " N"]:
-        """Fold of every sample, `count` for those at a border, which no fold is fitted or judged
-        on."""
-        return torch.where(self.border, torch.full_like(self.fold, self.count), self.fold)
+        """Number of every sample's fold, from 1; 0 of those at a border, which no fold is fitted or
+        judged on."""
+        return torch.where(self.border, 0, self.fold + 1)
 
     def fitted(self, k: int) -> Bool[Tensor, " N"]:
         """Samples that fold k's model is fitted on."""

@@ -1,0 +1,264 @@
+"""What a candidate would add, against fits of all rows; what it costs; and what is refused."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tests.gap.problems import SIMPLE, measured, question_of, term
+from torchid.effects.base import Effect
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.effects.friction_laws import StribeckFriction
+from torchid.effects.gravity import EncoderOffset, TorqueGain
+from torchid.gap.search.evidence import (
+    Question,
+    causes,
+    cost,
+    directions,
+    effective_samples,
+    fit_terms,
+    is_common,
+    offers,
+    residual,
+    rows_of,
+    subset_of,
+)
+from torchid.gap.search.told import p_value
+from torchid.typing import Tensor
+
+FRICTION = ((ViscousFriction(1), [1.0]), (CoulombFriction(0), [0.5]))
+NAMES = (
+    *SIMPLE,
+    "joint_spring",
+    "asymmetric_friction",
+    "power_law_friction",
+    "torque_gain",
+    "base_tilt",
+)
+
+
+@pytest.fixture(scope="module")
+def question() -> Question:
+    """Viscous friction of joint 2 and Coulomb friction of joint 1, in white noise."""
+    return question_of(measured(FRICTION), NAMES)
+
+
+def rows(question: Question, joint: int, terms: list) -> tuple[Tensor, Tensor]:
+    """Columns (R, K) of terms and the gap (R,) in the samples of a joint that count."""
+    keep = question.candidates.keep[joint]
+    parts = [rows_of(question, t) for t in terms]
+    own = [p[:, 0 if t.place is not None else joint] for t, p in zip(terms, parts, strict=True)]
+    return torch.cat(own)[:, keep].T, question.candidates.gap[joint, keep]
+
+
+def loss(a: Tensor, y: Tensor) -> float:
+    # gelsd: the driver that knows about rank
+    x = torch.linalg.lstsq(a, y.unsqueeze(1), driver="gelsd").solution[:, 0]
+    return float((y - a @ x).square().sum())
+
+
+def test_gains_are_the_fall_of_the_log_likelihood(question: Question) -> None:
+    """Of every candidate on one joint: n log of how the sum of squares falls, two fits by hand."""
+    held = [term(question, "viscous_friction", 1)]
+    beside = fit_terms(question, held, question.normal.rows)
+    found = [o for o in offers(question, beside) if o.term.place is not None]
+    assert len(found) > 10
+    for offer in found:
+        place = offer.term.place
+        own = [t for t in held if t.place == place]
+        before, after = (
+            loss(*rows(question, place, terms)) if terms else float(beside.losses[place])
+            for terms in (own, [*own, offer.term])
+        )
+        fall = float(question.normal.rows[place]) * math.log(before / after)
+        assert offer.gain == pytest.approx(fall, rel=1e-5, abs=1e-6)
+
+
+def test_gains_on_all_joints_are_so_to_first_order(question: Question) -> None:
+    """With the joints' weights as they are, an effect of the arm lowers the weighted squares by
+    what is offered; the likelihood, whose weights follow, by a little more."""
+    rows, planted = question.normal.rows, [t for t in question.candidates.terms if _planted(t)]
+    start = fit_terms(question, planted, rows)
+    beside = fit_terms(question, planted, rows, start.weight)
+    offered = [o for o in offers(question, beside) if o.term.place is None]
+    assert {o.term.name for o in offered} >= {"base_tilt"}
+    for offer in offered:
+        more = fit_terms(question, [*planted, offer.term], rows, beside.weight)
+        fall = float((rows * (beside.losses / more.losses).log()).sum())
+        assert offer.gain == pytest.approx(fall, rel=0.05, abs=0.1)
+
+
+def _planted(t) -> bool:
+    return len(t.effects) == 1 and t.effects[0] in [e for e, _ in FRICTION]
+
+
+def test_what_is_planted_is_offered_first(question: Question) -> None:
+    empty = fit_terms(question, (), question.normal.rows)
+    best = next(o.term for o in offers(question, empty) if o.term.place == 1)
+    assert best.name in ("viscous_friction", "power_law_friction")
+    held = fit_terms(question, [term(question, "viscous_friction", 1)], question.normal.rows)
+    assert all(o.term.key != ("viscous_friction", (1,)) for o in offers(question, held))
+
+
+def offered(effects: tuple, names: tuple[str, ...]) -> dict[tuple[str, int], float]:
+    """Gains by name and joint."""
+    question = question_of(measured(effects), names)
+    empty = fit_terms(question, (), question.normal.rows)
+    found = offers(question, empty)
+    return {(o.term.name, o.term.effects[0].joints[0]): o.gain for o in found}
+
+
+def test_a_sign_that_physics_forbids_is_refused() -> None:
+    """Friction that drives is none; an offset has either sign."""
+    found = offered(((ViscousFriction(1), [-1.0]), (TorqueOffset(2), [-1.0])), SIMPLE)
+    assert ("viscous_friction", 1) not in found
+    assert found["torque_offset", 2] > 100
+    assert ("viscous_friction", 1) in offered(FRICTION, SIMPLE)
+
+
+def test_a_negative_correction_of_the_model_s_own_is_no_negative_friction() -> None:
+    """The model has more viscous friction than the arm; what is left stays positive."""
+    given = ((ViscousFriction(1), [1.5]),)
+    question = question_of(measured(FRICTION[:1]), SIMPLE, given=given)
+    empty = fit_terms(question, (), question.normal.rows)
+    found = {(o.term.name, o.term.place): o for o in offers(question, empty)}
+    best = found["viscous_friction", 1]
+    assert best.term.known == (1.5,)
+    fit = fit_terms(question, [best.term], question.normal.rows)
+    assert float(fit.x[0]) == pytest.approx(-0.5, abs=0.02)
+
+
+def test_a_size_that_no_arm_has_is_refused() -> None:
+    """No encoder is 2 rad off: whatever looks like it is something else."""
+    largest = EncoderOffset.coefficients[0].largest
+    usual = EncoderOffset(1)
+    for size, there in ((0.5 * largest, True), (6.0 * largest, False)):
+        found = offered(((usual, [size]),), ("encoder_offset",))
+        assert (("encoder_offset", 1) in found) == there
+
+
+OWN = StribeckFriction(1, vs=0.3)
+
+
+def stribeck() -> Question:
+    """The arm's friction has another shape than the model's."""
+    truth = ((StribeckFriction(1, vs=0.05), [1.0]),)
+    return question_of(measured(truth), ("stribeck_friction",), given=((OWN, [0.8]),))
+
+
+def test_another_shape_stands_in_the_place_of_the_model_s_own() -> None:
+    """Its gain is that of a fit to the gap with the model's own effect taken out."""
+    question = stribeck()
+    empty = fit_terms(question, (), question.normal.rows)
+    columns = question.candidates.columns
+    keep = question.candidates.keep[1]
+    freed = question.candidates.gap[1] + 0.8 * columns.of(OWN)[1][0]
+    shapes = [o for o in offers(question, empty) if o.term.instead]
+    assert shapes
+    for offer in shapes:
+        own = rows_of(question, offer.term)[:, 0][:, keep].T
+        left = loss(own, freed[keep])
+        before = float(question.candidates.gap[1, keep].square().sum())
+        fall = float(question.normal.rows[1]) * math.log(before / left)
+        assert offer.gain == pytest.approx(fall, rel=1e-5, abs=1e-6)
+        fit = fit_terms(question, [offer.term], question.normal.rows)
+        assert float(fit.losses[1]) == pytest.approx(left, rel=1e-6)
+        after = residual(question, fit.terms, fit.x)
+        assert float(after[1].square().sum()) == pytest.approx(left, rel=1e-6)
+
+
+def test_the_model_s_own_shape_stands_beside_itself() -> None:
+    question = stribeck()
+    own = [t for t in question.candidates.terms if t.effects == (OWN,)]
+    assert len(own) == 1
+    assert own[0].instead == ()
+    assert own[0].known == (0.8,)
+
+
+def test_evidence_is_made_of_likelihood_and_cost(question: Question) -> None:
+    n = torch.tensor([100.0, 50.0, 20.0], dtype=torch.float64)
+    terms = [term(question, "viscous_friction", 1), term(question, "asymmetric_friction", 0)]
+    fit = fit_terms(question, terms, n)
+    nothing = torch.stack([g[-1, -1] for g in question.normal.g])
+    likelihood = float((n * (nothing / fit.losses).log()).sum())
+    two = directions(question, terms[1])
+    price = 2 * math.log(len(question.candidates.terms) / question.alpha)
+    paid = math.log(50.0) + two * math.log(100.0) + 2 * price
+    assert cost(question, terms, n) == pytest.approx(paid)
+    assert fit.evidence == pytest.approx(likelihood - paid)
+    assert fit_terms(question, (), n).evidence == pytest.approx(0.0)
+
+
+def test_every_joint_is_weighed_by_what_it_leaves(question: Question) -> None:
+    fit = fit_terms(question, [term(question, "viscous_friction", 1)], question.normal.rows)
+    assert torch.allclose(fit.weight * fit.losses, question.normal.rows)
+    assert [len(v) for v in fit.values()] == [1]
+
+
+def test_a_prior_holds_bodies_back() -> None:
+    """Of noise alone bodies with a prior are fitted smaller than without."""
+    question = question_of(measured([]), ("link_inertia",), inertial=True)
+    link = next(t for t in question.candidates.terms if t.name == "link_inertia")
+    one = fit_terms(question, [link], question.normal.rows)
+    free = fit_terms(question, [replace(link, sigma=None)], question.normal.rows)
+    assert float((one.x / link.sigma).square().sum()) < float((free.x / link.sigma).square().sum())
+    assert float(one.losses.sum()) >= float(free.losses.sum()) - 1e-9
+
+
+def test_directions_that_the_samples_do_not_tell_apart_cost_nothing(question: Question) -> None:
+    doubled = term(question, "viscous_friction", 1)
+    twice = replace(doubled, at=doubled.at.repeat(2), coefficients=doubled.coefficients * 2)
+    assert directions(question, twice) == directions(question, doubled) == 1
+
+
+def test_causes_are_terms_but_what_most_joints_have_is_one(question: Question) -> None:
+    dry = [term(question, "coulomb_friction", j) for j in range(3)]
+    inertia = term(question, "rotor_inertia", 1)
+    assert causes([], 3) == 0
+    assert causes(dry[:1], 3) == 1
+    assert causes(dry[:2], 3) == causes(dry, 3) == 1
+    assert causes([*dry, inertia], 3) == 2
+    springs = [term(question, "joint_spring", j) for j in range(3)]
+    assert causes(springs, 3) == 3  # an arm that has one has no reason to have others
+    assert is_common("coulomb_friction", dry[:2], 3)
+    assert not is_common("coulomb_friction", dry[:1], 3)
+    assert not is_common("joint_spring", springs, 3)
+
+
+def test_effective_samples_are_fewer_where_what_is_left_is_slow() -> None:
+    """White noise: nearly as many as there are samples; below the cut-off: much fewer."""
+    white, slow = (question_of(measured([], hz=hz), ("torque_offset",)) for hz in (None, 0.5))
+    counts = [effective_samples(q, (), torch.zeros(0, dtype=torch.float64)) for q in (white, slow)]
+    assert bool((counts[0] > 0.3 * white.normal.rows).all())
+    assert bool((counts[1] < 0.3 * counts[0]).all())
+
+
+def test_p_values_tell_what_is_there_from_what_is_not(question: Question) -> None:
+    n = question.normal.rows / 4
+    viscous, inertia = term(question, "viscous_friction", 1), term(question, "rotor_inertia", 2)
+    both = fit_terms(question, [viscous, inertia], n)
+    found = []
+    for left, tested in ((inertia, viscous), (viscous, inertia)):
+        found.append(p_value(question, both, fit_terms(question, [left], n), tested))
+    assert found[0] < 1e-20
+    assert found[1] > 0.05
+    assert found[1] <= 1.0
+
+
+def test_where_terms_are_in_the_matrices(question: Question) -> None:
+    gain = next(t for t in question.candidates.terms if t.effects == (TorqueGain(1),))
+    tilt = next(t for t in question.candidates.terms if t.name == "base_tilt")
+    subset = subset_of(question.normal, [gain, tilt])
+    count = len(tilt.at)
+    assert subset.count == 1 + count
+    assert [s.of.tolist() for s in subset.joints] == [
+        list(range(1, 1 + count)), list(range(1 + count)), list(range(1, 1 + count)),
+    ]  # fmt: skip
+    effect: Effect = gain.effects[0]
+    _, column = question.candidates.columns.of(effect)
+    keep = question.candidates.keep[1]
+    row = int(gain.at[0])
+    assert float(question.normal.g[1][row, row]) == pytest.approx(
+        float(column[0, keep].square().sum())
+    )
