@@ -6,15 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report.figures import BLUE, GREY, INK, new_figure, styled
-from torchid.report.study.drawing import (
-    BREAKS,
-    KEEPS,
-    Drawing,
-    finish,
-    floored,
-    spread,
-)
+from torchid.report.colours import BLUE, GREY, INK
+from torchid.report.panels import finish, label, new_figure, panel, styled
+from torchid.report.study.drawing import BREAKS, KEEPS, Drawing, floored, spread
 from torchid.report.study.facts import (
     all_degrees,
     by_feasibility,
@@ -22,10 +16,10 @@ from torchid.report.study.facts import (
     endings,
     ids,
     kept,
-    listed,
     number,
     phi_min,
 )
+from torchid.report.text import listed
 from torchid.study.result import ScenarioResult, Study
 
 if TYPE_CHECKING:
@@ -76,7 +70,6 @@ def _convergence(study: Study) -> "Figure":
     positive = gammas[(gammas > 0) & torch.isfinite(gammas)]
     zero = 10.0 ** (math.floor(math.log10(float(positive.min()))) - 1) if len(positive) else 1e-1
     for c, s in enumerate(study.scenarios):
-        colour = KEEPS if s.feasible else BREAKS
         histories = (
             floored(s.extraction.history_phi, _LEAST_PHI),
             floored(s.extraction.history_gamma, zero),
@@ -89,24 +82,21 @@ def _convergence(study: Study) -> "Figure":
         least = phi_min(study, s)
         if _LEAST_PHI < least < math.inf:
             grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
-        grid[0, c].set_title(_heading(s), fontsize=9, color=colour)
-        grid[1, c].set_xlabel("stage", fontsize=8, color=INK)
+        heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
+        grid[0, c].set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
+        label(grid[1, c], "stage")
         grid[1, c].axhline(zero, color=INK, linewidth=0.8)
         grid[1, c].text(0.98, zero / 1.3, "gamma = 0", transform=grid[1, c].get_yaxis_transform(),
                         fontsize=7, color=INK, ha="right", va="top")  # fmt: skip
     grid[1, 0].set_ylim(bottom=zero / 10)
-    grid[0, 0].set_ylabel("phi", fontsize=8, color=INK)
-    grid[1, 0].set_ylabel("gamma", fontsize=8, color=INK)
+    label(grid[0, 0], y="phi")
+    label(grid[1, 0], y="gamma")
     empty = grid[0, 0]
     empty.plot([], [], color=GREY, linewidth=0.8, label="runs")
     empty.plot([], [], color=BLUE, linewidth=2.0, label="best run")
     if any(_LEAST_PHI < phi_min(study, s) < math.inf for s in study.scenarios):
         empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
     return finish(figure, f"{study.robot.name}: the search, stage by stage", empty)
-
-
-def _heading(s: ScenarioResult) -> str:
-    return f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
 
 
 def _losses_caption(study: Study) -> str:
@@ -139,8 +129,7 @@ def _losses_caption(study: Study) -> str:
 
 
 def _losses(study: Study) -> "Figure":
-    figure = new_figure(max(6.0, 1.5 + 1.5 * len(study.scenarios)), 4.6)
-    axes = styled(figure.subplots())
+    figure, axes = _columns(study)
     axes.set_yscale("log")
     for c, s in enumerate(study.scenarios):
         e = s.extraction
@@ -151,14 +140,12 @@ def _losses(study: Study) -> "Figure":
         least = phi_min(study, s)
         if not math.isnan(least) and least < math.inf:
             axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
-    _columns(axes, study)
-    axes.set_ylabel("loss phi", fontsize=8, color=INK)
+    label(axes, y="loss phi")
     axes.scatter([], [], s=10, color=GREY, label="before the polish")
     _names(axes)
     axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
-    return finish(
-        figure, f"{study.robot.name}: losses of all runs against what is possible", axes, 5
-    )
+    title = f"{study.robot.name}: losses of all runs against what is possible"
+    return finish(figure, title, axes, columns=5)
 
 
 def _marks(axes: Any, s: ScenarioResult, place: np.ndarray, values: np.ndarray) -> None:
@@ -175,10 +162,13 @@ def _names(axes: Any) -> None:
     axes.scatter([], [], s=90, facecolors="none", edgecolors=INK, label="best set")
 
 
-def _columns(axes: Any, study: Study) -> None:
+def _columns(study: Study) -> "tuple[Figure, Any]":
+    """A panel with one column a scenario."""
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
+    figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
     axes.set_xticks(range(len(names)), names, fontsize=8)
     axes.set_xlim(-0.6, len(names) - 0.4)
+    return figure, axes
 
 
 def _degrees_caption(study: Study) -> str:
@@ -216,8 +206,7 @@ def _degrees_caption(study: Study) -> str:
 
 
 def _degrees(study: Study) -> "Figure":
-    figure = new_figure(max(6.0, 1.5 + 1.5 * len(study.scenarios)), 4.6)
-    axes = styled(figure.subplots())
+    figure, axes = _columns(study)
     axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
     for c, s in enumerate(study.scenarios):
         degree = s.feasibility.degree.cpu().numpy()
@@ -227,7 +216,6 @@ def _degrees(study: Study) -> "Figure":
     axes.axhspan(0, high, color=KEEPS, alpha=0.08, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.9)
     axes.set_ylim(low, high)
-    _columns(axes, study)
-    axes.set_ylabel("degree [-]", fontsize=8, color=INK)
+    label(axes, y="degree [-]")
     _names(axes)
-    return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, 3)
+    return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, columns=3)

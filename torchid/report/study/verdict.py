@@ -2,6 +2,8 @@
 
 import math
 
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import nominal_set
 from torchid.report.study.facts import (
     ROUNDING,
     at_joint,
@@ -10,15 +12,14 @@ from torchid.report.study.facts import (
     count,
     different,
     ids,
-    listed,
     number,
+    payload_numbers,
     rms,
     torque_errors,
-    truth_reasons,
     validation_torques,
     with_conditions,
 )
-from torchid.report.study.wrench_tables import payload_numbers
+from torchid.report.text import listed
 from torchid.study.result import Study
 from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
 
@@ -44,38 +45,52 @@ def headline(study: Study) -> str:
 
 def verdict(study: Study) -> list[str]:
     """One sentence or two for each part of the study."""
-    return [
-        _identification(study),
-        _truth(study),
-        *_possible(study),
-        _sets(study),
-        _torque(study),
-        *_classes(study),
-        _payload(study),
-        *(f"Noticed: {warning}" for warning in study.warnings),
-    ]
-
-
-def _identification(study: Study) -> str:
     identified, _, true = validation_torques(study)
     share = float((rms(identified - true) / rms(true)).max())
     error = float((study.identification.values - study.truth).abs().max())
     quality = "exact to rounding" if share < ROUNDING else "not exact"
-    return (
+    said = [
         f"Identification: {len(study.truth)} coefficients, largest error {number(error, 2)}; on a "
         f"new motion the torque is wrong by at most {number(share, 2)} of its root mean square: "
         f"{quality}."
-    )
-
-
-def _truth(study: Study) -> str:
-    why = truth_reasons(study)
-    if not why:
-        return "Truth: the simulated arm's own parameters are feasible."
-    return (
+    ]
+    asked = study.scenarios[0].extraction.problem.conditions
+    why = feasibility(nominal_set(study.robot), asked).reasons(0)
+    said.append(
         f"Truth: the simulated arm's own parameters are not feasible ({listed(why)}), so near to "
         "the real arm and feasible are two different things here."
+        if why
+        else "Truth: the simulated arm's own parameters are feasible."
     )
+    said += _possible(study)
+    good, bad = by_feasibility(study, True), by_feasibility(study, False)
+    runs = sum(len(s.extraction.sets) for s in study.scenarios)
+    feasible = sum(int(s.feasibility.feasible.sum()) for s in study.scenarios)
+    failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
+    said.append(
+        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
+        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
+        f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
+    )
+    off, real = torque_errors(study.sets_motion)
+    exact, others = [], []
+    for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
+        if float(row.max()) < ROUNDING:
+            exact.append(name)
+        else:
+            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
+    largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
+    said.append(
+        "Torque on a new motion: equal to the real one to rounding with "
+        f"{listed(exact, nothing='no set')}{largest}."
+    )
+    effects = study.comparison.effects
+    said += [_class(study, e) for e in effects if not math.isnan(e.ratio.value)]
+    skipped = [f"{e.first} ({e.sets[0]})" for e in effects if math.isnan(e.ratio.value)]
+    if skipped:
+        said.append(f"Internal forces: not compared for lack of sets: {listed(skipped)}.")
+    said.append(_payload(study))
+    return said + [f"Noticed: {warning}" for warning in study.warnings]
 
 
 def _possible(study: Study) -> list[str]:
@@ -107,46 +122,6 @@ def _possible(study: Study) -> list[str]:
                 f"Open: within the bounds {bounds} the least loss of a {whose} set lies between 0 "
                 f"and {number(c.phi_strict, 4)}."
             )
-    return out
-
-
-def _sets(study: Study) -> str:
-    good, bad = by_feasibility(study, True), by_feasibility(study, False)
-    runs = sum(len(s.extraction.sets) for s in study.scenarios)
-    feasible = sum(int(s.feasibility.feasible.sum()) for s in study.scenarios)
-    why = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
-    return (
-        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
-        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
-        f"{count(runs, 'run')}.{f' Not feasible: {listed(why)}.' if why else ''}"
-    )
-
-
-def _torque(study: Study) -> str:
-    error, real = torque_errors(study.sets_motion)
-    share = error / real
-    exact, others = [], []
-    for name, row in zip(study.sets_motion.labels[1:], share, strict=True):
-        if float(row.max()) < ROUNDING:
-            exact.append(name)
-        else:
-            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
-    text = (
-        f"Torque on a new motion: equal to the real one to rounding with {listed(exact, 'no set')}"
-    )
-    if others:
-        text += f"; largest error relative to a joint's torque: {listed(others)}"
-    return text + "."
-
-
-def _classes(study: Study) -> list[str]:
-    out = [_class(study, e) for e in study.comparison.effects if not math.isnan(e.ratio.value)]
-    skipped = [e for e in study.comparison.effects if math.isnan(e.ratio.value)]
-    if skipped:
-        out.append(
-            "Internal forces: not compared for lack of sets: "
-            f"{listed(f'{e.first} ({e.sets[0]})' for e in skipped)}."
-        )
     return out
 
 
