@@ -5,18 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchid.app.options import (
-    Columns,
-    Gain,
-    Json,
-    Out,
-    Quiet,
-    Seed,
-    Threads,
-    Tip,
-    Topic,
-    read_logs,
-)
+from torchid.app import options as opt
 from torchid.app.output import Output, open_output
 from torchid.errors import TorchidError
 
@@ -52,15 +41,15 @@ def compare_command(
         str | None,
         typer.Option("--robot", metavar="ROBOT", help="Where the results do not record it."),
     ] = None,
-    columns: Columns = None,
-    topic: Topic = None,
-    gain: Gain = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    columns: opt.Columns = None,
+    topic: opt.Topic = None,
+    gain: opt.Gain = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Which parameters agree between results within their intervals, which drift, which are never
     determined; whether standard deviations hold from run to run; how far apart the torques are.
@@ -71,14 +60,23 @@ def compare_command(
     output = open_output(json_file, out, quiet, threads)
     from torchid.compare.reading import read_results
     from torchid.compare.record import record
+    from torchid.report.compare_figures import figures
     from torchid.robot.library import load_robot
 
     read = read_results(results)
     found = None if robot is None else load_robot(robot, tip=tip)
-    compared = _compared(read, found, tip, lambda arm: _logs(on, arm, gain, columns, topic), seed)
+
+    def log(arm: "Robot | None") -> "Log | None":
+        if not on:
+            return None
+        if arm is None:
+            raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
+        return opt.read_logs(on, gain, arm, columns, topic)
+
+    compared = _compared(read, found, tip, log, seed)
     _show(compared, output)
     output.write_json({**record(compared), "seed": seed}, "compare.json")
-    _draw(compared, output)
+    output.draw(lambda: figures(compared), "compare.json")
 
 
 def _compared(
@@ -106,24 +104,8 @@ def _compared(
     return compare_sets(results, robot, on=log(robot), seed=seed)
 
 
-def _logs(
-    on: list[Path] | None,
-    robot: "Robot | None",
-    gain: str | None,
-    columns: str | None,
-    topic: str | None,
-) -> "Log | None":
-    if not on:
-        return None
-    if robot is None:
-        raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
-    return read_logs(on, gain, robot, columns, topic)
-
-
 def _show(result: "Comparison | GapComparison | SetComparison", output: Output) -> None:
     """The verdict first, then what it rests on."""
-    from rich.markup import escape
-
     from torchid.compare.diagnoses import GapComparison
     from torchid.compare.identifications import Comparison
     from torchid.report import compare, compare_gap
@@ -134,17 +116,6 @@ def _show(result: "Comparison | GapComparison | SetComparison", output: Output) 
         verdict, tables = compare_gap.verdict(result), compare_gap.tables(result)
     else:
         verdict, tables = compare.set_verdict(result), compare.set_tables(result)
-    output.say(f"[bold]{escape(verdict)}[/]\n")
-    for table in tables:
-        output.say(table)
+    output.verdict(verdict)
+    output.say(*tables)
     output.warn(result.notes)
-
-
-def _draw(result: "Comparison | GapComparison | SetComparison", output: Output) -> None:
-    if output.folder is None:
-        return
-    from torchid.report.compare_figures import figures
-    from torchid.report.figures import save
-
-    drawn = [save(f, output.folder / f"{name}.png") for name, f in figures(result).items()]
-    output.say(f"written to {output.folder}: compare.json, " + ", ".join(p.name for p in drawn))

@@ -21,55 +21,38 @@ def effect_from_text(text: str, robot: Robot) -> Valued:
     """
     name, _, rest = text.partition(":")
     kind = effect_kind(name.strip())
-    given = _pairs(text, rest)
-    unknown = [key for key in given if key not in _keys(kind)]
-    if unknown:
-        raise TorchidError(
-            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.",
-            available=_keys(kind),
-        )
-    missing = [key for key in _needed(kind) if key not in given]
-    if missing:
-        raise TorchidError(
-            f"--effect {text}: {_described(kind, missing[0], given, robot)} is missing.",
-            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in _needed(kind)),
-        )
-    return effect_from_record({"effect": kind.name, **given}, robot)
-
-
-def _pairs(text: str, rest: str) -> dict[str, Any]:
-    pairs: dict[str, Any] = {}
+    given: dict[str, Any] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         key, equals, value = (part.strip() for part in item.partition("="))
-        if not equals or key in pairs:
+        if not equals or key in given:
             raise TorchidError(
                 f"--effect {text}: cannot be read at '{item}'.",
                 expected="name:key=value,key=value, each key once",
             )
-        pairs[key] = _number(text, key, value)
-    return pairs
-
-
-def _number(text: str, key: str, value: str) -> int | float:
-    try:
-        number = float(value)
-    except ValueError:
-        raise TorchidError(f"--effect {text}: {key} is not a number.", got=value) from None
-    return int(number) if key in (*PLACES, "seed") and number.is_integer() else number
-
-
-def _places(kind: type[Effect]) -> list[str]:
-    return [f.name for f in fields(kind) if f.name in PLACES]
-
-
-def _keys(kind: type[Effect]) -> list[str]:
-    own = [f.name for f in fields(kind) if f.name not in PLACES]
-    return [*_places(kind), *(c.name for c in kind.coefficients), *own]
-
-
-def _needed(kind: type[Effect]) -> list[str]:
-    plain = [f.name for f in fields(kind) if f.default is MISSING and f.name not in PLACES]
-    return [*_places(kind), *(c.name for c in kind.coefficients), *plain]
+        try:
+            number = float(value)
+        except ValueError:
+            raise TorchidError(f"--effect {text}: {key} is not a number.", got=value) from None
+        whole = key in (*PLACES, "seed") and number.is_integer()
+        given[key] = int(number) if whole else number
+    # Where it is, what its coefficients are, then shapes and other settings.
+    own = [f for f in fields(kind) if f.name not in PLACES]
+    first = [f.name for f in fields(kind) if f.name in PLACES]
+    first += [c.name for c in kind.coefficients]
+    keys = [*first, *(f.name for f in own)]
+    needed = [*first, *(f.name for f in own if f.default is MISSING)]
+    unknown = [key for key in given if key not in keys]
+    if unknown:
+        raise TorchidError(
+            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
+        )
+    missing = [key for key in needed if key not in given]
+    if missing:
+        raise TorchidError(
+            f"--effect {text}: {_described(kind, missing[0], given, robot)} is missing.",
+            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
+        )
+    return effect_from_record({"effect": kind.name, **given}, robot)
 
 
 def _described(kind: type[Effect], key: str, given: dict[str, Any], robot: Robot) -> str:

@@ -5,15 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip
-from torchid.app.output import Output, open_output
+from torchid.app import options as opt
+from torchid.app.output import open_output
 
 if TYPE_CHECKING:
     from torchid.export.dynamics import Dynamics
-    from torchid.export.export import Export
     from torchid.robot.model import Robot
-
-_TREES = (".urdf", ".xml")
 
 
 def export_command(
@@ -59,12 +56,12 @@ def export_command(
             help="Bounds of the centres of mass that count in the check, as for `torchid check`.",
         ),
     ] = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -75,8 +72,16 @@ def export_command(
     Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
     """
     output = open_output(json_file, out, quiet, threads)
+    from rich.markup import escape
+
     from torchid.export.export import export_dynamics
-    from torchid.report.export import export_record
+    from torchid.report.export import (
+        comparison_table,
+        effect_lines,
+        export_record,
+        headline,
+        warnings,
+    )
 
     dynamics, nominal, original = _read(result, robot, chosen, tip, geometry)
     done = export_dynamics(
@@ -91,7 +96,9 @@ def export_command(
         seed=seed,
         keep=[Path(file) for file in (result, robot) if file is not None],
     )
-    _show(done, output)
+    output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
+    output.warn(warnings(done))
+    output.say(f"\nwritten: {escape(headline(done))}")
     output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
 
 
@@ -107,13 +114,8 @@ def _read(
     from torchid.robot.library import is_robot, load_robot, named_robot
 
     if is_robot(result):
-        # A tip is for the files that can branch; where none can, the reader refuses it.
-        names = [result] if robot is None else [result, robot]
-        trees = [name for name in names if Path(name).suffix.lower() in _TREES]
-        own, *others = [
-            load_robot(name, tip=tip if name in trees or not trees else None) for name in names
-        ]
-        return robot_dynamics(own), own, others[0] if others else own
+        own, original = opt.load_both(result, robot, tip)
+        return robot_dynamics(own), own, original
     path = Path(result)
     data = load(path)
     arm = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
@@ -122,15 +124,3 @@ def _read(
     else:
         found = base_dynamics(path, arm)
     return found, arm, arm
-
-
-def _show(done: "Export", output: Output) -> None:
-    from rich.markup import escape
-
-    from torchid.report.export import comparison_table, effect_lines, headline, warnings
-
-    output.say(comparison_table(done))
-    for line in effect_lines(done):
-        output.say(escape(line))
-    output.warn(warnings(done))
-    output.say(f"\nwritten: {escape(headline(done))}")

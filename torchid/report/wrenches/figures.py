@@ -111,11 +111,11 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
         axes.set_xticks(range(len(kinds)), shown, rotation=40, ha="right", fontsize=7)
         if j % columns == 0:
             panels.label(axes, y="force error [N], RMS")
-    lines = {
+    meanings = {
         "the force itself (RMS)": _line(GREY, 1.2, linestyle=(0, (4, 2))),
         "greatest of any set of the kind": _line(INK, 0, marker="_", markersize=12),
     }
-    legend_below(figure, lines, 2)
+    legend_below(figure, meanings, 2)
     return _titled(figure, study, "force error per joint and kind of violation")
 
 
@@ -166,8 +166,8 @@ def time_figure(study: EqualTorqueStudy) -> "Figure":
     for axes in grid[-1]:
         panels.label(axes, "sample" if study.rate is None else "time [s]")
         axes.tick_params(labelbottom=True)
-    lines = {f"{label(k)}, median set": _line(_colour(k), 1.1) for k in kinds}
-    legend_below(figure, {"reference": _line(INK, 1.8), **lines}, 4)
+    sets = {f"{label(k)}, median set": _line(_colour(k), 1.1) for k in kinds}
+    legend_below(figure, {"reference": _line(INK, 1.8), **sets}, 4)
     return _titled(figure, study, "norms of the internal forces, all with the same torque")
 
 

@@ -22,7 +22,7 @@ def tables(study: EqualTorqueStudy) -> list[Table]:
 
 def kind_table(study: EqualTorqueStudy) -> Table:
     """Quartiles of the largest force error over the joints by kind, and the moments' median."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     moment = study.errors.moment_rms.amax(-1)
     for kind in study.kinds:
         own = study.rows(kind)
