@@ -14,16 +14,11 @@ if TYPE_CHECKING:
 
     from torchid.identification.identify import Identification
 
-EFFECTS = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
-
 
 def identify_command(
     robot: opt.RobotArgument,
     logs: opt.LogArguments,
-    effects: Annotated[
-        str,
-        typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
-    ] = EFFECTS,
+    effects: opt.FittedEffects = opt.FITTED,
     held_out: opt.HeldOut = None,
     held_out_fraction: opt.HeldOutFraction = 0.0,
     cutoff: Annotated[
@@ -44,9 +39,7 @@ def identify_command(
     columns: opt.Columns = None,
     topic: opt.Topic = None,
     gain: opt.Gain = None,
-    method: Annotated[
-        Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
-    ] = "huber",
+    method: opt.Method = "huber",
     covariance: Annotated[
         Literal["diagonal", "full"],
         typer.Option(help="Noise between joints, for wls and huber."),

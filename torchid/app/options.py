@@ -55,6 +55,17 @@ HeldOutFraction = Annotated[
         help="Without --held-out: the last part of each trajectory kept for validation.",
     ),
 ]
+FITTED = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
+"""Effects that a fit has by default."""
+FittedEffects = Annotated[
+    str,
+    typer.Option(
+        "--effects", help="Effects on every joint, comma-separated; `none` for the rigid body."
+    ),
+]
+Method = Annotated[
+    Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
+]
 Gain = Annotated[
     str | None,
     typer.Option("--gain", metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),

@@ -179,6 +179,13 @@ def progress_bar(output: Output) -> Iterator[Progress | None]:
         yield report
 
 
+def of(progress: Progress | None, name: str) -> Progress | None:
+    """A callback whose stages are those of one of several things, with its name before them."""
+    if progress is None:
+        return None
+    return lambda stage, done, total: progress(f"{name}: {stage}", done, total)
+
+
 def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
     """A callback (done, total) of one stage."""
     if progress is None:

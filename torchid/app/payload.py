@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.identify import EFFECTS
 from torchid.app.output import open_output, progress_bar
 
 
@@ -20,10 +19,7 @@ def payload_command(
             "--loaded", metavar="LOG", help="Logs with the payload. May be given several times."
         ),
     ],
-    effects: Annotated[
-        str,
-        typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
-    ] = EFFECTS,
+    effects: opt.FittedEffects = opt.FITTED,
     model: Annotated[
         Literal["general", "symmetric", "point_mass"],
         typer.Option(help="All ten parameters; symmetric about the tool's z axis; a point mass."),
@@ -44,9 +40,7 @@ def payload_command(
             help="Rows fitted. At rest friction can hold any torque, and so part of a payload's."
         ),
     ] = "moving",
-    method: Annotated[
-        Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
-    ] = "huber",
+    method: opt.Method = "huber",
     signs: Annotated[
         Literal["bounded", "free"],
         typer.Option(help="Coefficients physics forbids to be negative: hold at zero, or leave."),

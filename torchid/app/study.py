@@ -3,14 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Output, Progress, open_output, progress_bar
+from torchid.app.output import Output, of, open_output, progress_bar
 from torchid.app.page import hashed, robot_input, write_report
 from torchid.errors import TorchidError
 from torchid.json_data import write_json
@@ -98,7 +97,7 @@ def study_command(
                 checkpoints=checkpoints,
                 resume=resume,
                 device=where,
-                report=None if progress is None else partial(_told, progress, settings.name),
+                report=of(progress, settings.name),
             )
         records.append(_finish(found, folder, figures, own))
         _report(found, own, files)
@@ -110,10 +109,6 @@ def study_command(
     for settings in every:
         if out is not None:
             remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
-
-
-def _told(progress: Progress, name: str, part: str, done: int, total: int) -> None:
-    progress(f"{name}: {part}", done, total)
 
 
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
