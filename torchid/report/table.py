@@ -56,7 +56,7 @@ class Table:
             )
         for row in self.rows:
             if row:
-                table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+                table.add_row(*(Text.assemble(cell) for cell in row))
             else:
                 table.add_section()
         return table

@@ -65,10 +65,10 @@ def run_classes(study: Study) -> list[str]:
     ]
 
 
-def class_errors(study: Study, name: str) -> Float[Tensor, " R"]:
-    """Force errors of the runs of a class, largest joint [N]."""
+def distinct_errors(study: Study, name: str) -> int:
+    """How many force errors of the runs of a class (largest joint) are really different."""
     rows = [k for k, found in enumerate(run_classes(study)) if found == name]
-    return study.errors.force_rms[rows].amax(-1)
+    return different(study.errors.force_rms[rows].amax(-1))
 
 
 def all_degrees(study: Study) -> Float[Tensor, " K"]:

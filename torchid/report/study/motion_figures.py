@@ -11,16 +11,9 @@ from torchid.log.sampling import sampling_rate
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.excitation import SIGNALS, trajectory_figure
 from torchid.report.panels import finish, label, legend_below, new_figure, styled
+from torchid.report.study import facts
 from torchid.report.study.drawing import Drawing, Section, headroom, note, thin
-from torchid.report.study.facts import (
-    ROUNDING,
-    at_joint,
-    count,
-    number,
-    rms,
-    torque_errors,
-    validation_torques,
-)
+from torchid.report.study.facts import at_joint, count, number, rms
 from torchid.report.text import listed, torque_unit
 from torchid.robot.model import Robot
 from torchid.study.motions import new_motion
@@ -162,13 +155,13 @@ def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
 
 def torque_drawings(study: Study) -> list[Drawing]:
     """Torques of the validation and of the best sets (figures 5.3, 5.4 and their like)."""
-    identified, rebuilt, true = validation_torques(study)
+    identified, rebuilt, true = facts.validation_torques(study)
     size = rms(true)
     error = rms(identified - true) / size
     worst, where = float(error.max()), int(error.argmax()) + 1
     verdict = (
         "that is rounding: the two overlap and the identification is exact"
-        if worst < ROUNDING
+        if worst < facts.ROUNDING
         else "the identification is not exact"
     )
     other = float((rms(rebuilt - true) / size).max())
@@ -222,10 +215,10 @@ def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tens
 
 
 def _sets_torque(study: Study) -> Drawing:
-    error, real = torque_errors(study.sets_motion)
+    error, real = facts.torque_errors(study.sets_motion)
     share, unit = error / real, torque_unit(study.robot, "N m; N")
     names = study.sets_motion.labels[1:]
-    close = [k for k in range(len(names)) if float(share[k].max()) < ROUNDING]
+    close = [k for k in range(len(names)) if float(share[k].max()) < facts.ROUNDING]
     sentences = []
     if close:
         sentences.append(

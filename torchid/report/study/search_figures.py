@@ -8,17 +8,9 @@ import torch
 
 from torchid.report.colours import BLUE, GREY, INK
 from torchid.report.panels import finish, label, new_figure, panel, styled
+from torchid.report.study import facts
 from torchid.report.study.drawing import BREAKS, KEEPS, Drawing, floored, spread
-from torchid.report.study.facts import (
-    all_degrees,
-    by_feasibility,
-    count,
-    endings,
-    ids,
-    kept,
-    number,
-    phi_min,
-)
+from torchid.report.study.facts import count, ids, kept, number
 from torchid.report.text import listed
 from torchid.study.result import ScenarioResult, Study
 
@@ -79,7 +71,7 @@ def _convergence(study: Study) -> "Figure":
             stages = np.arange(1, values.shape[1] + 1)
             axes.plot(stages, values.T, color=GREY, linewidth=0.5, alpha=0.7)
             axes.plot(stages, values[s.extraction.best], color=BLUE, linewidth=2.0)
-        least = phi_min(study, s)
+        least = facts.phi_min(study, s)
         if _LEAST_PHI < least < math.inf:
             grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
         heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
@@ -94,7 +86,7 @@ def _convergence(study: Study) -> "Figure":
     empty = grid[0, 0]
     empty.plot([], [], color=GREY, linewidth=0.8, label="runs")
     empty.plot([], [], color=BLUE, linewidth=2.0, label="best run")
-    if any(_LEAST_PHI < phi_min(study, s) < math.inf for s in study.scenarios):
+    if any(_LEAST_PHI < facts.phi_min(study, s) < math.inf for s in study.scenarios):
         empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
     return finish(figure, f"{study.robot.name}: the search, stage by stage", empty)
 
@@ -102,7 +94,7 @@ def _convergence(study: Study) -> "Figure":
 def _losses_caption(study: Study) -> str:
     sentences = []
     for s in study.scenarios:
-        e, least = s.extraction, phi_min(study, s)
+        e, least = s.extraction, facts.phi_min(study, s)
         if math.isnan(least):
             said = "no phi_min is known"
         elif least == 0:
@@ -115,10 +107,9 @@ def _losses_caption(study: Study) -> str:
                 f"{int(under.sum())} below ({int((under & s.feasibility.feasible).sum())} of these "
                 "feasible)"
             )
+        ended = count(len(facts.endings(s).unique()), "different set")
         sentences.append(
-            f"{s.scenario.id}: best {number(s.phi)}, "
-            f"{count(len(endings(s).unique()), 'different set')} in {count(len(e.sets), 'run')}; "
-            f"{said}"
+            f"{s.scenario.id}: best {number(s.phi)}, {ended} in {count(len(e.sets), 'run')}; {said}"
         )
     return (
         "Loss of every run before (grey) and after the polish (green: feasible, red: infeasible), "
@@ -137,7 +128,7 @@ def _losses(study: Study) -> "Figure":
         axes.scatter(c - 0.2 + spread(len(before), 1, 0.1), before, s=10, color=GREY, linewidth=0)
         place = c + 0.15 + spread(len(after), 2, 0.12)
         _marks(axes, s, place, after)
-        least = phi_min(study, s)
+        least = facts.phi_min(study, s)
         if not math.isnan(least) and least < math.inf:
             axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
     label(axes, y="loss phi")
@@ -179,7 +170,7 @@ def _degrees_caption(study: Study) -> str:
             f"{s.scenario.id}: {int(s.feasibility.feasible.sum())} of {len(degree)} runs feasible, "
             f"degrees from {number(float(degree.min()), 2)} to {number(float(degree.max()), 2)}"
         )
-    good = by_feasibility(study, True)
+    good = facts.by_feasibility(study, True)
     firm = max(good, key=lambda s: s.degree) if good else None
     if firm is None:
         last = "No best set is feasible."
@@ -190,7 +181,7 @@ def _degrees_caption(study: Study) -> str:
             f"Of the feasible best sets ({listed(ids(good))}) {firm.scenario.id} is the firmest, "
             f"with {number(firm.degree, 2)}."
         )
-    degrees, feasible = all_degrees(study), int((all_degrees(study) > 0).sum())
+    degrees, feasible = facts.all_degrees(study), int((facts.all_degrees(study) > 0).sum())
     near = int(((degrees > 0) & (degrees < _NEAR)).sum())
     close = (
         f" {near} of {count(feasible, 'feasible run')} are within {_NEAR:g} of the boundary: "

@@ -4,20 +4,8 @@ import math
 from collections import Counter
 
 from torchid.report.payload import QUANTITIES
-from torchid.report.study.facts import (
-    best_rows,
-    class_errors,
-    contradictions,
-    count,
-    different,
-    endings,
-    kept,
-    number,
-    payload_numbers,
-    phi_min,
-    torque_errors,
-    with_conditions,
-)
+from torchid.report.study import facts
+from torchid.report.study.facts import count, kept, number
 from torchid.report.table import Table
 from torchid.report.text import listed, torque_unit
 from torchid.study.result import Study
@@ -49,13 +37,13 @@ def scenario_table(study: Study) -> Table:
     rows = [
         (
             s.scenario.id, s.scenario.bounds, s.scenario.penalty, number(s.phi, 4),
-            number(phi_min(study, s), 4), number(s.gamma), "yes" if s.feasible else "no",
+            number(facts.phi_min(study, s), 4), number(s.gamma), "yes" if s.feasible else "no",
             ", ".join(s.reasons) or "-", number(s.degree, 2), number(s.torque_relative, 2),
         )
         for s in study.scenarios
     ]  # fmt: skip
     # For some bounds phi_min does not count the conditions.
-    alone = [b for b in study.certificates if not with_conditions(study, b)]
+    alone = [b for b in study.certificates if not facts.with_conditions(study, b)]
     note = f" For the bounds {listed(alone)}, phi_min is that of the bounds and physics alone."
     return Table(
         "best set of each scenario (tables 5.2 to 5.5)",
@@ -80,7 +68,7 @@ def search_table(study: Study) -> Table:
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
                 f"{kept(e.searched_gamma)} / {kept(e.gamma)}",
-                str(int(s.feasibility.feasible.sum())), str(len(endings(s).unique())),
+                str(int(s.feasibility.feasible.sum())), str(len(facts.endings(s).unique())),
                 f"{e.seconds:.1f}",
             )
         )  # fmt: skip
@@ -104,8 +92,8 @@ def certificate_table(study: Study) -> Table | None:
         active = [
             f"{name} ({number(v, 4)})" for name, v in released if v < (1 - _ACTIVE) * c.phi_min
         ]
-        conditions = "all" if with_conditions(study, bounds) else "bounds and physics only"
-        no_room = contradictions(study, bounds) or c.conflict
+        conditions = "all" if facts.with_conditions(study, bounds) else "bounds and physics only"
+        no_room = facts.contradictions(study, bounds) or c.conflict
         stands = (", ".join(x) or "-" for x in (c.forcing, active, no_room, c.relaxed_active))
         losses = (number(c.phi_min, 4), number(c.phi_strict, 4))
         rows.append((bounds, *losses, conditions, *stands, f"{c.seconds:.1f}"))
@@ -148,7 +136,7 @@ def reason_table(study: Study) -> Table:
 
 def torque_table(study: Study) -> Table:
     """Torque errors of the best sets per joint."""
-    error, real = torque_errors(study.sets_motion)
+    error, real = facts.torque_errors(study.sets_motion)
     rows = [("real torque", *(number(v) for v in real.tolist()), "-")]
     for name, row in zip(study.sets_motion.labels[1:], error, strict=True):
         largest = number(float((row / real).max()))
@@ -166,7 +154,7 @@ def set_wrench_table(study: Study) -> Table:
     """Errors of the internal forces of the best sets per joint, moments beside the largest."""
     e = study.errors
     sets = [("real wrench", "-", e.reference_force_rms, e.reference_moment_rms)]
-    for s, row in zip(study.scenarios, best_rows(study), strict=True):
+    for s, row in zip(study.scenarios, facts.best_rows(study), strict=True):
         said = "yes" if s.feasible else "no"
         sets.append((s.scenario.id, said, e.force_rms[row], e.moment_rms[row]))
     return Table(
@@ -189,11 +177,11 @@ def class_table(study: Study) -> Table:
     rows = []
     for c in study.comparison.classes:
         name, sets, *quartiles = _summary(c)
-        effect = effects.get(c.name)
+        effect, distinct = effects.get(name), str(facts.distinct_errors(study, name))
         against = ("-", "-")
         if effect is not None:
             against = (_interval(effect.ratio), _interval(effect.delta))
-        rows.append((name, sets, str(different(class_errors(study, name))), *quartiles, *against))
+        rows.append((name, sets, distinct, *quartiles, *against))
     found = study.comparison
     rho = [
         f"{_interval(correlation.rho)} over {what}"
@@ -234,7 +222,7 @@ def reason_error_table(study: Study) -> Table:
 def payload_table(study: Study) -> Table:
     """True and estimated payload in the tool frame, with intervals."""
     rows = []
-    for named, t, v, a, b in zip(QUANTITIES, *payload_numbers(study), strict=True):
+    for named, t, v, a, b in zip(QUANTITIES, *facts.payload_numbers(study), strict=True):
         value = number(v, 4) if math.isfinite(v) else "not known"
         ends = ("-", "-")
         if math.isfinite(a):

@@ -4,21 +4,8 @@ import math
 
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
-from torchid.report.study.facts import (
-    ROUNDING,
-    at_joint,
-    by_feasibility,
-    class_errors,
-    count,
-    different,
-    ids,
-    number,
-    payload_numbers,
-    rms,
-    torque_errors,
-    validation_torques,
-    with_conditions,
-)
+from torchid.report.study import facts
+from torchid.report.study.facts import at_joint, count, ids, number, rms
 from torchid.report.text import listed
 from torchid.study.result import Study
 from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
@@ -26,7 +13,7 @@ from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
 
 def headline(study: Study) -> str:
     """Two sentences: how many sets are feasible, and what being infeasible costs inside."""
-    good = ids(by_feasibility(study, True))
+    good = ids(facts.by_feasibility(study, True))
     error = float((study.identification.values - study.truth).abs().max())
     medians = [
         f"{c.name} {number(c.median)}" for c in study.comparison.classes if c.median is not None
@@ -45,10 +32,10 @@ def headline(study: Study) -> str:
 
 def verdict(study: Study) -> list[str]:
     """One sentence or two for each part of the study."""
-    identified, _, true = validation_torques(study)
+    identified, _, true = facts.validation_torques(study)
     share = float((rms(identified - true) / rms(true)).max())
     error = float((study.identification.values - study.truth).abs().max())
-    quality = "exact to rounding" if share < ROUNDING else "not exact"
+    quality = "exact to rounding" if share < facts.ROUNDING else "not exact"
     said = [
         f"Identification: {len(study.truth)} coefficients, largest error {number(error, 2)}; on a "
         f"new motion the torque is wrong by at most {number(share, 2)} of its root mean square: "
@@ -63,7 +50,7 @@ def verdict(study: Study) -> list[str]:
         else "Truth: the simulated arm's own parameters are feasible."
     )
     said += _possible(study)
-    good, bad = by_feasibility(study, True), by_feasibility(study, False)
+    good, bad = facts.by_feasibility(study, True), facts.by_feasibility(study, False)
     runs = sum(len(s.extraction.sets) for s in study.scenarios)
     feasible = sum(int(s.feasibility.feasible.sum()) for s in study.scenarios)
     failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
@@ -72,10 +59,10 @@ def verdict(study: Study) -> list[str]:
         f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
         f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
     )
-    off, real = torque_errors(study.sets_motion)
+    off, real = facts.torque_errors(study.sets_motion)
     exact, others = [], []
     for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
-        if float(row.max()) < ROUNDING:
+        if float(row.max()) < facts.ROUNDING:
             exact.append(name)
         else:
             others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
@@ -109,7 +96,7 @@ def _possible(study: Study) -> list[str]:
         if math.isnan(c.phi_min):
             out.append(f"Unknown: within the bounds {bounds} the solver failed.")
             continue
-        whose = "feasible" if with_conditions(study, bounds) else "physical"
+        whose = "feasible" if facts.with_conditions(study, bounds) else "physical"
         if c.phi_min > 0:
             why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
             out.append(
@@ -127,7 +114,7 @@ def _possible(study: Study) -> list[str]:
 
 def _class(study: Study, e: EffectSize) -> str:
     low, high = e.ratio.low, e.ratio.high
-    distinct = {name: different(class_errors(study, name)) for name in (e.first, e.second)}
+    distinct = {name: facts.distinct_errors(study, name) for name in (e.first, e.second)}
     few = [f"{k} different among '{name}'" for name, k in distinct.items() if k < LEAST_CLUSTERS]
     if few:
         told = f"not judged: only {listed(few)}"
@@ -148,7 +135,7 @@ def _class(study: Study, e: EffectSize) -> str:
 
 
 def _payload(study: Study) -> str:
-    truth, value, low, high = payload_numbers(study)
+    truth, value, low, high = facts.payload_numbers(study)
     known = [k for k in range(len(truth)) if math.isfinite(value[k]) and math.isfinite(low[k])]
     held = sum(low[k] <= truth[k] <= high[k] for k in known)
     if 0 not in known:

@@ -12,21 +12,9 @@ import torch
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import finish, label, new_figure, panel, rows_of, styled
 from torchid.report.payload import QUANTITIES
-from torchid.report.study import drawing
+from torchid.report.study import drawing, facts
 from torchid.report.study.drawing import BREAKS, KEEPS, REAL, Drawing, joint_panels, spread, thin
-from torchid.report.study.facts import (
-    all_degrees,
-    at_joint,
-    best_rows,
-    by_feasibility,
-    count,
-    ids,
-    number,
-    payload_numbers,
-    rms,
-    row_of,
-    run_classes,
-)
+from torchid.report.study.facts import at_joint, count, ids, number, rms
 from torchid.report.text import listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
@@ -46,7 +34,7 @@ def wrench_drawings(study: Study) -> list[Drawing]:
     wrench, name = study.wrench_motion, study.robot.name
     chosen: list[tuple[Any, ...]] = [("real", "real", REAL)]
     for feasible, colour in ((True, KEEPS), (False, BREAKS)):
-        for k, own in enumerate(ids(by_feasibility(study, feasible))):
+        for k, own in enumerate(ids(facts.by_feasibility(study, feasible))):
             said = f"{own} ({'feasible' if feasible else 'infeasible'})"
             chosen.append((said, own, colour, drawing.STYLES[k % len(drawing.STYLES)]))
     out = []
@@ -56,8 +44,8 @@ def wrench_drawings(study: Study) -> list[Drawing]:
         caption = _overview_caption(study, what, unit, values)
         out.append(Drawing("wrenches", f"overview_{what}", caption, draw))
     # Pairs of a feasible and an infeasible best set; one of them is None where there is none.
-    good: list[str | None] = [*ids(by_feasibility(study, True))] or [None]
-    bad: list[str | None] = [*ids(by_feasibility(study, False))] or [None]
+    good: list[str | None] = [*ids(facts.by_feasibility(study, True))] or [None]
+    bad: list[str | None] = [*ids(facts.by_feasibility(study, False))] or [None]
     for a, b in ((a, b) for a in good for b in bad):
         parts = [x for x in (("F", a, KEEPS), ("UN", b, BREAKS)) if x[1]]
         shown = [(f"{kind} = {own}", own, colour) for kind, own, colour in parts]
@@ -78,7 +66,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
     for name in (good, bad):
         if name is None:
             continue
-        row = error[row_of(wrench, name)]
+        row = error[facts.row_of(wrench, name)]
         s = next(s for s in study.scenarios if s.scenario.id == name)
         why = "feasible" if s.feasible else f"infeasible by {listed(s.reasons)}"
         worst = int((row / real).argmax())
@@ -91,7 +79,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
         f"differences of the norms from the real ones: {'; '.join(said)}."
     )
     if good is not None and bad is not None:
-        a, b = (error[row_of(wrench, name)] for name in (good, bad))
+        a, b = (error[facts.row_of(wrench, name)] for name in (good, bad))
         nearer = [str(j + 1) for j in range(study.robot.n) if b[j] < a[j]]
         where = f"{'joint' if len(nearer) == 1 else 'joints'} {listed(nearer)}"
         if len(nearer) == study.robot.n:
@@ -110,11 +98,11 @@ def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, 
     error = rms(values - values[0]) / rms(values[0])
     sentences = []
     for feasible, word in ((True, "feasible"), (False, "infeasible")):
-        chosen = by_feasibility(study, feasible)
+        chosen = facts.by_feasibility(study, feasible)
         if not chosen:
             sentences.append(f"no best set is {word}")
             continue
-        worst = {s.scenario.id: float(error[row_of(study.wrench_motion, s.scenario.id)].max())
+        worst = {s.scenario.id: float(error[facts.row_of(study.wrench_motion, s.scenario.id)].max())
                  for s in chosen}  # fmt: skip
         near, far = min(worst, key=worst.__getitem__), max(worst, key=worst.__getitem__)
         text = f"of the {word} sets {near} comes nearest to the real arm"
@@ -138,7 +126,7 @@ def _norms(
 ) -> "Figure":
     """Norms of some sets, one panel a joint. Chosen: (label, id, colour[, line style])."""
     n = values.shape[-1]
-    rows = {name: row_of(sets, name) for _, name, *_ in chosen}
+    rows = {name: facts.row_of(sets, name) for _, name, *_ in chosen}
     shown = values[list(rows.values())]
     top, real = shown.amax((0, 1)), values[0].amax(0)
     far = bool((top > _FAR * real.clamp(min=1e-9)).any())
@@ -193,7 +181,7 @@ def _errors(study: Study) -> Drawing:
 
 def _error_figure(study: Study) -> "Figure":
     error = study.errors.force_rms.amax(-1)
-    degree, classes = all_degrees(study), run_classes(study)
+    degree, classes = facts.all_degrees(study), facts.run_classes(study)
     names = ordered_classes(classes)
     figure = new_figure(12, 4.8)
     inside, outside, beside = (
@@ -203,7 +191,7 @@ def _error_figure(study: Study) -> "Figure":
         axes.set_xscale("log")
         axes.set_yscale("log")
     best = torch.zeros_like(degree, dtype=torch.bool)
-    best[best_rows(study)] = True
+    best[facts.best_rows(study)] = True
     for c, name in enumerate(names):
         own = torch.tensor([x == name for x in classes])
         axes = inside if name == FEASIBLE else outside
@@ -241,7 +229,7 @@ def payload_drawings(study: Study) -> list[Drawing]:
 
 
 def _estimate_caption(study: Study) -> str:
-    truth, value, low, high = payload_numbers(study)
+    truth, value, low, high = facts.payload_numbers(study)
     rows = list(zip(QUANTITIES, truth, value, low, high, strict=True))
     known = [row for row in rows if math.isfinite(row[3]) and math.isfinite(row[4])]
     missed = [name for (name, _), t, _, a, b in known if not a <= t <= b]
@@ -260,7 +248,7 @@ def _estimate_caption(study: Study) -> str:
 
 
 def _estimate(study: Study) -> "Figure":
-    truth, value, low, high = payload_numbers(study)
+    truth, value, low, high = facts.payload_numbers(study)
     figure, axes = panel(9, 4.2)
     axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
     axes.axvline(0, color=GREY, linewidth=0.8)
