@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Output, open_output
+from torchid.app.output import open_output
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
 
@@ -84,9 +84,19 @@ def check_command(
     output = open_output(json_file, out, quiet, threads)
     if nearest is not None and not nearest.parent.is_dir():
         raise TorchidError(f"the folder of '{nearest}' does not exist.")
+    from rich.markup import escape
+
     from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets, record
+    from torchid.report.feasibility import (
+        DEGREE,
+        conditions_line,
+        findings_lines,
+        headline,
+        nearest_table,
+        tables,
+    )
 
     found, sets, others, also, noticed = _read(params, robot, tip)
     total = None
@@ -107,7 +117,16 @@ def check_command(
     data = {**record(check), "seed": seed}
     data["warnings"] = [*noticed, *data["warnings"]]
     repaired = None if nearest is None else _nearest(check, others, nearest, data, seed)
-    _show(check, data["warnings"], repaired, output)
+    output.verdict(headline(check))
+    output.say(escape(conditions_line(check)), *tables(check))
+    if repaired is not None:
+        output.say(nearest_table(repaired))
+    output.say(DEGREE)
+    output.warn(data["warnings"])
+    findings = findings_lines(check)
+    if findings:
+        output.say("\nnot plausible, though not forbidden:")
+        output.warn(findings)
     if repaired is None and nearest is not None:
         output.say(f"all sets are feasible: {nearest} was not written")
     output.write_json(data, "feasibility.json")
@@ -199,29 +218,3 @@ def _nearest(
             "torque_change_relative": plain(nearest.torque_change_relative[k]),
         }
     return nearest
-
-
-def _show(
-    check: "Check", warnings: Sequence[str], nearest: "NearestSets | None", output: Output
-) -> None:
-    from rich.markup import escape
-
-    from torchid.report.feasibility import (
-        DEGREE,
-        conditions_line,
-        findings_lines,
-        headline,
-        nearest_table,
-        tables,
-    )
-
-    output.verdict(headline(check))
-    output.say(escape(conditions_line(check)), *tables(check))
-    if nearest is not None:
-        output.say(nearest_table(nearest))
-    output.say(DEGREE)
-    output.warn(warnings)
-    findings = findings_lines(check)
-    if findings:
-        output.say("\nnot plausible, though not forbidden:")
-        output.warn(findings)

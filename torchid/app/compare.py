@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Output, open_output
+from torchid.app.output import open_output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from torchid.compare.diagnoses import GapComparison
     from torchid.compare.identifications import Comparison
-    from torchid.compare.reading import Result
     from torchid.compare.sets import SetComparison
     from torchid.log.model import Log
     from torchid.robot.model import Robot
@@ -58,13 +55,18 @@ def compare_command(
     friday/identification.json --on test.parquet --out compared`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.compare.reading import read_results
+    from torchid.compare import reading
+    from torchid.compare.diagnoses import compare_diagnoses
+    from torchid.compare.identifications import compare_identifications
     from torchid.compare.record import record
+    from torchid.compare.sets import compare_sets, robot_of
+    from torchid.report import compare, compare_gap
     from torchid.report.compare_figures import figures
     from torchid.robot.library import load_robot
+    from torchid.robot.record import recorded_robot
 
-    read = read_results(results)
-    found = None if robot is None else load_robot(robot, tip=tip)
+    read = reading.read_results(results)
+    arm = None if robot is None else load_robot(robot, tip=tip)
 
     def log(arm: "Robot | None") -> "Log | None":
         if not on:
@@ -73,49 +75,23 @@ def compare_command(
             raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
         return opt.read_logs(on, gain, arm, columns, topic)
 
-    compared = _compared(read, found, tip, log, seed)
-    _show(compared, output)
-    output.write_json({**record(compared), "seed": seed}, "compare.json")
-    output.draw(lambda: figures(compared), "compare.json")
-
-
-def _compared(
-    results: "Sequence[Result]",
-    robot: "Robot | None",
-    tip: str | None,
-    log: "Callable[[Robot | None], Log | None]",
-    seed: int,
-) -> "Comparison | GapComparison | SetComparison":
-    from torchid.compare import reading
-    from torchid.compare.diagnoses import compare_diagnoses
-    from torchid.compare.identifications import compare_identifications
-    from torchid.compare.sets import compare_sets, robot_of
-    from torchid.robot.record import recorded_robot
-
-    recorded = (recorded_robot(r.data, str(r.path)) for r in results)
-    if results[0].schema == reading.IDENTIFICATION:
-        found = [reading.read_identification(r) for r in results]
-        robot = robot or next((r.robot for r in found if r.robot is not None), None)
-        return compare_identifications(found, robot=robot, on=log(robot), seed=seed)
-    if results[0].schema == reading.GAP:
-        robot = robot or next((r for r in recorded if r is not None), None)
-        return compare_diagnoses(results, on=log(robot), seed=seed)
-    robot = robot or robot_of(results, tip)
-    return compare_sets(results, robot, on=log(robot), seed=seed)
-
-
-def _show(result: "Comparison | GapComparison | SetComparison", output: Output) -> None:
-    """The verdict first, then what it rests on."""
-    from torchid.compare.diagnoses import GapComparison
-    from torchid.compare.identifications import Comparison
-    from torchid.report import compare, compare_gap
-
-    if isinstance(result, Comparison):
-        verdict, tables = compare.verdict(result), compare.tables(result)
-    elif isinstance(result, GapComparison):
-        verdict, tables = compare_gap.verdict(result), compare_gap.tables(result)
+    compared: "Comparison | GapComparison | SetComparison"
+    if read[0].schema == reading.IDENTIFICATION:
+        every = [reading.read_identification(r) for r in read]
+        arm = arm or next((r.robot for r in every if r.robot is not None), None)
+        compared = found = compare_identifications(every, robot=arm, on=log(arm), seed=seed)
+        verdict, tables = compare.verdict(found), compare.tables(found)
+    elif read[0].schema == reading.GAP:
+        recorded = (recorded_robot(r.data, str(r.path)) for r in read)
+        arm = arm or next((r for r in recorded if r is not None), None)
+        compared = gaps = compare_diagnoses(read, on=log(arm), seed=seed)
+        verdict, tables = compare_gap.verdict(gaps), compare_gap.tables(gaps)
     else:
-        verdict, tables = compare.set_verdict(result), compare.set_tables(result)
+        arm = arm or robot_of(read, tip)
+        compared = sets = compare_sets(read, arm, on=log(arm), seed=seed)
+        verdict, tables = compare.set_verdict(sets), compare.set_tables(sets)
     output.verdict(verdict)
     output.say(*tables)
-    output.warn(result.notes)
+    output.warn(compared.notes)
+    output.write_json({**record(compared), "seed": seed}, "compare.json")
+    output.draw(lambda: figures(compared), "compare.json")

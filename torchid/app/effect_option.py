@@ -3,7 +3,7 @@
 from dataclasses import MISSING, fields
 from typing import Any
 
-from torchid.effects.base import PLACES, Coefficient, Effect, Shape
+from torchid.effects.base import PLACES, Coefficient, Shape
 from torchid.effects.registry import Valued, effect_from_record, effect_kind
 from torchid.errors import TorchidError
 from torchid.robot.model import JointType, Robot
@@ -48,25 +48,18 @@ def effect_from_text(text: str, robot: Robot) -> Valued:
         )
     missing = [key for key in needed if key not in given]
     if missing:
+        key = missing[0]
+        what = f"{key} (1 to {robot.n})" if key in PLACES else key
+        every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
+        for entry in (entry for entry in every if entry.name == key):
+            # With its unit on the given joint.
+            joint = given.get("joint", 1)
+            there = joint in range(1, robot.n + 1)
+            prismatic = there and robot.joint_types[joint - 1] is JointType.PRISMATIC
+            unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
+            what = f"{key} [{unit}] ({entry.meaning})"
         raise TorchidError(
-            f"--effect {text}: {_described(kind, missing[0], given, robot)} is missing.",
+            f"--effect {text}: {what} is missing.",
             expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
         )
     return effect_from_record({"effect": kind.name, **given}, robot)
-
-
-def _described(kind: type[Effect], key: str, given: dict[str, Any], robot: Robot) -> str:
-    """What a key is, with its unit on the given joint."""
-    if key in PLACES:
-        return f"{key} (1 to {robot.n})"
-    joint = given.get("joint", 1)
-    prismatic = joint in range(1, robot.n + 1) and (
-        robot.joint_types[joint - 1] is JointType.PRISMATIC
-    )
-    every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
-    entries = {entry.name: entry for entry in every}
-    if key not in entries:
-        return key
-    entry = entries[key]
-    unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
-    return f"{key} [{unit}] ({entry.meaning})"

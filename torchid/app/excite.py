@@ -14,7 +14,6 @@ from torchid.json_data import plain
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
     from torchid.excitation.torque import TorqueLimits
-    from torchid.log.model import Log
     from torchid.robot.model import Robot
 
 
@@ -87,7 +86,6 @@ def excite_command(
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.excitation.trajectories import trajectory_log
     from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
 
@@ -124,7 +122,7 @@ def excite_command(
                 f"'{result}' does not record its robot.", expected="torchid excite ROBOT"
             )
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
-    arm, what = opt.limited(found, max_velocity, max_acceleration), "next"
+    arm = opt.limited(found, max_velocity, max_acceleration)
     if result is not None:
         best, record, torque = designed_for(
             result, data, arm, seed, criterion, restarts, settings, output
@@ -136,12 +134,10 @@ def excite_command(
         settings["device"] = opt.device(device_name)
         names = opt.effect_names(effects)
         made, record, torque = _optimised(arm, names, seed, count, settings, output)
-        what = kind
     else:
         made, record, torque = _given(arm, kind, seed, count, settings)
-        what = kind
     record |= torque_use(arm, torque, made, output)
-    _finish(arm, what, [trajectory_log(x, rate) for x in made], record, target, output)
+    _write(arm, "next" if result else kind, made, rate, record, target, output)
 
 
 def _given(
@@ -213,18 +209,22 @@ def _coefficients(series: "list[FourierTrajectory]") -> list[dict[str, Any]]:
     return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _finish(
+def _write(
     robot: "Robot",
     kind: str,
-    logs: "list[Log]",
+    trajectories: list[Any],
+    rate: float,
     record: dict[str, Any],
     target: Path | None,
     output: Output,
 ) -> None:
+    """The log of the motions, their figures and their record."""
+    from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
     from torchid.report.excitation import trajectory_figure
 
+    logs = [trajectory_log(x, rate) for x in trajectories]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
     output.warn(log.warnings)
     written = []

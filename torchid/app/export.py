@@ -1,16 +1,12 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.output import open_output
-
-if TYPE_CHECKING:
-    from torchid.export.dynamics import Dynamics
-    from torchid.robot.model import Robot
 
 
 def export_command(
@@ -75,6 +71,7 @@ def export_command(
     from rich.markup import escape
 
     from torchid.export.export import export_dynamics
+    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
     from torchid.report.export import (
         comparison_table,
         effect_lines,
@@ -82,8 +79,20 @@ def export_command(
         headline,
         warnings,
     )
+    from torchid.robot.library import is_robot, load_robot, named_robot
 
-    dynamics, nominal, original = _read(result, robot, chosen, tip, geometry)
+    if is_robot(result):
+        nominal, original = opt.load_both(result, robot, tip)
+        dynamics = robot_dynamics(nominal)
+    else:
+        path = Path(result)
+        data = load(path)
+        nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+        original = nominal
+        if "sets" in data:
+            dynamics = set_dynamics(path, data, nominal, chosen, geometry)
+        else:
+            dynamics = base_dynamics(path, nominal)
     done = export_dynamics(
         dynamics,
         to,
@@ -100,27 +109,3 @@ def export_command(
     output.warn(warnings(done))
     output.say(f"\nwritten: {escape(headline(done))}")
     output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
-
-
-def _read(
-    result: str,
-    robot: str | None,
-    chosen: str | None,
-    tip: str | None,
-    geometry: str | None,
-) -> "tuple[Dynamics, Robot, Robot]":
-    """The dynamics, the robot they belong to, and that whose file a copy is edited of."""
-    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
-    from torchid.robot.library import is_robot, load_robot, named_robot
-
-    if is_robot(result):
-        own, original = opt.load_both(result, robot, tip)
-        return robot_dynamics(own), own, original
-    path = Path(result)
-    data = load(path)
-    arm = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
-    if "sets" in data:
-        found = set_dynamics(path, data, arm, chosen, geometry)
-    else:
-        found = base_dynamics(path, arm)
-    return found, arm, arm

@@ -1,16 +1,13 @@
 """`torchid log`: what a log is, before anything is computed from it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.log_doctor import doctor_command
-from torchid.app.output import Output, open_output
-
-if TYPE_CHECKING:
-    from torchid.log.overview import Overview
+from torchid.app.output import open_output
 
 log_app = typer.Typer(
     name="log", no_args_is_help=True, help="What a log is, before anything is computed from it."
@@ -51,11 +48,15 @@ def show_command(
     run1.parquet`
     """
     output = open_output(json_file, None, quiet)
+    from rich.markup import escape
+
     from torchid.gap.repeated import repeated_motion
     from torchid.log.mapping import read_mapping
     from torchid.log.overview import look_at, overview_record
     from torchid.log.readers import write_log
+    from torchid.log.ros import topics_of
     from torchid.log.table import Request
+    from torchid.report.log import headline, log_tables, repeats_table, topics_table
     from torchid.robot.library import load_robot
     from torchid.robot.model import JointType
 
@@ -73,20 +74,6 @@ def show_command(
     request = Request(None if columns is None else read_mapping(columns), topic, joints)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
-    _show(seen, repeats, output)
-    if out is not None:
-        write_log(seen.log, out)
-        output.say(f"{seen.log.samples} samples written to {out}")
-    record = overview_record(seen)
-    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
-
-
-def _show(seen: "Overview", repeats: tuple[Any, ...], output: Output) -> None:
-    from rich.markup import escape
-
-    from torchid.log.ros import topics_of
-    from torchid.report.log import headline, log_tables, repeats_table, topics_table
-
     output.verdict(headline(seen))
     for table in seen.tables:
         if table is not None and table.topic is not None:
@@ -99,3 +86,8 @@ def _show(seen: "Overview", repeats: tuple[Any, ...], output: Output) -> None:
     output.warn(seen.warnings)
     if seen.problem is not None:
         output.say(f"[red]this log cannot be used as it is:[/] {escape(seen.problem)}")
+    if out is not None:
+        write_log(seen.log, out)
+        output.say(f"{seen.log.samples} samples written to {out}")
+    record = overview_record(seen)
+    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")

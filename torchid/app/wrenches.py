@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from torchid.effects.base import Motion
     from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
-    from torchid.study.equal_torque.setting import Setting
 
 _MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
 _CUTOFF = 8.0
@@ -92,7 +91,13 @@ def wrenches_command(
     `torchid wrenches arm.urdf --sets sets/sets.json --reference run_1 --trajectory motion.csv`
     """
     output = open_output(json_file, out, quiet, threads)
+    from torchid.report.wrenches.figures import figures
+    from torchid.report.wrenches.findings import findings
+    from torchid.report.wrenches.tables import tables
     from torchid.robot.library import load_robot
+    from torchid.study.equal_torque.record import study_record
+    from torchid.study.equal_torque.setting import equal_torque_setting
+    from torchid.study.equal_torque.study import equal_torque_study
 
     found = opt.limited(load_robot(robot, tip=tip), None, max_acceleration)
     total = None
@@ -107,28 +112,8 @@ def wrenches_command(
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
         _given(found, sets, reference, geometry, total, motion, resamples, seed, output)
-    else:
-        from torchid.study.equal_torque.setting import equal_torque_setting
-
-        setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
-        _equal_torque(setting, per_kind, motion, variants, resamples, seed, output)
-
-
-def _equal_torque(
-    setting: "Setting",
-    per_kind: int,
-    motion: "Motion | None",
-    variants: bool,
-    resamples: int,
-    seed: int,
-    output: Output,
-) -> None:
-    from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.findings import findings
-    from torchid.report.wrenches.tables import tables
-    from torchid.study.equal_torque.record import study_record
-    from torchid.study.equal_torque.study import equal_torque_study
-
+        return
+    setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
     with progress_bar(output) as progress:
         study = equal_torque_study(
             setting.robot,
