@@ -1,6 +1,7 @@
 """`torchid extract`: physical parameter sets from base parameters."""
 
 import sys
+import time
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -84,10 +85,13 @@ def extract_command(
     from torchid.errors import MissingExtraError
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import SearchSettings, require_possible
+    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
     from torchid.feasibility.sets import to_record
     from torchid.report.extraction import (
+        Found,
         extraction_record,
         headline,
+        judged,
         loss_notes,
         search_figure,
         tables,
@@ -116,8 +120,16 @@ def extract_command(
     if method == "sdp":
         found = _convex(problem, proven, search_anyway)
     elif method == "log-cholesky":
-        found, told = _log_cholesky(problem, settings)
-        notes = (*notes, *told)
+        began = time.monotonic()
+        made = extract_log_cholesky(problem, runs=runs, seed=seed)
+        sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
+        done = zip(sets.ids, made.converged.tolist(), strict=True)
+        short = ", ".join(name for name, converged in done if not converged)
+        if short:
+            short = f"not converged, so their loss may be larger than it need be: {short}"
+            notes = (*notes, short)
+        taken = time.monotonic() - began
+        found = Found(problem, "log-cholesky", *judged(problem, sets), None, taken)
     else:
         found = _searched(problem, settings, output, resume, opt.device(device_name))
     notes = (*notes, *loss_notes(found, values))
@@ -160,25 +172,6 @@ def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "F
     own, lower = judged(problem, proof.sets), judged(problem, polished)
     better = bool(lower[-1].feasible[0]) and float(lower[1][0]) < float(own[1][0])
     return Found(problem, "sdp", *(lower if better else own), None, proof.seconds)
-
-
-def _log_cholesky(
-    problem: "Problem", settings: "SearchSettings"
-) -> "tuple[Found, tuple[str, ...]]":
-    import time
-
-    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
-    from torchid.report.extraction import Found, judged
-
-    began = time.monotonic()
-    found = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
-    sets = problem.sets(found.p, [f"run_{k + 1}" for k in range(len(found.p))])
-    done = zip(sets.ids, found.converged.tolist(), strict=True)
-    short = [name for name, converged in done if not converged]
-    note = f"not converged, so their loss may be larger than it need be: {', '.join(short)}"
-    seconds = time.monotonic() - began
-    made = Found(problem, "log-cholesky", *judged(problem, sets), None, seconds)
-    return made, (note,) if short else ()
 
 
 def _searched(
