@@ -4,7 +4,6 @@ import time
 
 import pytest
 import torch
-from torchid.gap.passages import Passage, Rows
 
 from tests.gap.motions import motion_at, noises, segment_of, times
 from torchid.design.segments import Samples, Segment
