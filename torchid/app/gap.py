@@ -42,6 +42,14 @@ def gap_command(
     columns: opt.Columns = None,
     topic: opt.Topic = None,
     gain: opt.Gain = None,
+    worthwhile: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=0.99,
+            help="Least share of a joint's held-out error that a cause must take away to be named.",
+        ),
+    ] = 0.05,
     max_effects: Annotated[
         int, typer.Option(min=1, help="Number of effects accepted at most.")
     ] = 20,
@@ -88,6 +96,7 @@ def gap_command(
         background=opt.names(background),
         parameters=parameters,
         cutoff=opt.auto_hz(cutoff),
+        worthwhile=worthwhile,
         max_effects=max_effects,
         held_out_fraction=held_out_fraction,
         rollout=rollout,

@@ -20,6 +20,7 @@ import torch
 
 from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
+from torchid.effects.transient import Contact
 from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
@@ -366,9 +367,28 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
         paid = (counts + batch.shapes) * math.log(max(n, 2.0))
         for m in (rise - paid).argsort(descending=True)[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            if float(gains[m]) > 0 and term.key not in present and term not in fit.terms:
+            if float(gains[m]) > 0 and term.key not in present and not _beside(term, fit.terms):
                 out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
+
+
+def _beside(term: Term, others: Sequence[Term]) -> bool:
+    """Whether a term in a window of time stands in or next to another one's: one push is one."""
+    windows = [_window(t) for t in (term, *others) if t.effects and t.effects[0].windowed]
+    if not windows or not term.effects or not term.effects[0].windowed:
+        return False
+    (start, stop), *there = windows
+    return any(
+        start < b + 0.5 * max(stop - start, b - a) and a < stop + 0.5 * max(stop - start, b - a)
+        for a, b in there
+    )
+
+
+def _window(term: Term) -> tuple[float, float]:
+    effect = term.effects[0]
+    assert isinstance(effect, Contact)
+    start, stop = effect.start, effect.stop
+    return -math.inf if start is None else start, math.inf if stop is None else stop
 
 
 def _gains(

@@ -22,7 +22,7 @@ from torchid.gap.search.evidence import (
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.terms import BASE, LINK, Term
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Int, Tensor
 
@@ -171,6 +171,12 @@ def _notes(
     """Coefficients that the data leave open, those that correct one of the model's own, and when a
     contact was."""
     out = []
+    told = directions(found.question, term)
+    if term.name == PAYLOAD and told < len(values):
+        out.append(
+            f"the motion determines {told} combinations of the ten parameters only; these values "
+            "are one choice of many with the same torque"
+        )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
         if s > abs(v):
