@@ -195,15 +195,22 @@ def _bar(console: Console) -> Iterator[Progress]:
 
 
 def _line_a_stage(started: float) -> Progress:
-    """Seconds since the command started, and the stage, when it is met for the first time."""
-    met: set[str] = set()
+    """Seconds since the command started, and the stage, when it is met for the first time.
+
+    In the first stage bad input is found, and then the error is all that is said: its line waits
+    for the second stage's.
+    """
+    met: dict[str, str] = {}
 
     def report(stage: str, done: int, total: int) -> None:
         if stage in met:
             return
-        met.add(stage)
+        met[stage] = f"[{time.monotonic() - started:5.0f} s] {stage}\n"
+        if len(met) == 1:
+            return
+        lines = list(met.values())
         with suppress(OSError):  # whoever read it has left; the work goes on
-            sys.stderr.write(f"[{time.monotonic() - started:5.0f} s] {stage}\n")
+            sys.stderr.write("".join(lines) if len(lines) == 2 else lines[-1])
             sys.stderr.flush()
 
     return report
