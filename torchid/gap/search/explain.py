@@ -208,7 +208,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     out: list[Effect] = []
     for term in fit.terms[len(question.fixed) :]:
         effect = term.effects[0] if len(term.effects) == 1 else None
-        if not (isinstance(effect, Contact) or (isinstance(effect, JointEffect) and effect.shapes)):
+        if not (isinstance(effect, Contact) or (isinstance(effect, JointEffect) and term.shapes)):
             continue
         others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
         best = _closest(question, fit, others, effect, columns)

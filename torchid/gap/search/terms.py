@@ -66,8 +66,10 @@ class Term:
 
     @property
     def shapes(self) -> int:
-        """Number of its parameters that are searched beside the coefficients."""
-        return len(self.effects[0].shapes) if self.effects else 0
+        """Number of its parameters that are searched beside the coefficients; none of the model's own
+        effect, whose shape is given."""
+        own = any(self.known) and not self.inertial
+        return len(self.effects[0].shapes) if self.effects and not own else 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Int, Tensor
 
@@ -177,6 +178,13 @@ def _notes(
             f"the motion determines {told} combinations of the ten parameters only; these values "
             "are one choice of many with the same torque"
         )
+    if term.name == PAYLOAD:
+        body = InertialParameters(values.unsqueeze(0)).pseudo_inertia
+        if float(torch.linalg.eigvalsh(body)[0, 0]) < 0:
+            out.append(
+                "these ten parameters have the right torque, but no body has them: "
+                "`torchid payload` gives one that does"
+            )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
         if s > abs(v):

@@ -101,7 +101,7 @@ def closing(
         for e in most
     ]
     noise = torch.minimum(counts.sum(), l1.sum())
-    value = float((l0 - l1).sum() / (l0.sum() - noise))
+    value = min(1.0, float((l0 - l1).sum() / (l0.sum() - noise)))
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
     return Closing(rms[0], rms[1], improves, value, (min(ends_of), max(ends_of)))
 
