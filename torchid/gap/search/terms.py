@@ -66,8 +66,8 @@ class Term:
 
     @property
     def shapes(self) -> int:
-        """Number of its parameters that are searched beside the coefficients; none of the model's own
-        effect, whose shape is given."""
+        """Number of its parameters that are searched beside the coefficients; none of the model's
+        own effect, whose shape is given."""
         own = any(self.known) and not self.inertial
         return len(self.effects[0].shapes) if self.effects and not own else 0
 
