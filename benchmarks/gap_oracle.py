@@ -18,8 +18,6 @@ from typing import Any
 import torch
 from gap_cases import Arm, fresh_scene, true_logs
 from gap_plant import on_clock
-from torchid.gap.folds import Model, traces
-from torchid.gap.prepare import prepare
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
