@@ -35,10 +35,13 @@ def test_other_commands_are_silent_without_a_terminal(capsys) -> None:
         assert report is None
     with progress_bar(open_output(None, None, False), lines=True) as report:
         assert report is not None
+        # An error of the first stage is all that is said.
         for done in range(3):
             report("one", done, 3)
-        report("two", 0, 1)
-        report("one", 0, 3)
+        assert capsys.readouterr() == ("", "")
+        for stage in ("two", "one", "two", "three", "two", "four"):
+            report(stage, 0, 1)
     said = capsys.readouterr()
-    assert [line.partition("] ")[2] for line in said.err.splitlines()] == ["one", "two"]
+    stages = [line.partition("] ")[2] for line in said.err.splitlines()]
+    assert stages == ["one", "two", "three", "four"]
     assert said.out == ""

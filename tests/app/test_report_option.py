@@ -98,7 +98,7 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     import torchid.app.study as room
 
     asked = []
-    monkeypatch.setattr(room, "_run", lambda settings, *_: settings)
+    monkeypatch.setattr("torchid.study.study.run_study", lambda settings, **_: settings)
     monkeypatch.setattr(room, "_finish", lambda *_: {})
     monkeypatch.setattr(room, "_report", lambda found, output, files: asked.append(
         (found.name, output.page_file.name, files[0].sha256)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from tests.identification.test_rows import a_log, collected, layout_of
+from torchid.design.motion import Measurement, measurements
 from torchid.errors import IdentificationError
 from torchid.identification import least_squares
 from torchid.identification.least_squares import (
@@ -19,7 +20,6 @@ from torchid.identification.least_squares import (
     solve,
     undetermined_columns,
 )
-from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import RowSource
 from torchid.robot.library import load_robot
 

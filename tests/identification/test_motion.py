@@ -5,9 +5,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchid.errors import LogError
-from torchid.excitation.synthetic import synthetic_log
-from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.design.motion import (
     MOVING,
     WIDE,
@@ -16,6 +13,9 @@ from torchid.design.motion import (
     fast_speed,
     measurements,
 )
+from torchid.errors import LogError
+from torchid.excitation.synthetic import synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.library import load_robot

@@ -6,13 +6,13 @@ import torch
 from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
+from torchid.design.motion import Measurement, measurements
 from torchid.dynamics.regressor import regressor
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
-from torchid.design.motion import Measurement, measurements
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from tests.identification.test_rows import a_log, collected, layout_of
-from torchid.identification.least_squares import Fit, fit
 from torchid.design.motion import Measurement, measurements
+from torchid.identification.least_squares import Fit, fit
 from torchid.identification.rows import RowSource
 from torchid.identification.statistics import (
     Uncertainty,

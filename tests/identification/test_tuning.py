@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from tests.identification.test_rows import layout_of
+from torchid.design.motion import direction, fast_speed, measurements
 from torchid.effects.base import Motion
 from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import tuning
 from torchid.identification.identify import Settings, identify
 from torchid.identification.least_squares import fit
-from torchid.design.motion import direction, fast_speed, measurements
 from torchid.identification.rows import RowSource
 from torchid.identification.tuning import (
     CUTOFFS,

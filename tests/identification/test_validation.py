@@ -7,11 +7,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
 from tests.identification.test_rows import EFFECTS, a_log, arm
+from torchid.design.motion import measurements
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise
 from torchid.identification.base_parameters import base_parameters, random_states, stacked_regressor
-from torchid.design.motion import measurements
 from torchid.identification.validation import errors, model_torque, predict
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters

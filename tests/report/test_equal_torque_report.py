@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 from rich.console import Console
-from rich.table import Table
 
 from torchid.report.figures import save
+from torchid.report.table import Table
 from torchid.report.wrenches import figures as equal_torque_figures
 from torchid.report.wrenches import given_sets
 from torchid.report.wrenches import tables as equal_torque

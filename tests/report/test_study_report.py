@@ -15,13 +15,17 @@ from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
 from torchid.report.excitation import trajectory_figure
 from torchid.report.study import facts
-from torchid.report.study.figures import drawings
 from torchid.report.study.page import page
-from torchid.report.study.report import headline, tables, write_study
-from torchid.report.study.sheets import Sheet, markdown, rich_table
-from torchid.report.study.tables import all_sheets, identification_sheet, scenario_sheet
-from torchid.report.study.verdict import verdict
-from torchid.report.study.wrench_tables import payload_sheet, set_wrench_sheet
+from torchid.report.study.report import drawings, write_study
+from torchid.report.study.tables import (
+    all_tables,
+    identification_table,
+    payload_table,
+    scenario_table,
+    set_wrench_table,
+)
+from torchid.report.study.verdict import headline, verdict
+from torchid.report.table import Table
 from torchid.study.motions import excitation
 from torchid.study.result import Study
 from torchid.study.settings import load_study
@@ -56,7 +60,7 @@ def without_feasible() -> Study:
 
 def text_of(study: Study) -> str:
     console = Console(width=200, file=io.StringIO(), record=True)
-    for table in tables(study):
+    for table in all_tables(study):
         console.print(table)
     return console.export_text()
 
@@ -103,7 +107,7 @@ def test_every_line_of_a_table_on_the_page_has_all_its_cells(study, written):
         elif runs[-1]:
             runs.append([])
     tables_on_page = [run for run in runs if run]
-    assert len(tables_on_page) == len(all_sheets(study)) + 1  # and errors by reason
+    assert len(tables_on_page) == len(all_tables(study)) + 1  # and errors by reason
     for run in tables_on_page:
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in run}) == 1
 
@@ -128,7 +132,7 @@ def test_tables_carry_the_studys_numbers(study):
 
 
 def test_coefficients_are_those_of_the_identification(study):
-    rows = identification_sheet(study).rows
+    rows = identification_table(study).rows
     assert [row[0] for row in rows] == list(study.identification.base.names)
     assert [float(row[2]) for row in rows] == pytest.approx(
         study.identification.values.tolist(), rel=1e-5
@@ -137,7 +141,7 @@ def test_coefficients_are_those_of_the_identification(study):
 
 
 def test_reasons_and_least_losses_stand_beside_the_sets(study):
-    sheet = scenario_sheet(study)
+    sheet = scenario_table(study)
     why, least = sheet.columns.index("why not"), sheet.columns.index("phi_min")
     for row, s in zip(sheet.rows, study.scenarios, strict=True):
         assert row[why] == (", ".join(s.reasons) or "-")
@@ -153,13 +157,13 @@ def test_wrench_errors_are_those_of_the_best_runs(study):
     for k, (s, row) in enumerate(zip(study.scenarios, facts.best_rows(study), strict=True)):
         of_norms = facts.rms(wrench.force[k + 1] - wrench.force[0])
         assert torch.allclose(study.errors.force_norm_rms[row], of_norms, rtol=1e-6, atol=1e-9)
-        cells = set_wrench_sheet(study).rows[k + 1]
+        cells = set_wrench_table(study).rows[k + 1]
         assert cells[0] == s.scenario.id
         assert float(cells[2]) == pytest.approx(float(study.errors.force_rms[row, 0]), rel=1e-2)
 
 
 def test_the_payloads_truth_is_the_one_of_the_settings(study):
-    rows = {row[0]: row for row in payload_sheet(study).rows}
+    rows = {row[0]: row for row in payload_table(study).rows}
     body = study.settings.payload
     assert float(rows["mass"][2]) == body.mass
     assert [float(rows[f"com {a}"][2]) for a in "xyz"] == pytest.approx(body.com)
@@ -186,7 +190,7 @@ def test_a_folder_that_cannot_be_made_is_refused(study, tmp_path):
 
 def test_a_study_without_certificates_has_a_report(study):
     bare = replace(study, certificates=MappingProxyType({}), warnings=("no certificate: missing",))
-    sheet = scenario_sheet(bare)
+    sheet = scenario_table(bare)
     assert {row[sheet.columns.index("phi_min")] for row in sheet.rows} == {"-"}
     text = page(bare, drawings(bare), [])
     assert "There is no certificate" in text
@@ -260,10 +264,10 @@ def test_runs_that_end_in_the_same_set_count_once(study):
 
 
 def test_markdown_and_terminal_show_a_cell_as_it_is():
-    sheet = Sheet("t [m]", ("a", "b"), (("||x|| *y*", "[N m]"),), frozenset({"a"}), "n [kg]")
-    assert markdown(sheet).splitlines()[4] == r"| \|\|x\|\| \*y\* | [N m] |"
+    sheet = Table("t [m]", ("a", "b"), [("||x|| *y*", "[N m]")], words=("a",), note="n [kg]")
+    assert sheet.markdown().splitlines()[4] == r"| \|\|x\|\| \*y\* | [N m] |"
     console = Console(width=80, file=io.StringIO(), record=True)
-    console.print(rich_table(sheet))
+    console.print(sheet)
     text = console.export_text()
     for part in ("t [m]", "||x|| *y*", "[N m]", "n [kg]"):
         assert part in text

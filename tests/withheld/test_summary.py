@@ -106,7 +106,7 @@ def test_the_table_has_what_there_are_cases_for(cases, keys, answers):
     found = summary(cases, keys, answers)
     known = [line for line in LINES if line.value(found["scores"]) is not None]
     assert 5 < len(known) < len(LINES)
-    assert score_table(found).row_count == len(known)
+    assert len(score_table(found).rows) == len(known)
 
 
 def test_a_better_baseline_is_said(cases, keys, answers):

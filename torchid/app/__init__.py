@@ -16,25 +16,19 @@ def set_threads(arguments: Sequence[str]) -> None:
 
     Variables the user has set stay, unless `--threads` is given.
     """
-    asked = _threads_asked(arguments)
+    asked = None
+    for k, argument in enumerate(arguments):
+        option, _, value = argument.partition("=")
+        if option == "--threads":
+            value = value if "=" in argument else "".join(arguments[k + 1 : k + 2])
+            asked = value if value.isdigit() and int(value) > 0 else None
+            break
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     for name in _ONE_EACH:
         if asked is not None:
             os.environ[name] = asked
         else:
             os.environ.setdefault(name, "1")
-
-
-def _threads_asked(arguments: Sequence[str]) -> str | None:
-    for k, argument in enumerate(arguments):
-        if argument.startswith("--threads="):
-            value = argument.partition("=")[2]
-        elif argument == "--threads" and k + 1 < len(arguments):
-            value = arguments[k + 1]
-        else:
-            continue
-        return value if value.isdigit() and int(value) > 0 else None
-    return None
 
 
 def main() -> None:

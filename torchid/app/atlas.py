@@ -1,11 +1,11 @@
 """`torchid atlas`: what the log determines of each physical parameter, and what it does not."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet, RobotArgument, Threads, Tip
-from torchid.app.output import open_output, progress_bar
+from torchid.app import options as opt
+from torchid.app.output import open_output, progress_bar, stage
 from torchid.app.problems import (
     BoundsOption,
     GeometryOption,
@@ -15,12 +15,9 @@ from torchid.app.problems import (
     build_problem,
 )
 
-if TYPE_CHECKING:
-    from torchid.identification.values import BaseValues
-
 
 def atlas_command(
-    robot: RobotArgument,
+    robot: opt.RobotArgument,
     result: ResultArgument = None,
     bounds: BoundsOption = None,
     geometry: GeometryOption = None,
@@ -29,11 +26,11 @@ def atlas_command(
     level: Annotated[
         float, typer.Option(help="Of the confidence region of identified base parameters.")
     ] = 0.95,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """The range of every physical parameter over all feasible sets with the same torque.
 
@@ -45,7 +42,6 @@ def atlas_command(
     from torchid.extraction.convex.atlas import atlas
     from torchid.extraction.record import atlas_record
     from torchid.report.atlas import atlas_figure, atlas_table, headline
-    from torchid.report.figures import save
     from torchid.robot.library import load_robot
 
     arm = load_robot(robot, tip=tip)
@@ -55,35 +51,19 @@ def atlas_command(
     )  # fmt: skip
     covariance = found.covariance
     if covariance is not None:
+        # Values that the fit held have no variance, which does not make them sure.
+        held = ((covariance.diagonal() == 0) & found.known).tolist()
+        names = ", ".join(n for n, is_held in zip(found.base.names, held, strict=True) if is_held)
+        if names:
+            notes = (*notes, f"held by the identification, and taken for exact here: {names}")
         covariance = covariance.clone()
-        unknown = ~found.known
-        covariance[unknown, unknown] = float("inf")
-        notes = (*notes, *_held(found))
+        covariance[~found.known, ~found.known] = float("inf")
     with progress_bar(output) as progress:
         ranges = atlas(
-            problem,
-            covariance=covariance,
-            level=level,
-            progress=None
-            if progress is None
-            else (lambda done, total: progress("ends", done, total)),
+            problem, covariance=covariance, level=level, progress=stage(progress, "ends")
         )
     output.say(atlas_table(ranges))
     output.warn(notes)
     output.say(f"\n{escape(headline(ranges, problem))}")
     output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
-    if output.folder is not None:
-        save(atlas_figure(ranges, problem), output.folder / "atlas.png")
-
-
-def _held(found: "BaseValues") -> tuple[str, ...]:
-    """A note on values that the fit held: they have no variance, which does not make them sure."""
-    if found.covariance is None:
-        return ()
-    held = (found.covariance.diagonal() == 0) & found.known
-    names = [n for n, is_held in zip(found.base.names, held.tolist(), strict=True) if is_held]
-    return (
-        (f"held by the identification, and taken for exact here: {', '.join(names)}",)
-        if names
-        else ()
-    )
+    output.draw(lambda: {"atlas": atlas_figure(ranges, problem)})

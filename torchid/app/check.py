@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip, interval
-from torchid.app.output import Output, open_output
+from torchid.app import options as opt
+from torchid.app.output import open_output
 from torchid.errors import TorchidError
-from torchid.json_data import read_json, write_json
+from torchid.json_data import plain, read_json, write_json
 
 if TYPE_CHECKING:
     from torchid.effects.registry import Valued
@@ -67,12 +67,12 @@ def check_command(
             help="Write the feasible set nearest in torque to each infeasible one.",
         ),
     ] = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Check whether parameters can belong to a real arm: by how much, and why not.
 
@@ -84,26 +84,49 @@ def check_command(
     output = open_output(json_file, out, quiet, threads)
     if nearest is not None and not nearest.parent.is_dir():
         raise TorchidError(f"the folder of '{nearest}' does not exist.")
+    from rich.markup import escape
+
+    from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets, record
+    from torchid.report.feasibility import (
+        DEGREE,
+        conditions_line,
+        findings_lines,
+        headline,
+        nearest_table,
+        tables,
+    )
 
     found, sets, others, also, noticed = _read(params, robot, tip)
+    total = None
+    if total_mass is None:
+        total = read_total_mass(found)
+    elif total_mass != "none":
+        total = opt.interval("--total-mass", total_mass)
     check = check_sets(
         found,
         sets,
         geometry=geometry,
         round_shapes=shapes,
-        total_mass=_total_mass(total_mass, found),
+        total_mass=total,
         bounds=None if bounds is None else named_bounds(found, bounds),
         also=also,
         seed=seed,
     )
-    repaired = None if nearest is None else _repair(check, seed)
     data = {**record(check), "seed": seed}
     data["warnings"] = [*noticed, *data["warnings"]]
-    if repaired is not None and nearest is not None:
-        _write_nearest(repaired, check, others, nearest, data)
-    _show(check, tuple(data["warnings"]), repaired, output)
+    repaired = None if nearest is None else _nearest(check, others, nearest, data, seed)
+    output.verdict(headline(check))
+    output.say(escape(conditions_line(check)), *tables(check))
+    if repaired is not None:
+        output.say(nearest_table(repaired))
+    output.say(DEGREE)
+    output.warn(data["warnings"])
+    findings = findings_lines(check)
+    if findings:
+        output.say("\nnot plausible, though not forbidden:")
+        output.warn(findings)
     if repaired is None and nearest is not None:
         output.say(f"all sets are feasible: {nearest} was not written")
     output.write_json(data, "feasibility.json")
@@ -134,13 +157,7 @@ def _read(
         noticed = other_robot(Path(params), found)
         others = read_other_effects(Path(params), found)
         return found, sets, others, (), () if noticed is None else (noticed,)
-    names = [params] if robot is None else [params, robot]
-    # A tip is for the files that can branch; where none can, the reader refuses it.
-    trees = [name for name in names if Path(name).suffix.lower() in (".urdf", ".xml")]
-    own, *counts = [
-        load_robot(name, tip=tip if name in trees or not trees else None) for name in names
-    ]
-    found = counts[0] if counts else own
+    own, found = opt.load_both(params, robot, tip)
     if own.n != found.n:
         raise TorchidError(
             f"'{own.name}' and --robot '{found.name}' have different numbers of links.",
@@ -148,59 +165,37 @@ def _read(
             expected=found.n,
         )
     also = own_inertial_findings(own_inertials(own))
-    return found, nominal_set(own), nominal_others(own), also, _frames_differ(own, found)
-
-
-def _frames_differ(own: "Robot", found: "Robot") -> tuple[str, ...]:
-    """A warning where the parameters' link frames are not those of the robot that counts."""
+    # The parameters' link frames need not be those of the robot that counts.
     apart = [
         str(i + 1)
         for i in range(own.n)
         if float((own.before[i] - found.before[i]).abs().max()) > 1e-6
         or float((own.after[i] - found.after[i]).abs().max()) > 1e-6
     ]
-    if not apart:
-        return ()
-    return (
+    differ = (
         f"'{own.name}' and '{found.name}' place the frames of links {', '.join(apart)} "
         "differently: boxes of centres of mass, shapes and the torque may not be meant for these "
-        "parameters",
+        "parameters"
     )
+    told = (differ,) if apart else ()
+    return found, nominal_set(own), nominal_others(own), also, told
 
 
-def _total_mass(text: str | None, robot: "Robot") -> tuple[float, float] | None:
-    from torchid.feasibility.bounds import read_total_mass
-
-    if text is None:
-        return read_total_mass(robot)
-    if text == "none":
-        return None
-    return interval("--total-mass", text)
-
-
-def _repair(check: "Check", seed: int) -> "NearestSets | None":
-    """The sets nearest to the infeasible ones; None where there are none."""
+def _nearest(
+    check: "Check", others: Sequence["Valued"], path: Path, data: dict[str, Any], seed: int
+) -> "NearestSets | None":
+    """Sets nearest to the infeasible ones: feasible ones to the file, what each cost in torque to
+    the record; None where all are feasible."""
+    from torchid.export.dynamics import described
     from torchid.extraction.convex.nearest import nearest_feasible
+    from torchid.feasibility.sets import to_record
 
     infeasible = (~check.feasibility.feasible).nonzero().flatten().tolist()
     if not infeasible:
         return None
-    return nearest_feasible(check.robot, check.sets.part(infeasible), check.conditions, seed=seed)
-
-
-def _write_nearest(
-    nearest: "NearestSets",
-    check: "Check",
-    others: Sequence["Valued"],
-    path: Path,
-    data: dict[str, Any],
-) -> None:
-    """Feasible sets to the file; what each cost in torque to the record."""
-    import math
-
-    from torchid.export.dynamics import described
-    from torchid.feasibility.sets import to_record
-
+    nearest = nearest_feasible(
+        check.robot, check.sets.part(infeasible), check.conditions, seed=seed
+    )
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:
         sets = nearest.sets.part(good)
@@ -213,43 +208,13 @@ def _write_nearest(
     else:
         data["warnings"].append(f"no feasible set was found: {path} was not written")
 
-    def finite(values: list[float]) -> list[float | None]:
-        return [v if math.isfinite(v) else None for v in values]
-
     entries = {entry["id"]: entry for entry in data["sets"]}
     for k, name in enumerate(nearest.sets.ids):
         entries[name]["nearest"] = {
             "status": nearest.status[k],
             "feasible": bool(nearest.feasible[k]),
-            "least": finite([float(nearest.least[k])])[0],
-            "torque_change": finite(nearest.torque_change[k].tolist()),
-            "torque_change_relative": finite(nearest.torque_change_relative[k].tolist()),
+            "least": plain(nearest.least[k]),
+            "torque_change": plain(nearest.torque_change[k]),
+            "torque_change_relative": plain(nearest.torque_change_relative[k]),
         }
-
-
-def _show(
-    check: "Check", warnings: tuple[str, ...], nearest: "NearestSets | None", output: Output
-) -> None:
-    from rich.markup import escape
-
-    from torchid.report.feasibility import (
-        DEGREE,
-        conditions_line,
-        findings_lines,
-        headline,
-        nearest_table,
-        tables,
-    )
-
-    output.say(f"[bold]{escape(headline(check))}[/]\n")
-    output.say(escape(conditions_line(check)))
-    for table in tables(check):
-        output.say(table)
-    if nearest is not None:
-        output.say(nearest_table(nearest))
-    output.say(DEGREE)
-    output.warn(warnings)
-    findings = findings_lines(check)
-    if findings:
-        output.say("\nnot plausible, though not forbidden:")
-        output.warn(findings)
+    return nearest

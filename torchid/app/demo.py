@@ -5,19 +5,19 @@ from typing import Annotated, Any
 
 import typer
 
-from torchid.app.options import Device, Json, Quiet, Seed, Threads, device
-from torchid.app.output import Output, open_output, progress_bar
+from torchid.app import options as opt
+from torchid.app.output import Output, open_output, progress_bar, stage
 
 
 def demo_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for results.")] = Path(
         "demo"
     ),
-    json_file: Json = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    json_file: opt.Json = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
 
@@ -25,7 +25,7 @@ def demo_command(
     """
     output = open_output(json_file, out, quiet, threads)
     report = _paper(output)
-    kuka = _kuka(output, seed, device(device_name))
+    kuka = _kuka(output, seed, opt.device(device_name))
     output.write_json({"schema": "torchid.demo/1", "paper_3r": report, "kuka": kuka}, "demo.json")
     output.say(f"\nfigures and JSON are in {out}")
 
@@ -36,7 +36,7 @@ def _paper(output: Output) -> dict[str, Any]:
     from torchid.excitation.trajectories import paper_trajectories_3r, trajectory_log
     from torchid.identification.base_parameters import nominal_values
     from torchid.identification.identify import Settings, identify
-    from torchid.report.identification import compact
+    from torchid.report.table import Table
     from torchid.robot.library import load_robot
 
     robot = load_robot("3r")
@@ -44,23 +44,18 @@ def _paper(output: Output) -> dict[str, Any]:
     log = synthetic_log(robot, motion, PaperNoise(snr_db=30.0), seed=0)
     result = identify(robot, log, settings=Settings(effects=(), cutoff=None, method="ols"))
     truth = nominal_values(robot, result.base)
-    table = compact(
-        "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the torque is\n"
-        "computed from it, so least squares recovers the parameters to rounding"
+    found = list(zip(result.base.names, result.values.tolist(), truth.tolist(), strict=True))
+    output.say(
+        Table(
+            "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the torque "
+            "is\ncomputed from it, so least squares recovers the parameters to rounding",
+            ("base parameter", "identified", "true", "error"),
+            [(name, f"{v:.6g}", f"{true:.6g}", f"{v - true:.0e}") for name, v, true in found],
+            words=("base parameter",),
+        )
     )
-    for heading in ("base parameter", "identified", "true", "error"):
-        table.add_column(heading, justify="left" if heading == "base parameter" else "right")
-    rows = zip(result.base.names, result.values.tolist(), truth.tolist(), strict=True)
-    for name, value, true in rows:
-        table.add_row(name, f"{value:.6g}", f"{true:.6g}", f"{value - true:.0e}")
-    output.say(table)
     return {
-        "parameters": [
-            {"name": n, "value": v, "true": t}
-            for n, v, t in zip(
-                result.base.names, result.values.tolist(), truth.tolist(), strict=True
-            )
-        ],
+        "parameters": [{"name": name, "value": v, "true": true} for name, v, true in found],
         "largest_error": float((result.values - truth).abs().max()),
     }
 
@@ -78,7 +73,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     from torchid.identification.record import record
     from torchid.log.model import Log
     from torchid.report.excitation import trajectory_figure
-    from torchid.report.figures import save, torque_figure, truth_figure
+    from torchid.report.figures import torque_figure, truth_figure
     from torchid.report.identification import effect_table, error_table, headline
     from torchid.robot.library import load_robot
 
@@ -90,9 +85,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
             on_every_joint(names, robot.n),
             seed=seed,
             device=device,
-            progress=None
-            if progress is None
-            else (lambda done, total: progress("designing the trajectory", done, total)),
+            progress=stage(progress, "designing the trajectory"),
         )
         motion = trajectory_log(design.trajectory, 200.0)
         log = synthetic_log(robot, motion, HonestNoise(), seed)
@@ -111,20 +104,22 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         f"{design.start_condition:.0f} -> {design.condition_after:.0f}; encoder of 18 bits, torque "
         "noise of 1 %\n"
     )
-    output.say(effect_table(result))
-    output.say(error_table(result))
+    output.say(effect_table(result), error_table(result))
     output.warn(result.warnings)
     output.say(f"\n{headline(result)}")
     output.say(
         f"{int(inside.sum())} of {len(inside)} true values lie inside their 95 % intervals "
         "(the report's own f_v6 is negative, so signs are left free here)."
     )
-    assert output.folder is not None
-    save(trajectory_figure(robot, motion, "designed trajectory"), output.folder / "trajectory.png")
     shown = result.held_out_predictions[0]
-    torque = torque_figure(shown, ["N m"] * robot.n, "torque on a motion never used for the fit")
-    save(torque, output.folder / "validation.png")
-    save(truth_figure(result, truth), output.folder / "parameters.png")
+    title = "torque on a motion never used for the fit"
+    output.draw(
+        lambda: {
+            "trajectory": trajectory_figure(robot, motion, "designed trajectory"),
+            "validation": torque_figure(shown, ["N m"] * robot.n, title),
+            "parameters": truth_figure(result, truth),
+        }
+    )
     return {
         **record(result),
         "true": truth.tolist(),

@@ -3,7 +3,7 @@
 from dataclasses import MISSING, fields
 from typing import Any
 
-from torchid.effects.base import PLACES, Coefficient, Effect, Shape
+from torchid.effects.base import PLACES, Coefficient, Shape
 from torchid.effects.registry import Valued, effect_from_record, effect_kind
 from torchid.errors import TorchidError
 from torchid.robot.model import JointType, Robot
@@ -21,69 +21,45 @@ def effect_from_text(text: str, robot: Robot) -> Valued:
     """
     name, _, rest = text.partition(":")
     kind = effect_kind(name.strip())
-    given = _pairs(text, rest)
-    unknown = [key for key in given if key not in _keys(kind)]
-    if unknown:
-        raise TorchidError(
-            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.",
-            available=_keys(kind),
-        )
-    missing = [key for key in _needed(kind) if key not in given]
-    if missing:
-        raise TorchidError(
-            f"--effect {text}: {_described(kind, missing[0], given, robot)} is missing.",
-            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in _needed(kind)),
-        )
-    return effect_from_record({"effect": kind.name, **given}, robot)
-
-
-def _pairs(text: str, rest: str) -> dict[str, Any]:
-    pairs: dict[str, Any] = {}
+    given: dict[str, Any] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         key, equals, value = (part.strip() for part in item.partition("="))
-        if not equals or key in pairs:
+        if not equals or key in given:
             raise TorchidError(
                 f"--effect {text}: cannot be read at '{item}'.",
                 expected="name:key=value,key=value, each key once",
             )
-        pairs[key] = _number(text, key, value)
-    return pairs
-
-
-def _number(text: str, key: str, value: str) -> int | float:
-    try:
-        number = float(value)
-    except ValueError:
-        raise TorchidError(f"--effect {text}: {key} is not a number.", got=value) from None
-    return int(number) if key in (*PLACES, "seed") and number.is_integer() else number
-
-
-def _places(kind: type[Effect]) -> list[str]:
-    return [f.name for f in fields(kind) if f.name in PLACES]
-
-
-def _keys(kind: type[Effect]) -> list[str]:
-    own = [f.name for f in fields(kind) if f.name not in PLACES]
-    return [*_places(kind), *(c.name for c in kind.coefficients), *own]
-
-
-def _needed(kind: type[Effect]) -> list[str]:
-    plain = [f.name for f in fields(kind) if f.default is MISSING and f.name not in PLACES]
-    return [*_places(kind), *(c.name for c in kind.coefficients), *plain]
-
-
-def _described(kind: type[Effect], key: str, given: dict[str, Any], robot: Robot) -> str:
-    """What a key is, with its unit on the given joint."""
-    if key in PLACES:
-        return f"{key} (1 to {robot.n})"
-    joint = given.get("joint", 1)
-    prismatic = joint in range(1, robot.n + 1) and (
-        robot.joint_types[joint - 1] is JointType.PRISMATIC
-    )
-    every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
-    entries = {entry.name: entry for entry in every}
-    if key not in entries:
-        return key
-    entry = entries[key]
-    unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
-    return f"{key} [{unit}] ({entry.meaning})"
+        try:
+            number = float(value)
+        except ValueError:
+            raise TorchidError(f"--effect {text}: {key} is not a number.", got=value) from None
+        whole = key in (*PLACES, "seed") and number.is_integer()
+        given[key] = int(number) if whole else number
+    # Where it is, what its coefficients are, then shapes and other settings.
+    own = [f for f in fields(kind) if f.name not in PLACES]
+    first = [f.name for f in fields(kind) if f.name in PLACES]
+    first += [c.name for c in kind.coefficients]
+    keys = [*first, *(f.name for f in own)]
+    needed = [*first, *(f.name for f in own if f.default is MISSING)]
+    unknown = [key for key in given if key not in keys]
+    if unknown:
+        raise TorchidError(
+            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
+        )
+    missing = [key for key in needed if key not in given]
+    if missing:
+        key = missing[0]
+        what = f"{key} (1 to {robot.n})" if key in PLACES else key
+        every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
+        for entry in (entry for entry in every if entry.name == key):
+            # With its unit on the given joint.
+            joint = given.get("joint", 1)
+            there = joint in range(1, robot.n + 1)
+            prismatic = there and robot.joint_types[joint - 1] is JointType.PRISMATIC
+            unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
+            what = f"{key} [{unit}] ({entry.meaning})"
+        raise TorchidError(
+            f"--effect {text}: {what} is missing.",
+            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
+        )
+    return effect_from_record({"effect": kind.name, **given}, robot)

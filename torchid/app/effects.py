@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet
+from torchid.app import options as opt
 from torchid.app.output import open_output
 
 
@@ -13,9 +13,9 @@ def effects_command(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect; all if left out.")
     ] = None,
-    json_file: Json = None,
-    out: Out = None,
-    quiet: Quiet = False,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """List the effects that can make an arm differ from its simulator, or explain one of them.
 

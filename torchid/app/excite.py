@@ -5,27 +5,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.excite_for import designed_for, read_result, robot_of_result, torque_use
-from torchid.app.options import (
-    Device,
-    Json,
-    MaxAcceleration,
-    Out,
-    Quiet,
-    Seed,
-    Threads,
-    Tip,
-    device,
-    effect_names,
-    limited,
-)
-from torchid.app.output import Output, open_output, progress_bar
+from torchid.app import options as opt
+from torchid.app.excite_for import designed_for, read_result, torque_use
+from torchid.app.output import Output, open_output, progress_bar, stage
 from torchid.errors import TorchidError
+from torchid.json_data import plain
 
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
     from torchid.excitation.torque import TorqueLimits
-    from torchid.log.model import Log
     from torchid.robot.model import Robot
 
 
@@ -80,14 +68,14 @@ def excite_command(
         str | None,
         typer.Option(metavar="V|V1,V2,..", help="Velocity limits, in place of the robot's."),
     ] = None,
-    max_acceleration: MaxAcceleration = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    max_acceleration: opt.MaxAcceleration = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -98,48 +86,58 @@ def excite_command(
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.excitation.trajectories import trajectory_log
     from torchid.robot.library import load_robot
+    from torchid.robot.record import recorded_robot
 
-    target = _target(to, output)
-    _checked(count=count, duration=duration, rate=rate, usage=usage)
-    settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
-    given = None if robot is None else load_robot(robot, tip=tip)
-    if result is not None:
-        _refuse(kind, count)
-        data = read_result(result)
-        found = robot_of_result(result, data, given, max_velocity, max_acceleration)
-        best, record, torque = designed_for(
-            result, data, found, seed, criterion, restarts, settings, output
-        )
-        record |= {"result": result.name, "trajectories": _coefficients([best])}
-        record |= torque_use(found, torque, [best], output)
-        _finish(found, "next", [trajectory_log(best, rate)], record, target, output)
-        return
-    if given is None:
-        raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
-    found = limited(given, max_velocity, max_acceleration)
-    if kind == "optimised":
-        design = {
-            "restarts": restarts,
-            "criterion": criterion or "condition",
-            "device": device(device_name),
-        }
-        trajectories, record, torque = _optimised(
-            found, effect_names(effects), seed, count, design | settings, output
-        )
-    else:
-        trajectories, record, torque = _given(found, kind, seed, count, settings)
-    record |= torque_use(found, torque, trajectories, output)
-    logs = [trajectory_log(t, rate) for t in trajectories]
-    _finish(found, kind, logs, record, target, output)
-
-
-def _refuse(kind: str, count: int) -> None:
-    if kind != "optimised" or count != 1:
+    target = to
+    if to is None and out is not None:
+        target = out / "trajectory.csv"
+    if target is None and output.json_file is None:
         raise TorchidError(
-            "--for RESULT designs one optimised trajectory.", got=f"--kind {kind} --count {count}"
+            "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
         )
+    for name, value in (("--duration", duration), ("--rate", rate), ("--usage", usage)):
+        if not value > 0:
+            raise TorchidError(f"{name} must be positive.", got=value)
+    if usage > 1:
+        raise TorchidError("--usage is a share of the limits.", got=usage, expected="0..1")
+    if duration * rate > 1e7:
+        raise TorchidError(
+            "the trajectory would have more than ten million samples.",
+            got=f"{duration:g} s at {rate:g} Hz",
+        )
+    settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
+    found = None if robot is None else load_robot(robot, tip=tip)
+    if result is not None:
+        if kind != "optimised" or count != 1:
+            raise TorchidError(
+                "--for RESULT designs one optimised trajectory.",
+                got=f"--kind {kind} --count {count}",
+            )
+        data = read_result(result)
+        found = found or recorded_robot(data, str(result))
+    if found is None:
+        if result is not None:
+            raise TorchidError(
+                f"'{result}' does not record its robot.", expected="torchid excite ROBOT"
+            )
+        raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
+    arm = opt.limited(found, max_velocity, max_acceleration)
+    if result is not None:
+        best, record, torque = designed_for(
+            result, data, arm, seed, criterion, restarts, settings, output
+        )
+        made: list[Any] = [best]
+        record |= {"result": result.name, "trajectories": _coefficients([best])}
+    elif kind == "optimised":
+        settings |= {"restarts": restarts, "criterion": criterion or "condition"}
+        settings["device"] = opt.device(device_name)
+        names = opt.effect_names(effects)
+        made, record, torque = _optimised(arm, names, seed, count, settings, output)
+    else:
+        made, record, torque = _given(arm, kind, seed, count, settings)
+    record |= torque_use(arm, torque, made, output)
+    _write(arm, "next" if result else kind, made, rate, record, target, output)
 
 
 def _given(
@@ -187,19 +185,10 @@ def _optimised(
     found = []
     with progress_bar(output) as progress:
         for k in range(count):
-
-            def report(done: int, total: int, k: int = k) -> None:
-                if progress is not None:
-                    progress(f"trajectory {k + 1} of {count}", done, total)
-
+            told = stage(progress, f"trajectory {k + 1} of {count}")
+            every = on_every_joint(effects, robot.n)
             found.append(
-                optimise_trajectory(
-                    robot,
-                    on_every_joint(effects, robot.n),
-                    seed=seed + k,
-                    progress=report,
-                    **settings,
-                )
+                optimise_trajectory(robot, every, seed=seed + k, progress=told, **settings)
             )
     for k, design in enumerate(found, start=1):
         output.say(
@@ -216,44 +205,40 @@ def _optimised(
 
 
 def _coefficients(series: "list[FourierTrajectory]") -> list[dict[str, Any]]:
-    return [
-        {
-            "a": s.a.tolist(),
-            "b": s.b.tolist(),
-            "q0": s.q0.tolist(),
-            "w_f": s.w_f,
-            "duration": s.duration,
-            "ramp": s.ramp,
-        }
-        for s in series
-    ]
+    names = ("a", "b", "q0", "w_f", "duration", "ramp")
+    return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _finish(
+def _write(
     robot: "Robot",
     kind: str,
-    logs: "list[Log]",
+    trajectories: list[Any],
+    rate: float,
     record: dict[str, Any],
     target: Path | None,
     output: Output,
 ) -> None:
+    """The log of the motions, their figures and their record."""
+    from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
+    from torchid.report.excitation import trajectory_figure
 
+    logs = [trajectory_log(x, rate) for x in trajectories]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
     output.warn(log.warnings)
     written = []
     if target is not None:
         write_log(log, target)
         written.append(target)
-    if output.folder is not None:
-        from torchid.report.excitation import trajectory_figure
-        from torchid.report.figures import save
-
-        for k, part in enumerate(log.trajectories(), start=1):
-            path = output.folder / f"trajectory_{k}.png"
-            title = f"{robot.name}: {kind} trajectory {k}"
-            written.append(save(trajectory_figure(robot, part, title), path))
+    title = f"{robot.name}: {kind} trajectory"
+    drawn = output.draw(
+        lambda: {
+            f"trajectory_{k}": trajectory_figure(robot, part, f"{title} {k}")
+            for k, part in enumerate(log.trajectories(), start=1)
+        }
+    )
+    written += [output.folder / name for name in drawn if output.folder is not None]
     output.write_json(
         {
             "schema": "torchid.excitation/1",
@@ -267,29 +252,3 @@ def _finish(
     )
     if written:
         output.say("written: " + ", ".join(str(path) for path in written))
-
-
-def _target(to: Path | None, output: Output) -> Path | None:
-    """Where the trajectory goes: --to, else DIR/trajectory.csv, else nowhere, which is an error."""
-    if to is not None:
-        return to
-    if output.folder is not None:
-        return output.folder / "trajectory.csv"
-    if output.json_file is None:
-        raise TorchidError(
-            "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
-        )
-    return None
-
-
-def _checked(*, count: int, duration: float, rate: float, usage: float) -> None:
-    for name, value in (("--duration", duration), ("--rate", rate), ("--usage", usage)):
-        if not value > 0:
-            raise TorchidError(f"{name} must be positive.", got=value)
-    if usage > 1:
-        raise TorchidError("--usage is a share of the limits.", got=usage, expected="0..1")
-    if duration * rate > 1e7:
-        raise TorchidError(
-            "the trajectory would have more than ten million samples.",
-            got=f"{duration:g} s at {rate:g} Hz",
-        )

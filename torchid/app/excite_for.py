@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from torchid.app.options import limited
-from torchid.app.output import Output, progress_bar
+from torchid.app.output import Output, progress_bar, stage
 from torchid.errors import TorchidError
 from torchid.json_data import read_json
 
@@ -19,26 +18,6 @@ if TYPE_CHECKING:
 
 EVALUATIONS = 75
 """Trajectories that the search for a separating motion tries a restart."""
-
-
-def robot_of_result(
-    path: Path,
-    data: Mapping[str, Any],
-    robot: "Robot | None",
-    velocity: str | None,
-    acceleration: str | None,
-) -> "Robot":
-    """The robot given, or the one that a result records, with limits from the command line.
-
-    Raises:
-        TorchidError: neither.
-    """
-    from torchid.robot.record import recorded_robot
-
-    found = robot or recorded_robot(data, str(path))
-    if found is None:
-        raise TorchidError(f"'{path}' does not record its robot.", expected="torchid excite ROBOT")
-    return limited(found, velocity, acceleration)
 
 
 def read_result(path: Path) -> Mapping[str, Any]:
@@ -80,28 +59,17 @@ def designed_for(
     Raises:
         TorchidError: a result that asks for no motion.
     """
-    from torchid.next_motion.ambiguity import SCHEMA as GAP
-
-    if data["schema"] != GAP:
-        return _for_identification(path, robot, seed, criterion, restarts, settings, output)
-    if criterion not in (None, "separation"):
-        raise TorchidError("for a gap diagnosis motions are designed to separate.", got=criterion)
-    return _for_gap(path, data, robot, seed, restarts, settings, output)
-
-
-def _for_identification(
-    path: Path,
-    robot: "Robot",
-    seed: int,
-    criterion: str | None,
-    restarts: int,
-    settings: dict[str, Any],
-    output: Output,
-) -> "Designed":
     from torchid.excitation.informed import design_for
     from torchid.identification.reading import read_prior
+    from torchid.next_motion.ambiguity import SCHEMA as GAP
     from torchid.report.next_motion import informed_record, informed_table, informed_verdict
 
+    if data["schema"] == GAP:
+        if criterion not in (None, "separation"):
+            raise TorchidError(
+                "for a gap diagnosis motions are designed to separate.", got=criterion
+            )
+        return _for_gap(path, data, robot, seed, restarts, settings, output)
     if criterion not in (None, "a_optimal", "d_optimal"):
         raise TorchidError(
             "--for an identification has other criteria.",
@@ -115,9 +83,9 @@ def _for_identification(
     with progress_bar(output) as progress:
         found = design_for(
             robot, prior, seed=seed, goal=goal, restarts=restarts, **settings,
-            progress=_stage(progress, "designing"),
+            progress=stage(progress, "designing"),
         )  # fmt: skip
-    output.say(f"[bold]{informed_verdict(found)}[/]\n")
+    output.verdict(informed_verdict(found))
     output.say(informed_table(found))
     return found.trajectory, informed_record(found), found.torque
 
@@ -148,13 +116,13 @@ def _for_gap(
     with progress_bar(output) as progress:
         plain = optimise_trajectory(
             robot, seed=seed, restarts=restarts, torque=torque, **settings,
-            progress=_stage(progress, "a plain motion to compare with"),
+            progress=stage(progress, "a plain motion to compare with"),
         ).trajectory  # fmt: skip
         made = design_separation(
             found.setting, rivals(found, plain), plain, seed=seed, usage=usage,
-            evaluations=EVALUATIONS * restarts, progress=_stage(progress, "separating"),
+            evaluations=EVALUATIONS * restarts, progress=stage(progress, "separating"),
         )  # fmt: skip
-    output.say(f"[bold]{separation_verdict(made, found.kind)}[/]\n")
+    output.verdict(separation_verdict(made, found.kind))
     output.say(separation_table(made, found.kind))
     output.warn(found.notes)
     record = {**separation_record(made, found.kind), "notes": list(found.notes)}
@@ -168,7 +136,7 @@ def torque_use(
     output: Output,
 ) -> dict[str, Any]:
     """Prints what motions ask of the drives, or that it is not known, and gives its record."""
-    from torchid.report.torque_limits import not_checked, torque_record, torque_table
+    from torchid.report.excitation import not_checked, torque_record, torque_table
 
     use = None if torque is None else torque.use(trajectories)
     if use is not None:
@@ -176,9 +144,3 @@ def torque_use(
     elif reason := not_checked(robot):
         output.warn((reason,))
     return {"torque": torque_record(robot, use)}
-
-
-def _stage(progress: Any, stage: str) -> Any:
-    if progress is None:
-        return None
-    return lambda done, total: progress(stage, done, total)

@@ -1,19 +1,12 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from torchid.app.options import Json, Out, Quiet, Seed, Threads, Tip
-from torchid.app.output import Output, open_output
-
-if TYPE_CHECKING:
-    from torchid.export.dynamics import Dynamics
-    from torchid.export.export import Export
-    from torchid.robot.model import Robot
-
-_TREES = (".urdf", ".xml")
+from torchid.app import options as opt
+from torchid.app.output import open_output
 
 
 def export_command(
@@ -59,12 +52,12 @@ def export_command(
             help="Bounds of the centres of mass that count in the check, as for `torchid check`.",
         ),
     ] = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -75,10 +68,31 @@ def export_command(
     Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
     """
     output = open_output(json_file, out, quiet, threads)
-    from torchid.export.export import export_dynamics
-    from torchid.report.export import export_record
+    from rich.markup import escape
 
-    dynamics, nominal, original = _read(result, robot, chosen, tip, geometry)
+    from torchid.export.export import export_dynamics
+    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
+    from torchid.report.export import (
+        comparison_table,
+        effect_lines,
+        export_record,
+        headline,
+        warnings,
+    )
+    from torchid.robot.library import is_robot, load_robot, named_robot
+
+    if is_robot(result):
+        nominal, original = opt.load_both(result, robot, tip)
+        dynamics = robot_dynamics(nominal)
+    else:
+        path = Path(result)
+        data = load(path)
+        nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+        original = nominal
+        if "sets" in data:
+            dynamics = set_dynamics(path, data, nominal, chosen, geometry)
+        else:
+            dynamics = base_dynamics(path, nominal)
     done = export_dynamics(
         dynamics,
         to,
@@ -91,46 +105,7 @@ def export_command(
         seed=seed,
         keep=[Path(file) for file in (result, robot) if file is not None],
     )
-    _show(done, output)
-    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
-
-
-def _read(
-    result: str,
-    robot: str | None,
-    chosen: str | None,
-    tip: str | None,
-    geometry: str | None,
-) -> "tuple[Dynamics, Robot, Robot]":
-    """The dynamics, the robot they belong to, and that whose file a copy is edited of."""
-    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
-    from torchid.robot.library import is_robot, load_robot, named_robot
-
-    if is_robot(result):
-        # A tip is for the files that can branch; where none can, the reader refuses it.
-        names = [result] if robot is None else [result, robot]
-        trees = [name for name in names if Path(name).suffix.lower() in _TREES]
-        own, *others = [
-            load_robot(name, tip=tip if name in trees or not trees else None) for name in names
-        ]
-        return robot_dynamics(own), own, others[0] if others else own
-    path = Path(result)
-    data = load(path)
-    arm = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
-    if "sets" in data:
-        found = set_dynamics(path, data, arm, chosen, geometry)
-    else:
-        found = base_dynamics(path, arm)
-    return found, arm, arm
-
-
-def _show(done: "Export", output: Output) -> None:
-    from rich.markup import escape
-
-    from torchid.report.export import comparison_table, effect_lines, headline, warnings
-
-    output.say(comparison_table(done))
-    for line in effect_lines(done):
-        output.say(escape(line))
+    output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
     output.warn(warnings(done))
     output.say(f"\nwritten: {escape(headline(done))}")
+    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")

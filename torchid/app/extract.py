@@ -1,14 +1,13 @@
 """`torchid extract`: physical parameter sets from base parameters."""
 
 import sys
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+import time
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import Device, Json, Out, Quiet, RobotArgument, Seed, Threads, Tip, device
-from torchid.app.output import Output, open_output, progress_bar
+from torchid.app import options as opt
+from torchid.app.output import Output, open_output, progress_bar, stage
 from torchid.app.problems import (
     BoundsOption,
     GeometryOption,
@@ -22,8 +21,6 @@ from torchid.errors import TorchidError
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from torchid.extraction.convex.certificate import Certificate
     from torchid.extraction.extract import SearchSettings
     from torchid.extraction.problem import Problem
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def extract_command(
-    robot: RobotArgument,
+    robot: opt.RobotArgument,
     result: ResultArgument = None,
     method: Annotated[
         Literal["cma-es", "log-cholesky", "sdp"],
@@ -70,21 +67,35 @@ def extract_command(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue from the checkpoint in --out.")
     ] = False,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Extract physical parameter sets that give the identified base parameters, and classify them.
 
     Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
     """
     output = open_output(json_file, out, quiet, threads)
+    from rich.markup import escape
+
+    from torchid.errors import MissingExtraError
+    from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import SearchSettings, require_possible
-    from torchid.report.extraction import loss_notes
+    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
+    from torchid.feasibility.sets import to_record
+    from torchid.report.extraction import (
+        Found,
+        extraction_record,
+        headline,
+        judged,
+        loss_notes,
+        search_figure,
+        tables,
+    )
     from torchid.robot.library import load_robot
 
     settings = SearchSettings(
@@ -99,32 +110,38 @@ def extract_command(
     )  # fmt: skip
     if penalty == "full" and not search_anyway:
         require_possible(problem)
-    certificate, told = _certificate(problem, output) if proof or method == "sdp" else (None, ())
-    notes = (*notes, *told)
+    proven = None
+    if proof or method == "sdp":
+        try:
+            proven, told = certificate_where_possible(problem)
+            notes = (*notes, *told)
+        except MissingExtraError as error:  # Clarabel; a search can do without
+            output.warn((f"no certificate of the least loss: {error}",))
     if method == "sdp":
-        found = _convex(problem, certificate, search_anyway)
+        found = _convex(problem, proven, search_anyway)
     elif method == "log-cholesky":
-        found, told = _log_cholesky(problem, settings)
-        notes = (*notes, *told)
+        began = time.monotonic()
+        made = extract_log_cholesky(problem, runs=runs, seed=seed)
+        sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
+        done = zip(sets.ids, made.converged.tolist(), strict=True)
+        short = ", ".join(name for name, converged in done if not converged)
+        if short:
+            short = f"not converged, so their loss may be larger than it need be: {short}"
+            notes = (*notes, short)
+        taken = time.monotonic() - began
+        found = Found(problem, "log-cholesky", *judged(problem, sets), None, taken)
     else:
-        found = _searched(problem, settings, output, resume, device(device_name))
+        found = _searched(problem, settings, output, resume, opt.device(device_name))
     notes = (*notes, *loss_notes(found, values))
-    _show(found, certificate, notes, output)
-    _write(found, certificate, notes, output)
-
-
-def _certificate(
-    problem: "Problem", output: Output
-) -> "tuple[Certificate | None, tuple[str, ...]]":
-    """The convex bound and notes on it; only said to be missing where Clarabel is not installed."""
-    from torchid.errors import MissingExtraError
-    from torchid.extraction.convex.certificate import certificate_where_possible
-
-    try:
-        return certificate_where_possible(problem)
-    except MissingExtraError as error:
-        output.warn((f"no certificate of the least loss: {error}",))
-        return None, ()
+    output.say(*tables(found, proven))
+    output.warn(notes)
+    output.say(f"\n{escape(headline(found, proven))}")
+    output.write_json(extraction_record(found, proven, notes), "extraction.json")
+    if out is not None:
+        write_json(to_record(found.sets, problem.robot), out / "sets.json")
+    search = found.search
+    if search is not None:
+        output.draw(lambda: {"search": search_figure(search, proven)})
 
 
 def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
@@ -157,28 +174,6 @@ def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "F
     return Found(problem, "sdp", *(lower if better else own), None, proof.seconds)
 
 
-def _log_cholesky(
-    problem: "Problem", settings: "SearchSettings"
-) -> "tuple[Found, tuple[str, ...]]":
-    import time
-
-    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
-    from torchid.report.extraction import Found, judged
-
-    began = time.monotonic()
-    found = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
-    sets = problem.sets(found.p, [f"run_{k + 1}" for k in range(len(found.p))])
-    short = [
-        name for name, done in zip(sets.ids, found.converged.tolist(), strict=True) if not done
-    ]
-    note = f"not converged, so their loss may be larger than it need be: {', '.join(short)}"
-    seconds = time.monotonic() - began
-    return (
-        Found(problem, "log-cholesky", *judged(problem, sets), None, seconds),
-        (note,) if short else (),
-    )
-
-
 def _searched(
     problem: "Problem", settings: "SearchSettings", output: Output, resume: bool, where: str
 ) -> "Found":
@@ -195,60 +190,20 @@ def _searched(
                 "anew: --resume would have continued it",
             )
         )
-    with progress_bar(output) as progress, _told_of(checkpoint):
-        found = extract(
-            problem,
-            settings,
-            checkpoint=checkpoint,
-            resume=resume,
-            device=where,
-            report=None
-            if progress is None
-            else (lambda done, total: progress("stages", done, total)),
-        )
-    return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
-
-
-@contextmanager
-def _told_of(checkpoint: Path | None) -> "Iterator[None]":
-    """Says what an interrupted search left behind."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if checkpoint is not None and checkpoint.exists():
-            sys.stderr.write(
-                f"interrupted; {checkpoint} is kept: the same command with --resume continues\n"
+    with progress_bar(output) as progress:
+        try:
+            found = extract(
+                problem,
+                settings,
+                checkpoint=checkpoint,
+                resume=resume,
+                device=where,
+                report=stage(progress, "stages"),
             )
-        raise
-
-
-def _show(
-    found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
-) -> None:
-    from rich.markup import escape
-
-    from torchid.report.extraction import headline, tables
-
-    for table in tables(found, proof):
-        output.say(table)
-    output.warn(notes)
-    output.say(f"\n{escape(headline(found, proof))}")
-
-
-def _write(
-    found: "Found", proof: "Certificate | None", notes: tuple[str, ...], output: Output
-) -> None:
-
-    from torchid.feasibility.sets import to_record
-    from torchid.report.extraction import extraction_record
-    from torchid.report.figures import save
-
-    data: dict[str, Any] = extraction_record(found, proof, notes)
-    output.write_json(data, "extraction.json")
-    if output.folder is None:
-        return
-    write_json(to_record(found.sets, found.problem.robot), output.folder / "sets.json")
-    if found.search is not None:
-        from torchid.report.extraction import search_figure
-
-        save(search_figure(found.search, proof), output.folder / "search.png")
+        except KeyboardInterrupt:
+            if checkpoint is not None and checkpoint.exists():
+                sys.stderr.write(
+                    f"interrupted; {checkpoint} is kept: the same command with --resume continues\n"
+                )
+            raise
+    return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)

@@ -1,35 +1,19 @@
 """`torchid log doctor`: what is wrong with a log, before anything is fitted to it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.markup import escape
 
-from torchid.app.options import (
-    Columns,
-    Gain,
-    Json,
-    LogArguments,
-    Out,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Threads,
-    Tip,
-    Topic,
-    read_logs,
-)
-from torchid.app.output import Output, open_output
+from torchid.app import options as opt
+from torchid.app.output import open_output
 from torchid.errors import TorchidError
-
-if TYPE_CHECKING:
-    from torchid.doctor.examine import Examination
 
 
 def doctor_command(
-    robot: RobotArgument,
-    logs: LogArguments,
+    robot: opt.RobotArgument,
+    logs: opt.LogArguments,
     apply: Annotated[
         Path | None,
         typer.Option(
@@ -48,15 +32,15 @@ def doctor_command(
             "be given several times; without it --apply takes none of them.",
         ),
     ] = None,
-    columns: Columns = None,
-    topic: Topic = None,
-    gain: Gain = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    columns: opt.Columns = None,
+    topic: opt.Topic = None,
+    gain: opt.Gain = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
     lag, velocities, clock, dropouts, saturation, excitation; with evidence, and what to change.
@@ -64,50 +48,32 @@ def doctor_command(
     Example: `torchid log doctor panda.yaml run1.parquet --apply mended.parquet`
     """
     output = open_output(json_file, out, quiet, threads)
-    if apply is not None and any(_same(apply, log) for log in logs):
+    if apply is not None and any(
+        apply.exists() and log.exists() and apply.samefile(log) for log in logs
+    ):
         raise TorchidError(
             f"--apply would write over the log '{apply}'.", expected="the name of a new file"
         )
+    from torchid.doctor.conclusion import conclusion
     from torchid.doctor.examine import examine
+    from torchid.doctor.flag import columns_flag
     from torchid.doctor.record import record
-    from torchid.log.readers import write_log
+    from torchid.log.readers import open_log, write_log
+    from torchid.log.table import Request
+    from torchid.report.doctor import choices, fine, tables, torque_figure
     from torchid.robot.library import load_robot
 
     found = load_robot(robot, tip=tip)
-    result = examine(found, read_logs(logs, gain, found, columns, topic), fix or ())
+    result = examine(found, opt.read_logs(logs, gain, found, columns, topic), fix or ())
     if apply is not None:
         write_log(result.mended(), apply)
-    flag = None if columns or topic else _flag(result, logs)
-    _show(result, output, apply, flag)
-    output.write_json({**record(result, flag), "seed": seed}, "doctor.json")
-    _draw(result, output)
-
-
-def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)
-
-
-def _flag(result: "Examination", logs: list[Path]) -> str | None:
-    """The fixes as --columns, where the logs have columns of our names."""
-    if not result.repairs:
-        return None
-    from torchid.doctor.flag import columns_flag
-    from torchid.log.readers import open_log
-    from torchid.log.table import Request
-
-    tables = [open_log(log, Request())[0] for log in logs]
-    names = [set() if table is None else set(table.columns) for table in tables]
-    return columns_flag(result.repairs, result.robot.n, set.intersection(*names))
-
-
-def _show(result: "Examination", output: Output, apply: Path | None, flag: str | None) -> None:
-    from torchid.doctor.conclusion import conclusion
-    from torchid.report.doctor import choices, fine, tables
-
-    for table in tables(result):
-        output.say(table)
-    output.say(fine(result))
-    output.say(f"\n{escape(conclusion(result))}")
+    # The fixes as --columns, where the logs have columns of our names.
+    flag = None
+    if result.repairs and not (columns or topic):
+        read = [open_log(log, Request())[0] for log in logs]
+        own = [set() if table is None else set(table.columns) for table in read]
+        flag = columns_flag(result.repairs, found.n, set.intersection(*own))
+    output.say(*tables(result), fine(result), f"\n{escape(conclusion(result))}")
     if result.undecided:
         output.say(escape(choices(result)))
     if apply is not None:
@@ -117,15 +83,8 @@ def _show(result: "Examination", output: Output, apply: Path | None, flag: str |
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
         output.say(escape(f'or read the log with --columns "{flag}"'))
-
-
-def _draw(result: "Examination", output: Output) -> None:
-    """Measured torque against what bodies explain, for --out."""
-    if output.folder is None:
-        return
-    from torchid.report.doctor import torque_figure
-    from torchid.report.figures import save
-
-    figure = torque_figure(result)
-    drawn = [] if figure is None else [save(figure, output.folder / "doctor.png").name]
-    output.say(f"written to {output.folder}: " + ", ".join(["doctor.json", *drawn]))
+    output.write_json({**record(result, flag), "seed": seed}, "doctor.json")
+    output.draw(
+        lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure},
+        "doctor.json",
+    )

@@ -55,6 +55,17 @@ HeldOutFraction = Annotated[
         help="Without --held-out: the last part of each trajectory kept for validation.",
     ),
 ]
+FITTED = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
+"""Effects that a fit has by default."""
+FittedEffects = Annotated[
+    str,
+    typer.Option(
+        "--effects", help="Effects on every joint, comma-separated; `none` for the rigid body."
+    ),
+]
+Method = Annotated[
+    Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
+]
 Gain = Annotated[
     str | None,
     typer.Option("--gain", metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
@@ -158,9 +169,7 @@ def effect_names(text: str) -> tuple[str, ...]:
     """Names of effects separated by commas; `none` for none."""
     from torchid.effects.registry import column_kind
 
-    if text.strip() in ("", "none"):
-        return ()
-    return tuple(column_kind(name.strip()).name for name in text.split(","))
+    return tuple(column_kind(name).name for name in names(text))
 
 
 def read_logs(
@@ -193,16 +202,53 @@ def read_both(
     return log, read_logs(held_out, gain, robot, columns, topic) if held_out else None
 
 
+def names(text: str) -> tuple[str, ...]:
+    """Names separated by commas; `none` for none. The settings check that they exist."""
+    if text.strip() in ("", "none"):
+        return ()
+    return tuple(name.strip() for name in text.split(","))
+
+
+def searched(text: str) -> tuple[str, ...] | None:
+    """The --effects option of a search: names, or None for `all`.
+
+    Raises:
+        TorchidError: no name at all.
+    """
+    if text.strip() == "all":
+        return None
+    found = names(text)
+    if not found:
+        raise TorchidError(
+            "--effects leaves nothing to search over.", got=text, hint="`all` for the whole library"
+        )
+    return found
+
+
 def cutoff_hz(text: str) -> float | Literal["auto"] | None:
     """The --cutoff option: a frequency [Hz], `auto`, or None for `none`."""
+    return None if text == "none" else auto_hz(text, "a frequency in Hz, `auto` or `none`")
+
+
+def auto_hz(text: str, expected: str = "a frequency in Hz, or `auto`") -> float | Literal["auto"]:
+    """A --cutoff that cannot be left out."""
     if text == "auto":
         return "auto"
-    if text == "none":
-        return None
-    value = number("--cutoff", text, "a frequency in Hz, `auto` or `none`")
+    value = number("--cutoff", text, expected)
     if value <= 0:
         raise TorchidError("--cutoff must be positive.", got=text)
     return value
+
+
+def load_both(params: str, robot: str | None, tip: str | None) -> "tuple[Robot, Robot]":
+    """The robot whose parameters are asked about, and --robot, or the same one without it."""
+    from torchid.robot.library import load_robot
+
+    both = [params] if robot is None else [params, robot]
+    # A tip is for the files that can branch; where none can, the reader refuses it.
+    trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
+    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
+    return found[0], found[-1]
 
 
 def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":

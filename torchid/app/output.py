@@ -3,17 +3,23 @@
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 
 from torchid.errors import TorchidError
 from torchid.json_data import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Progress = Callable[[str, int, int], None]
+"""Takes stage, done, total."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +50,33 @@ class Output:
                     write_json(data, target)
 
     def say(self, *objects: Any) -> None:
-        """Print for people, unless quiet."""
-        if not self.quiet:
-            self.console.print(*objects)
+        """Print for people, one after another, unless quiet."""
+        for one in () if self.quiet else objects:
+            self.console.print(one)
 
-    def warn(self, warnings: tuple[str, ...]) -> None:
+    def verdict(self, text: str) -> None:
+        """Print the answer, which stands out."""
+        self.say(f"[bold]{escape(text)}[/]\n")
+
+    def warn(self, warnings: Iterable[str]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
             self.say(f"[yellow]![/] {escape(warning)}")
+
+    def draw(self, make: "Callable[[], Mapping[str, Figure]]", *files: str) -> list[str]:
+        """Write figures into DIR, if it is given, and say what is there: other files, and they.
+
+        Returns:
+            Names of the pictures.
+        """
+        if self.folder is None:
+            return []
+        from torchid.report.panels import save
+
+        drawn = [save(figure, self.folder / f"{name}.png").name for name, figure in make().items()]
+        if files:
+            self.say(f"written to {self.folder}: {', '.join((*files, *drawn))}")
+        return drawn
 
 
 def open_output(
@@ -67,17 +92,41 @@ def open_output(
         TorchidError: a folder that does not exist or cannot be written; a page that is no .html.
         MissingExtraError: a page is asked for, and what makes it is not installed.
     """
+    import torch
+
     started = time.monotonic()
     if str(json_file) == "-":
         json_file, quiet = Path("/dev/stdout"), True
     if folder is not None:
-        _make_folder(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise TorchidError(
+                f"the output folder '{folder}' cannot be made: {error.strerror or error}."
+            ) from error
+        _probe(folder)
     _check_file("--json", json_file)
     if page_file is not None:
-        _check_page(page_file, json_file)
-    _set_torch_threads(threads)
+        if json_file is not None and page_file.resolve() == json_file.resolve():
+            raise TorchidError("--report and --json name the same file.", got=page_file)
+        _check_file("--report", page_file)
+        if page_file.suffix.lower() not in (".html", ".htm"):
+            raise TorchidError(
+                "--report writes an HTML page.",
+                got=page_file,
+                expected="FILE.html",
+                hint="a browser prints it as PDF",
+            )
+        from torchid.report.page.render import require_templates
+
+        require_templates()
+    torch.set_num_threads(threads or 1)
     logging.basicConfig(level=logging.ERROR if quiet else logging.WARNING, format="%(message)s")
-    return Output(json_file, folder, quiet, _console(), page_file, started)
+    # As wide as the terminal; wide enough for the tables where there is none.
+    console = _Console(highlight=False)
+    if not console.is_terminal:
+        console = _Console(highlight=False, width=120)
+    return Output(json_file, folder, quiet, console, page_file, started)
 
 
 def _check_file(option: str, path: Path | None) -> None:
@@ -90,22 +139,6 @@ def _check_file(option: str, path: Path | None) -> None:
     _probe(path.parent)
 
 
-def _check_page(page_file: Path, json_file: Path | None) -> None:
-    if json_file is not None and page_file.resolve() == json_file.resolve():
-        raise TorchidError("--report and --json name the same file.", got=page_file)
-    _check_file("--report", page_file)
-    if page_file.suffix.lower() not in (".html", ".htm"):
-        raise TorchidError(
-            "--report writes an HTML page.",
-            got=page_file,
-            expected="FILE.html",
-            hint="a browser prints it as PDF",
-        )
-    from torchid.report.page.render import require_templates
-
-    require_templates()
-
-
 class _Console(Console):
     """Falls silent when its reader has left (`| head`), where rich ends the program: files that
     were asked for are still written."""
@@ -113,28 +146,6 @@ class _Console(Console):
     def on_broken_pipe(self) -> None:
         with suppress(SystemExit):
             super().on_broken_pipe()
-
-
-def _console() -> Console:
-    """As wide as the terminal; wide enough for the tables where there is none."""
-    console = _Console(highlight=False)
-    return console if console.is_terminal else _Console(highlight=False, width=120)
-
-
-def _set_torch_threads(threads: int | None) -> None:
-    import torch
-
-    torch.set_num_threads(threads or 1)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TorchidError(
-            f"the output folder '{folder}' cannot be made: {error.strerror or error}."
-        ) from error
-    _probe(folder)
 
 
 def _probe(folder: Path) -> None:
@@ -147,9 +158,6 @@ def _probe(folder: Path) -> None:
         raise TorchidError(
             f"the folder '{folder}' cannot be written: {error.strerror or error}."
         ) from error
-
-
-Progress = Callable[[str, int, int], None]
 
 
 @contextmanager
@@ -187,15 +195,36 @@ def _bar(console: Console) -> Iterator[Progress]:
 
 
 def _line_a_stage(started: float) -> Progress:
-    """Seconds since the command started, and the stage, when it is met for the first time."""
-    met: set[str] = set()
+    """Seconds since the command started, and the stage, when it is met for the first time.
+
+    In the first stage bad input is found, and then the error is all that is said: its line waits
+    for the second stage's.
+    """
+    met: dict[str, str] = {}
 
     def report(stage: str, done: int, total: int) -> None:
         if stage in met:
             return
-        met.add(stage)
+        met[stage] = f"[{time.monotonic() - started:5.0f} s] {stage}\n"
+        if len(met) == 1:
+            return
+        lines = list(met.values())
         with suppress(OSError):  # whoever read it has left; the work goes on
-            sys.stderr.write(f"[{time.monotonic() - started:5.0f} s] {stage}\n")
+            sys.stderr.write("".join(lines) if len(lines) == 2 else lines[-1])
             sys.stderr.flush()
 
     return report
+
+
+def of(progress: Progress | None, name: str) -> Progress | None:
+    """A callback whose stages are those of one of several things, with its name before them."""
+    if progress is None:
+        return None
+    return lambda stage, done, total: progress(f"{name}: {stage}", done, total)
+
+
+def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
+    """A callback (done, total) of one stage."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(name, done, total)

@@ -25,15 +25,12 @@ def robot_input(robot: str) -> Named:
 
 def log_inputs(logs: Sequence[Path], held_out: Sequence[Path] | None) -> list[Named]:
     """Logs as inputs; of one that is a folder, the files in it."""
-    roles = (("log", logs), ("held-out log", held_out or ()))
-    return [
-        (role, str(file), file) for role, paths in roles for path in paths for file in _files(path)
-    ]
-
-
-def _files(path: Path) -> list[Path]:
-    inside = sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else []
-    return inside or [path]
+    out = []
+    for role, paths in (("log", logs), ("held-out log", held_out or ())):
+        for path in paths:
+            inside = sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else []
+            out += [(role, str(file), file) for file in inside or [path]]
+    return out
 
 
 def hashed(output: Output, named: Sequence[Named]) -> "tuple[InputFile, ...]":

@@ -2,48 +2,24 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from torchid.app.identify import EFFECTS
-from torchid.app.options import (
-    Columns,
-    Device,
-    Gain,
-    Json,
-    LogArguments,
-    Out,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Threads,
-    Tip,
-    Topic,
-    cutoff_hz,
-    device,
-    effect_names,
-    read_logs,
-)
-from torchid.app.output import Output, open_output, progress_bar
-
-if TYPE_CHECKING:
-    from torchid.identification.payload import Payload
+from torchid.app import options as opt
+from torchid.app.output import open_output, progress_bar
 
 
 def payload_command(
-    robot: RobotArgument,
-    logs: LogArguments,
+    robot: opt.RobotArgument,
+    logs: opt.LogArguments,
     loaded: Annotated[
         list[Path],
         typer.Option(
             "--loaded", metavar="LOG", help="Logs with the payload. May be given several times."
         ),
     ],
-    effects: Annotated[
-        str,
-        typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),
-    ] = EFFECTS,
+    effects: opt.FittedEffects = opt.FITTED,
     model: Annotated[
         Literal["general", "symmetric", "point_mass"],
         typer.Option(help="All ten parameters; symmetric about the tool's z axis; a point mass."),
@@ -55,29 +31,27 @@ def payload_command(
             help="Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.",
         ),
     ] = "auto",
-    columns: Columns = None,
-    topic: Topic = None,
-    gain: Gain = None,
+    columns: opt.Columns = None,
+    topic: opt.Topic = None,
+    gain: opt.Gain = None,
     rows: Annotated[
         Literal["all", "moving"],
         typer.Option(
             help="Rows fitted. At rest friction can hold any torque, and so part of a payload's."
         ),
     ] = "moving",
-    method: Annotated[
-        Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
-    ] = "huber",
+    method: opt.Method = "huber",
     signs: Annotated[
         Literal["bounded", "free"],
         typer.Option(help="Coefficients physics forbids to be negative: hold at zero, or leave."),
     ] = "bounded",
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Estimate mass, centre of mass and inertia of what the last link carries.
 
@@ -89,19 +63,20 @@ def payload_command(
     output = open_output(json_file, out, quiet, threads)
     from torchid.identification.identify import Settings, identify
     from torchid.identification.payload import estimate_payload, record
+    from torchid.report.payload import headline, tables
     from torchid.robot.library import load_robot
 
     settings = Settings(
-        effects=effect_names(effects),
-        cutoff=cutoff_hz(cutoff),
+        effects=opt.effect_names(effects),
+        cutoff=opt.cutoff_hz(cutoff),
         rows=rows,
         method=method,
         signs=signs,
     )
     found = load_robot(robot, tip=tip)
-    empty = read_logs(logs, gain, found, columns, topic)
-    full = read_logs(loaded, gain, found, columns, topic)
-    where = device(device_name)
+    empty = opt.read_logs(logs, gain, found, columns, topic)
+    full = opt.read_logs(loaded, gain, found, columns, topic)
+    where = opt.device(device_name)
     with progress_bar(output) as progress:
         without = identify(found, empty, settings=settings, device=where, progress=progress)
         # One filter for both: what it does to the parameters then cancels in their difference.
@@ -115,15 +90,8 @@ def payload_command(
             *payload.warnings,
         ]
     )
-    _show(payload, tuple(noticed), output)
-    data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
-    output.write_json({**data, "warnings": list(noticed)}, "payload.json")
-
-
-def _show(payload: "Payload", noticed: tuple[str, ...], output: Output) -> None:
-    from torchid.report.payload import headline, tables
-
-    for table in tables(payload):
-        output.say(table)
+    output.say(*tables(payload))
     output.warn(noticed)
     output.say(f"\n{headline(payload)}")
+    data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
+    output.write_json({**data, "warnings": list(noticed)}, "payload.json")

@@ -1,15 +1,15 @@
 """`torchid robot`: what a robot description says."""
 
-from torchid.app.options import Json, Out, Quiet, RobotArgument, Tip
+from torchid.app import options as opt
 from torchid.app.output import open_output
 
 
 def robot_command(
-    robot: RobotArgument,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    quiet: Quiet = False,
+    robot: opt.RobotArgument,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Print joints, limits, parameters and warnings of a robot.
 
@@ -20,8 +20,7 @@ def robot_command(
     from torchid.robot.library import load_robot
 
     found = load_robot(robot, tip=tip)
-    for table in robot_tables(found):
-        output.say(table)
+    output.say(*robot_tables(found))
     data = robot_record(found)
     output.warn(tuple(data["warnings"]))
     output.write_json(data, "robot.json")

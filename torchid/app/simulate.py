@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from torchid.app.options import Device, Json, Out, Quiet, RobotArgument, Seed, Threads, Tip, device
+from torchid.app import options as opt
 from torchid.app.output import open_output
 from torchid.errors import TorchidError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def simulate_command(
-    robot: RobotArgument,
+    robot: opt.RobotArgument,
     trajectory: Annotated[
         Path, typer.Argument(metavar="TRAJECTORY", help="File with t, q1.., dq1.., ddq1.. .")
     ],
@@ -67,13 +67,13 @@ def simulate_command(
     control_frequency: Annotated[
         float, typer.Option(metavar="HZ", help="under control: natural frequency of the PD.")
     ] = 5.0,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Write the log that the robot would give along a trajectory.
 
@@ -88,25 +88,37 @@ def simulate_command(
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.app.effect_option import effect_from_text
-    from torchid.excitation.synthetic import synthetic_log
+    from torchid.excitation.synthetic import HonestNoise, PaperNoise, synthetic_log
     from torchid.log.readers import read_log, write_log
     from torchid.robot.library import load_robot
 
     target = to if to is not None else (None if out is None else out / "log.parquet")
     if target is None:
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
-    model = _noise(noise, snr, torque_noise, encoder_bits, colour, velocity_noise)
+    model: "NoiseModel" = None
+    if noise == "paper":
+        model = PaperNoise(snr_db=snr)
+    elif noise == "honest":
+        if not 0 <= encoder_bits <= 40:
+            raise TorchidError("--encoder-bits lies between 0 and 40.", got=encoder_bits)
+        model = HonestNoise(
+            encoder_step=0.0 if encoder_bits == 0 else 2 * math.pi / 2**encoder_bits,
+            torque_relative=torque_noise,
+            colour_hz=colour,
+            include_velocity=velocity_noise is not None,
+            velocity_relative=velocity_noise or 0.0,
+        )
     found = load_robot(robot, tip=tip)
     effects = [effect_from_text(text, found) for text in effect or []]
     moves = closed_loop or bool(effects)
     if moves:
-        log = _under_control(
-            found, read_log(trajectory), effects, model, seed, rate, control_frequency
-        )
+        planned = read_log(trajectory)
+        log = _under_control(found, planned, effects, model, seed, rate, control_frequency)
     elif rate is not None:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
     else:
-        log = synthetic_log(found, read_log(trajectory), model, seed, device=device(device_name))
+        where = opt.device(device_name)
+        log = synthetic_log(found, read_log(trajectory), model, seed, device=where)
     write_log(log, target)
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")
@@ -156,32 +168,7 @@ def _under_control(
         robot, parts, [effects] * len(parts), rate=rate, controller=Controller(frequency)
     )
     true = Log.concatenate(logs).replace(source=logs[0].source)
-    if noise is None:
-        return sensed_log(true, [*nominal_effects(robot), *effects])
     sensed = [*nominal_effects(robot), *effects]
+    if noise is None:
+        return sensed_log(true, sensed)
     return measured_log(robot, true, sensed, Sensors(noise), seed)
-
-
-def _noise(
-    kind: str,
-    snr: float,
-    torque: float,
-    bits: int,
-    colour: float | None,
-    velocity: float | None,
-) -> "NoiseModel":
-    from torchid.excitation.synthetic import HonestNoise, PaperNoise
-
-    if kind == "none":
-        return None
-    if kind == "paper":
-        return PaperNoise(snr_db=snr)
-    if not 0 <= bits <= 40:
-        raise TorchidError("--encoder-bits lies between 0 and 40.", got=bits)
-    return HonestNoise(
-        encoder_step=0.0 if bits == 0 else 2 * math.pi / 2**bits,
-        torque_relative=torque,
-        colour_hz=colour,
-        include_velocity=velocity is not None,
-        velocity_relative=velocity or 0.0,
-    )

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from torchid.app.options import LARGEST_SEED, Device, Json, Out, Quiet, Report, Threads, device
-from torchid.app.output import Output, open_output, progress_bar
-from torchid.app.page import Named, hashed, robot_input, write_report
+from torchid.app import options as opt
+from torchid.app.output import Output, of, open_output, progress_bar
+from torchid.app.page import hashed, robot_input, write_report
 from torchid.errors import TorchidError
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.report.page.origin import InputFile
     from torchid.study.result import Study
-    from torchid.study.settings import StudySettings
+
+
+_CHECKPOINTS = "checkpoints"
 
 
 def study_command(
@@ -44,40 +46,59 @@ def study_command(
         bool, typer.Option("--resume", help="Continue from the checkpoints in --out.")
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures into --out.")] = True,
-    json_file: Json = None,
-    out: Out = None,
-    report: Report = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    report: opt.Report = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", min=0, max=LARGEST_SEED, help="Of the searches."),
+        typer.Option("--seed", min=0, max=opt.LARGEST_SEED, help="Of the searches."),
     ] = None,
-    quiet: Quiet = False,
-    threads: Threads = None,
-    device_name: Device = "cpu",
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
+    device_name: opt.Device = "cpu",
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
 
     Example: `torchid study kuka_lwr4 --quick --out study --report study.html`
     """
     output = open_output(json_file, out, quiet, threads, report)
-    from torchid.study.settings import load_study, study_names
-    from torchid.study.study import remove_checkpoints
+    from torchid.study.settings import load_study, study_file, study_names
+    from torchid.study.study import remove_checkpoints, run_study
 
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
     names = study_names() if name == "all" else [name]
-    asked = {
+    asked: dict[str, Any] = {
         "runs": runs, "stages": stages, "generations": generations, "schedule": schedule,
         "engine": engine, "seed": seed,
     }  # fmt: skip
-    all_settings = [_asked(load_study(n), quick, asked) for n in names]
-    where = device(device_name)
+    changed = {key: value for key, value in asked.items() if value is not None}
+    every = []
+    for given in names:
+        settings = load_study(given).quick() if quick else load_study(given)
+        every.append(replace(settings, search=replace(settings.search, **changed)))
+    where = opt.device(device_name)
     records = []
-    for given, settings in zip(names, all_settings, strict=True):
-        folder = None if out is None else out / settings.name
-        own = output if name != "all" else _page_of(settings.name, output)
-        files = hashed(own, [_study_input(given), robot_input(settings.robot)])
-        found = _run(settings, folder, resume, where, own)
+    for given, settings in zip(names, every, strict=True):
+        folder, own = None if out is None else out / settings.name, output
+        if name == "all":
+            # Each study has a page of its own: report_3r.html beside report.html.
+            page = report and report.with_name(f"{report.stem}_{settings.name}{report.suffix}")
+            own = replace(output, page_file=page, started=time.monotonic())
+        inputs = [("study", given, study_file(given)), robot_input(settings.robot)]
+        files = hashed(own, inputs)
+        checkpoints = None
+        if folder is not None:
+            checkpoints = folder / _CHECKPOINTS
+            checkpoints.mkdir(parents=True, exist_ok=True)
+        with progress_bar(own) as progress:
+            found = run_study(
+                settings,
+                checkpoints=checkpoints,
+                resume=resume,
+                device=where,
+                report=of(progress, settings.name),
+            )
         records.append(_finish(found, folder, figures, own))
         _report(found, own, files)
     output.write_json(
@@ -85,51 +106,21 @@ def study_command(
         "study.json",
     )
     # Not sooner: of several studies, the first ones need not be searched again.
-    for settings in all_settings:
+    for settings in every:
         if out is not None:
-            remove_checkpoints(settings, _checkpoints(out / settings.name))
-
-
-def _checkpoints(folder: Path) -> Path:
-    return folder / "checkpoints"
-
-
-def _asked(settings: "StudySettings", quick: bool, asked: dict[str, Any]) -> "StudySettings":
-    settings = settings.quick() if quick else settings
-    given = {key: value for key, value in asked.items() if value is not None}
-    return replace(settings, search=replace(settings.search, **given))
-
-
-def _run(
-    settings: "StudySettings", folder: Path | None, resume: bool, where: str, output: Output
-) -> "Study":
-    from torchid.study.study import run_study
-
-    checkpoints = None
-    if folder is not None:
-        checkpoints = _checkpoints(folder)
-        checkpoints.mkdir(parents=True, exist_ok=True)
-    with progress_bar(output) as progress:
-        return run_study(
-            settings,
-            checkpoints=checkpoints,
-            resume=resume,
-            device=where,
-            report=None
-            if progress is None
-            else (lambda part, done, total: progress(f"{settings.name}: {part}", done, total)),
-        )
+            remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
 
 
 def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
 
     from rich.markup import escape
 
-    from torchid.report.study.report import headline, tables, write_study
+    from torchid.report.study.report import write_study
+    from torchid.report.study.tables import all_tables
+    from torchid.report.study.verdict import headline
     from torchid.study.record import record
 
-    for table in tables(found):
-        output.say(table)
+    output.say(*all_tables(found))
     output.warn(found.warnings)
     output.say(f"\n{escape(headline(found))}\n")
     data = record(found)
@@ -139,19 +130,6 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
             write_study(found, folder)
         output.say(f"results of {found.settings.name} are in {folder}")
     return data
-
-
-def _page_of(name: str, output: Output) -> Output:
-    """Of several studies, each has a page of its own: report_3r.html beside report.html."""
-    page = output.page_file
-    own = None if page is None else page.with_name(f"{page.stem}_{name}{page.suffix}")
-    return replace(output, page_file=own, started=time.monotonic())
-
-
-def _study_input(name: str) -> Named:
-    from torchid.study.settings import study_file
-
-    return "study", name, study_file(name)
 
 
 def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> None:

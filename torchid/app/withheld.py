@@ -2,27 +2,12 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from torchid.app.gap import names, searched
-from torchid.app.options import (
-    LARGEST_SEED,
-    Columns,
-    Gain,
-    HeldOut,
-    Json,
-    LogArguments,
-    Out,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Tip,
-    Topic,
-    read_both,
-)
-from torchid.app.output import Output, open_output, progress_bar
+from torchid.app import options as opt
+from torchid.app.output import open_output, progress_bar
 from torchid.errors import TorchidError
 
 PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
@@ -38,7 +23,8 @@ SetArgument = Annotated[
     Path, typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`.")
 ]
 RequiredSeed = Annotated[
-    int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed that all cases are drawn from.")
+    int,
+    typer.Option("--seed", min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from."),
 ]
 Jobs = Annotated[
     int | None,
@@ -61,8 +47,8 @@ def make_command(
     seed: RequiredSeed,
     keys: Keys = None,
     jobs: Jobs = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: opt.Json = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Simulate arms with planted effects, independently of torchid, and seal what was planted.
 
@@ -95,8 +81,8 @@ def run_command(
     ] = False,
     again: Again = False,
     jobs: Jobs = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: opt.Json = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Diagnose every case of a set; no key is read. What is answered already stays.
 
@@ -141,15 +127,18 @@ def score_command(
         bool, typer.Option("--partial", help="Leave out cases that have no answer yet.")
     ] = False,
     jobs: Jobs = None,
-    json_file: Json = None,
-    out: Out = None,
-    quiet: Quiet = False,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
 
     Example: `torchid withheld score cases --keys cases.keys.json --out result`
     """
     output = open_output(json_file, out, quiet)
+    from torchid.files import atomic_write
+    from torchid.report.withheld import headline, markdown, score_table
+    from torchid.report.withheld_figures import figures
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid.withheld.compare import baseline_answers, oracle_answers
     from torchid.withheld.summary import require_answers, summary
@@ -165,9 +154,14 @@ def score_command(
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
         true = true_shares(found, opened, answers, count, progress) if truth else None
     result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
-    _show_scores(result, output)
+    output.verdict(headline(result))
+    output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
     output.write_json(result, "score.json")
-    _write_report(result, output)
+    drawn = output.draw(lambda: figures(result))
+    if out is not None:
+        with atomic_write(out / "score.md") as text:
+            text.write(markdown(result, drawn))
+        output.say(f"written to {out}: {', '.join(['score.json', 'score.md', *drawn])}")
 
 
 @withheld_app.command("leave-out")
@@ -184,8 +178,8 @@ def leave_out_command(
     ] = 1,
     again: Again = False,
     jobs: Jobs = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: opt.Json = None,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Take every effect out of the library in turn, and diagnose cases that have it.
 
@@ -200,7 +194,7 @@ def leave_out_command(
         result = leave_out(
             out,
             seed,
-            effects=searched(effects),
+            effects=opt.searched(effects),
             per_effect=per_effect,
             jobs=processes(jobs),
             again=again,
@@ -215,9 +209,9 @@ def leave_out_command(
 
 @withheld_app.command("own")
 def own_command(
-    robot: RobotArgument,
-    logs: LogArguments,
-    held_out: HeldOut = None,
+    robot: opt.RobotArgument,
+    logs: opt.LogArguments,
+    held_out: opt.HeldOut = None,
     background: Annotated[
         str,
         typer.Option(metavar="A,B,C", help="As for `torchid gap`."),
@@ -225,9 +219,9 @@ def own_command(
     parameters: Annotated[
         Literal["trusted", "free", "auto"], typer.Option(help="As for `torchid gap`.")
     ] = "auto",
-    columns: Columns = None,
-    topic: Topic = None,
-    gain: Gain = None,
+    columns: opt.Columns = None,
+    topic: opt.Topic = None,
+    gain: opt.Gain = None,
     plant: Annotated[
         str,
         typer.Option(
@@ -238,11 +232,11 @@ def own_command(
         str, typer.Option(metavar="J1,J2,..|all", help="Joints where they are planted.")
     ] = "all",
     jobs: Jobs = None,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
 
@@ -258,36 +252,31 @@ def own_command(
     from torchid.robot.library import load_robot
     from torchid.withheld.own import check_own, own_record
 
-    settings = GapSettings(background=names(background), parameters=parameters, seed=seed)
+    places = None
+    if joints.strip() != "all":
+        parts = [part.strip() for part in joints.split(",")]
+        if not all(part.isdigit() for part in parts):
+            raise TorchidError("--joints takes numbers, separated by commas.", got=joints)
+        places = [int(part) - 1 for part in parts]
+    settings = GapSettings(background=opt.names(background), parameters=parameters, seed=seed)
     found = load_robot(robot, tip=tip)
-    log, apart = read_both(logs, held_out, gain, found, columns, topic)
+    log, apart = opt.read_both(logs, held_out, gain, found, columns, topic)
     with progress_bar(output) as progress:
         result = check_own(
             found,
             log,
             untouched=apart,
             settings=settings,
-            plant=names(plant),
-            joints=_joint_numbers(joints),
+            plant=opt.names(plant),
+            joints=places,
             jobs=processes(jobs),
             progress=progress,
         )
-    output.say(f"[bold]{own_headline(result)}[/]\n")
-    for table in own_tables(result):
-        output.say(table)
+    output.verdict(own_headline(result))
+    output.say(*own_tables(result))
     if not result.whole:
         output.say("untouched data: the second half of every trajectory (--held-out for others)")
     output.write_json({**own_record(result), "seed": seed}, "own.json")
-
-
-def _joint_numbers(text: str) -> list[int] | None:
-    """The --joints option: numbers from 0, or None for all."""
-    if text.strip() == "all":
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() for part in parts):
-        raise TorchidError("--joints takes numbers, separated by commas.", got=text)
-    return [int(part) - 1 for part in parts]
 
 
 def processes(jobs: int | None) -> int:
@@ -297,29 +286,3 @@ def processes(jobs: int | None) -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _show_scores(result: dict[str, Any], output: Output) -> None:
-    from torchid.report.withheld import headline, score_table
-
-    output.say(f"[bold]{headline(result)}[/]\n")
-    output.say(score_table(result))
-    output.say(f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
-
-
-def _write_report(result: dict[str, Any], output: Output) -> None:
-    """Markdown and figures for --out."""
-    if output.folder is None:
-        return
-    from torchid.files import atomic_write
-    from torchid.report.figures import save
-    from torchid.report.withheld import markdown
-    from torchid.report.withheld_figures import figures
-
-    drawn = [save(f, output.folder / f"{name}.png") for name, f in figures(result).items()]
-    names = [path.name for path in drawn]
-    with atomic_write(output.folder / "score.md") as text:
-        text.write(markdown(result, names))
-    output.say(
-        f"written to {output.folder}: score.json, score.md" + "".join(f", {n}" for n in names)
-    )

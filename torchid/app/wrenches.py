@@ -6,34 +6,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from torchid.app.options import (
-    Json,
-    MaxAcceleration,
-    Out,
-    Quiet,
-    RobotArgument,
-    Seed,
-    Threads,
-    Tip,
-    interval,
-    limited,
-)
+from torchid.app import options as opt
 from torchid.app.output import Output, open_output, progress_bar
 from torchid.errors import LogError, TorchidError
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
-    from torchid.feasibility.conditions import Conditions
     from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
-    from torchid.study.equal_torque.setting import Setting
 
 _MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
 _CUTOFF = 8.0
 
 
 def wrenches_command(
-    robot: RobotArgument,
+    robot: opt.RobotArgument,
     sets: Annotated[
         list[Path] | None,
         typer.Option(
@@ -60,7 +47,7 @@ def wrenches_command(
             help="Motion to compare on. Default: a sinusoid within the robot's limits.",
         ),
     ] = None,
-    max_acceleration: MaxAcceleration = None,
+    max_acceleration: opt.MaxAcceleration = None,
     geometry: Annotated[
         str | None,
         typer.Option(
@@ -91,12 +78,12 @@ def wrenches_command(
     resamples: Annotated[
         int, typer.Option(min=1, help="Of the bootstrap of the intervals.")
     ] = 1000,
-    tip: Tip = None,
-    json_file: Json = None,
-    out: Out = None,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    threads: Threads = None,
+    tip: opt.Tip = None,
+    json_file: opt.Json = None,
+    out: opt.Out = None,
+    seed: opt.Seed = 0,
+    quiet: opt.Quiet = False,
+    threads: opt.Threads = None,
 ) -> None:
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 
@@ -104,39 +91,29 @@ def wrenches_command(
     `torchid wrenches arm.urdf --sets sets/sets.json --reference run_1 --trajectory motion.csv`
     """
     output = open_output(json_file, out, quiet, threads)
+    from torchid.report.wrenches.figures import figures
+    from torchid.report.wrenches.findings import findings
+    from torchid.report.wrenches.tables import tables
     from torchid.robot.library import load_robot
+    from torchid.study.equal_torque.record import study_record
+    from torchid.study.equal_torque.setting import equal_torque_setting
+    from torchid.study.equal_torque.study import equal_torque_study
 
-    found = limited(load_robot(robot, tip=tip), None, max_acceleration)
-    total = None if total_mass is None else _interval(total_mass)
+    found = opt.limited(load_robot(robot, tip=tip), None, max_acceleration)
+    total = None
+    if total_mass is not None:
+        total = opt.interval("--total-mass", total_mass)
+        if total[0] < 0:
+            raise TorchidError(
+                "--total-mass is not an interval.", got=total_mass, expected="LO,HI in kg"
+            )
     motion = None if trajectory is None else _read_motion(trajectory, found)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
-        conditions = _conditions(found, geometry, total)
-        _given(found, sets, reference, conditions, motion, resamples, seed, output)
-    else:
-        from torchid.study.equal_torque.setting import equal_torque_setting
-
-        setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
-        _equal_torque(setting, per_kind, motion, variants, resamples, seed, output)
-
-
-def _equal_torque(
-    setting: "Setting",
-    per_kind: int,
-    motion: "Motion | None",
-    variants: bool,
-    resamples: int,
-    seed: int,
-    output: Output,
-) -> None:
-    from torchid.report.figures import save
-    from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.findings import findings
-    from torchid.report.wrenches.tables import tables
-    from torchid.study.equal_torque.record import study_record
-    from torchid.study.equal_torque.study import equal_torque_study
-
+        _given(found, sets, reference, geometry, total, motion, resamples, seed, output)
+        return
+    setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
     with progress_bar(output) as progress:
         study = equal_torque_study(
             setting.robot,
@@ -148,54 +125,61 @@ def _equal_torque(
             seed=seed,
             progress=progress,
         )
-    for table in tables(study):
-        output.say(table)
+    output.say(*tables(study))
     output.warn(study.warnings)
     told = findings(study)
     output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
     output.write_json({**study_record(study), "findings": told}, "wrenches.json")
-    if output.folder is not None:
-        for name, figure in figures(study).items():
-            save(figure, output.folder / f"{name}.png")
+    output.draw(lambda: figures(study))
 
 
 def _given(
     robot: "Robot",
     files: list[Path],
     reference: str | None,
-    conditions: "Conditions",
+    geometry: str | None,
+    total_mass: tuple[float, float] | None,
     motion: "Motion | None",
     resamples: int,
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.feasibility.sets import nominal_set
-    from torchid.report.figures import save
+    from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
+    from torchid.feasibility.conditions import conditions
+    from torchid.feasibility.sets import nominal_set, other_robot
     from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
     from torchid.study.equal_torque.given_sets import given_sets
     from torchid.study.equal_torque.record import given_record
-    from torchid.study.equal_torque.setting import reference_motion
+    from torchid.study.equal_torque.setting import corrected_group, reference_motion
 
     sets = _read_sets(files, robot)
+    if reference is None:
+        against = nominal_set(robot)
+    elif reference in sets.ids:
+        against = sets.part([sets.ids.index(reference)])
+    else:
+        raise TorchidError(
+            "--reference names none of the sets.", got=reference, available=sets.ids[:20]
+        )
+    # Boxes of the geometry, where the robot has bounds; physics alone where it has none.
+    group = geometry or corrected_group(robot, "normal")
+    box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None
     found = given_sets(
         robot,
         sets,
-        nominal_set(robot) if reference is None else _reference(sets, reference),
-        conditions,
+        against,
+        conditions(robot, com_box=box, total_mass=total_mass or read_total_mass(robot)),
         motion or reference_motion(robot, seed),
         resamples=resamples,
         seed=seed,
     )
-    for table in tables(found):
-        output.say(table)
-    told = (*_other_robot(files, robot), *unequal(found))
+    output.say(*tables(found))
+    told = [note for file in files if (note := other_robot(file, robot))] + unequal(found)
     output.warn(told)
     output.say(f"\n{escape(headline(found))}")
     data = given_record(found, [str(file) for file in files])
-    output.write_json({**data, "warnings": list(told), "seed": seed}, "wrenches.json")
-    if output.folder is not None:
-        for name, figure in figures(found).items():
-            save(figure, output.folder / f"{name}.png")
+    output.write_json({**data, "warnings": told, "seed": seed}, "wrenches.json")
+    output.draw(lambda: figures(found))
 
 
 def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
@@ -221,37 +205,12 @@ def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
     return joined(parts)
 
 
-def _reference(sets: "ParameterSets", name: str) -> "ParameterSets":
-    if name not in sets.ids:
-        raise TorchidError("--reference names none of the sets.", got=name, available=sets.ids[:20])
-    return sets.part([sets.ids.index(name)])
-
-
-def _other_robot(files: list[Path], robot: "Robot") -> tuple[str, ...]:
-    from torchid.feasibility.sets import other_robot
-
-    return tuple(note for file in files if (note := other_robot(file, robot)))
-
-
-def _conditions(
-    robot: "Robot", geometry: str | None, total_mass: tuple[float, float] | None
-) -> "Conditions":
-    """Boxes of the geometry, where the robot has bounds; physics alone where it has none."""
-    from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
-    from torchid.feasibility.conditions import conditions
-    from torchid.study.equal_torque.setting import corrected_group
-
-    group = geometry or corrected_group(robot, "normal")
-    box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None
-    return conditions(robot, com_box=box, total_mass=total_mass or read_total_mass(robot))
-
-
 def _read_motion(path: Path, robot: "Robot") -> "Motion":
     """q, dq, ddq of a log; velocities and accelerations it lacks are differentiated."""
     import torch
 
-    from torchid.effects.base import Motion
     from torchid.design.motion import measurements
+    from torchid.effects.base import Motion
     from torchid.log.readers import read_log
     from torchid.log.sampling import resample
 
@@ -268,10 +227,3 @@ def _read_motion(path: Path, robot: "Robot") -> "Motion":
     every = measurements(resample(log.replace(tau=torch.zeros_like(log.q))), _CUTOFF)
     states = [m.motion.part(slice(m.edge, m.samples - m.edge)).state for m in every]
     return Motion(*(torch.cat(x) for x in zip(*states, strict=True)))
-
-
-def _interval(text: str) -> tuple[float, float]:
-    low, high = interval("--total-mass", text)
-    if low < 0:
-        raise TorchidError("--total-mass is not an interval.", got=text, expected="LO,HI in kg")
-    return low, high

@@ -7,13 +7,13 @@ from functools import partial
 import torch
 
 from torchid.compare.reading import Identified
+from torchid.design.motion import Measurement, measurements
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque as full_torque
 from torchid.effects.registry import nominal_effects
 from torchid.excitation.design import base_regressor
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import prepared
-from torchid.design.motion import Measurement, measurements
 from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log

@@ -58,7 +58,8 @@ class Model:
         return tau
 
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
-        """Torque that effects see: of the body and of the effects that need no torque themselves."""
+        """Torque that effects see: of the body and of the effects that need no torque
+        themselves."""
         return model_torque(self.robot, in_rounds(self.effects)[0], motion)
 
     def described(self) -> Robot:
@@ -82,9 +83,7 @@ class Columns:
     def __init__(self, model: Model, samples: Samples):
         self.model = model
         self.samples = samples
-        self.motions = [
-            s.motion._replace(torque=model.load(s.motion)) for s in samples.segments
-        ]
+        self.motions = [s.motion._replace(torque=model.load(s.motion)) for s in samples.segments]
         short = len(samples) * model.robot.n <= KEPT
         self._kept: dict[object, tuple[Place, Tensor]] | None = {} if short else None
 
@@ -151,7 +150,9 @@ class Columns:
         lengths = [len(m.q) for m in self.motions]
         for j in range(n):
             pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
-            rows = self._sampled(torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1))
+            rows = self._sampled(
+                torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
+            )
             out[j:, :, j] = rows.unflatten(0, (n - j, PARAMETERS_PER_LINK))
         return out
 

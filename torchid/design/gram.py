@@ -1,9 +1,9 @@
 """Normal equations of many columns at once, joint by joint and part by part; columns are not kept.
 
 A column acts on one joint or on all. Joint j's matrix holds the columns of all joints first, then
-its own, then the target y; G_j[f] = A_j A_j' over the samples of part f that count. From these a fit
-of any subset of columns, its loss on any part of the data, and what any other column would add to it
-follow without a second look at the log (Golub and Van Loan 2013, 5.3).
+its own, then the target y; G_j[f] = A_j A_j' over the samples of part f that count. From these a
+fit of any subset of columns, its loss on any part of the data, and what any other column would add
+to it follow without a second look at the log (Golub and Van Loan 2013, 5.3).
 """
 
 from collections.abc import Sequence

@@ -194,8 +194,8 @@ def still_joints(segments: Sequence[Segment]) -> tuple[int, ...]:
 
 
 def reach_of(samples: Samples, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """How far (n,) the samples' filter carries above the noise what a joint with dry friction did at
-    a reversal while it may have stuck [s].
+    """How far (n,) the samples' filter carries above the noise what a joint with dry friction did
+    at a reversal while it may have stuck [s].
 
     Args:
         samples: whose filter it is.
@@ -214,9 +214,9 @@ def reach_of(samples: Samples, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
 def moving_instants(
     segment: Segment, reach: Float[Tensor, " n"] | float | None = None
 ) -> Bool[Tensor, "T n"]:
-    """Instants at which a joint moves; all of a joint's if it hardly does. With a reach [s] those so
-    near to a reversal are left out, and those twice as near to a dwell: there the joint may stick,
-    and no law of sliding says with which torque."""
+    """Instants at which a joint moves; all of a joint's if it hardly does. With a reach [s] those
+    so near to a reversal are left out, and those twice as near to a dwell: there the joint may
+    stick, and no law of sliding says with which torque."""
     dq = segment.motion.dq
     moving = dq.abs() > MOVING
     if reach is None:

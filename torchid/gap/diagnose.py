@@ -27,7 +27,7 @@ from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import Closing, budget, closing
-from torchid.gap.validate.folds import Folds, make_folds, traces, with_after
+from torchid.gap.validate.folds import Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
@@ -174,7 +174,9 @@ def diagnose(
         band=_band(data, settings),
         cutoff=data.samples.cutoff,
         settings={**asdict(settings), "refitted": wanted.free},
-        warnings=tuple(dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))),
+        warnings=tuple(
+            dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))
+        ),
     )
     if settings.rollout:
         say("simulating forwards", 0, 1)
@@ -303,8 +305,9 @@ def check(
 
 
 def harmful(found: Explanation, checked: Checked) -> list[Term]:
-    """Terms that do no good on data that was not fitted: those of joints that get worse, and all that
-    belong to the whole arm where the gap does not shrink at all. What happened once is not asked."""
+    """Terms that do no good on data that was not fitted: those of joints that get worse, and all
+    that belong to the whole arm where the gap does not shrink at all. What happened once is not
+    asked."""
     far = checked.far
     worse = far.rms_after > far.rms_before
     out = []
@@ -317,8 +320,8 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
 
 
 def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
-    """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that has
-    an interval; what is left is unexplained where it exceeds the noise there and a flexible
+    """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
+    has an interval; what is left is unexplained where it exceeds the noise there and a flexible
     predictor finds structure in it.
 
     Args:

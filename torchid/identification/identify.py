@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from torchid.design.motion import Measurement, fast_speed, measurements, no_torque
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, LogError
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
-from torchid.design.motion import Measurement, fast_speed, measurements, no_torque
 from torchid.identification.result import FittedRows, Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings

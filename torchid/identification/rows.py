@@ -13,10 +13,10 @@ from functools import cached_property, partial
 
 import torch
 
+from torchid.design.motion import Measurement
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.effects.base import JointEffect
 from torchid.identification.base_parameters import BaseParameters
-from torchid.design.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.robot.model import Robot

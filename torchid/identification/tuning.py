@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.design.motion import Measurement, fast_speed, measurements
 from torchid.errors import LogError
 from torchid.identification.factor import stacked_factor
 from torchid.identification.least_squares import Fit, factor, fit, solve
-from torchid.design.motion import Measurement, fast_speed, measurements
 from torchid.identification.rows import Layout, RowSource
 from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter

@@ -7,10 +7,10 @@ from operator import add
 
 import torch
 
+from torchid.design.motion import Measurement
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
-from torchid.design.motion import Measurement
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot

@@ -3,12 +3,13 @@
 from typing import TYPE_CHECKING
 
 import torch
-from rich.table import Table
+from rich.text import Text
 
 from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.problem import Problem
-from torchid.report.figures import GREEN, GREY, INK, ORANGE, RED, new_figure, styled
-from torchid.report.identification import compact
+from torchid.report.colours import GREEN, GREY, INK, ORANGE, RED
+from torchid.report.panels import finish, label, legend_below, new_figure, rows_of, styled
+from torchid.report.table import Cell, Table
 from torchid.robot.inertia import InertialParameters
 
 if TYPE_CHECKING:
@@ -38,7 +39,13 @@ def headline(atlas: Atlas, problem: Problem) -> str:
     )
     if atlas.widened:
         text += " No feasible set lies in the confidence region; it was widened until one does."
-    outside = _ends_outside(atlas, problem)
+    # Sets at the ends need not meet the bounds of the barycentric inertias, which are relaxed.
+    sets = InertialParameters.from_paper_order(atlas.extremes[..., : 10 * problem.n])
+    inertia = sets.inertia_about_com
+    low, high = problem.bounds.inertia.to(inertia).unbind(-1)
+    slack = _OUTSIDE * (high - low)
+    out = (inertia < low - slack) | (inertia > high + slack)
+    outside = int(out.flatten(2).any(-1).sum())
     if outside:
         text += (
             f" The bounds of the barycentric inertias count by a relaxation: the sets at {outside} "
@@ -48,54 +55,36 @@ def headline(atlas: Atlas, problem: Problem) -> str:
     return text
 
 
-def _ends_outside(atlas: Atlas, problem: Problem) -> int:
-    """How many sets at the ends do not meet the bounds of the barycentric inertias."""
-    sets = InertialParameters.from_paper_order(atlas.extremes[..., : 10 * problem.n])
-    inertia = sets.inertia_about_com
-    low, high = problem.bounds.inertia.to(inertia).unbind(-1)
-    slack = _OUTSIDE * (high - low)
-    out = (inertia < low - slack) | (inertia > high + slack)
-    return int(out.flatten(2).any(-1).sum())
-
-
 def atlas_table(atlas: Atlas) -> Table:
     """One row a parameter: range, range of the bounds, share."""
-    table = compact("ranges over feasible sets of equal torque")
-    for heading in ("parameter", "low", "high", "unit", "within the bounds alone", "share %"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(atlas.names):
         share = float(atlas.narrowed[k])
         colour = "green" if share < _KNOWN else "yellow" if share < _NARROWED else "red"
-        table.add_row(
-            name,
-            f"{float(atlas.low[k]):.4g}",
-            f"{float(atlas.high[k]):.4g}",
-            atlas.units[k],
-            f"{float(atlas.bounds_low[k]):.3g} .. {float(atlas.bounds_high[k]):.3g}",
-            f"[{colour}]{100 * share:.2g}[/]",
-        )
-    return table
+        ends = (f"{float(end[k]):.4g}" for end in (atlas.low, atlas.high))
+        bounds = f"{float(atlas.bounds_low[k]):.3g} .. {float(atlas.bounds_high[k]):.3g}"
+        rows.append((name, *ends, atlas.units[k], bounds, Text(f"{100 * share:.2g}", colour)))
+    return Table(
+        "ranges over feasible sets of equal torque",
+        ("parameter", "low", "high", "unit", "within the bounds alone", "share %"),
+        rows,
+        names=("parameter", "unit"),
+    )
 
 
 def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
     """Each parameter's range inside the range that the bounds alone allow."""
-    names = list(atlas.names)
-    columns = [
-        ("masses", [k for k, n in enumerate(names) if n.startswith("m")]),
-        ("centres of mass", [k for k, n in enumerate(names) if n.startswith("c")]),
-        ("inertias about the link frame", [k for k, n in enumerate(names) if n.startswith("J")]),
-    ]
-    rest = [k for k, n in enumerate(names) if n[0] not in "mcJ"]
-    if rest:
-        columns.append(("coefficients", rest))
-    tallest = max(len(rows) for _, rows in columns)
-    figure = new_figure(11, 1.6 + 0.17 * tallest)
+    kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
+    columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
+    for k, name in enumerate(atlas.names):
+        columns.setdefault(kinds.get(name[0], "coefficients"), []).append(k)
+    figure = new_figure(11, 1.6 + 0.17 * max(len(rows) for rows in columns.values()))
     grid = figure.subplots(1, len(columns), squeeze=False)[0]
     low, high = (
         (end - atlas.bounds_low) / (atlas.bounds_high - atlas.bounds_low)
         for end in (atlas.low, atlas.high)
     )
-    for axes, (title, rows) in zip(grid, columns, strict=True):
+    for axes, (title, rows) in zip(grid, columns.items(), strict=True):
         styled(axes)
         for y, k in enumerate(rows):
             share = float(atlas.narrowed[k])
@@ -105,26 +94,19 @@ def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
             axes.plot([0, 1], [y, y], color="#eaeef2", linewidth=4, solid_capstyle="butt")
             axes.plot([start, end], [y, y], color=colour, linewidth=4, solid_capstyle="butt")
             axes.plot([(start + end) / 2], [y], "|", color=colour, markersize=7)
-        axes.set_yticks(range(len(rows)), [names[k] for k in rows], fontsize=7)
-        axes.set_ylim(len(rows) - 0.4, -0.6)
+        rows_of(axes, [atlas.names[k] for k in rows])
         axes.set_xlim(-0.02, 1.02)
         axes.set_title(title, fontsize=9, color=INK)
         axes.grid(False, axis="y")
-    grid[1].set_xlabel(
+    label(
+        grid[1],
         "0 and 1: least and largest value that feasible sets of any torque have within the bounds",
-        fontsize=8, color=INK,
-    )  # fmt: skip
-    handles = [figure.axes[0].plot([], [], color=c, linewidth=4)[0] for c in (GREEN, ORANGE, RED)]
-    figure.legend(
-        handles,
-        ["known to 1 % of its bounds", "narrowed to less than half", "hardly or not narrowed"],
-        loc="outside lower center", ncols=3, frameon=False, fontsize=8,
-    )  # fmt: skip
-    figure.suptitle(
-        f"{problem.robot.name}: what the torque determines",
-        fontsize=11,
-        color=INK,
-        x=0.01,
-        ha="left",
     )
-    return figure
+    meanings = {
+        "known to 1 % of its bounds": GREEN,
+        "narrowed to less than half": ORANGE,
+        "hardly or not narrowed": RED,
+    }
+    lines = {words: grid[0].plot([], [], color=c, linewidth=4)[0] for words, c in meanings.items()}
+    legend_below(figure, lines, 3)
+    return finish(figure, f"{problem.robot.name}: what the torque determines")

@@ -170,7 +170,7 @@ def effect_record(kind: type[Effect]) -> dict[str, Any]:
 def write_catalogue(folder: Path) -> Path:
     """Write effects.md, and its pictures to folder/img; returns the page's path."""
     from torchid.report.catalogue_figures import family_figure
-    from torchid.report.figures import save
+    from torchid.report.panels import save
 
     images = folder / "img"
     images.mkdir(parents=True, exist_ok=True)

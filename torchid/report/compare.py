@@ -3,12 +3,13 @@
 import math
 from collections.abc import Sequence
 
-from rich.table import Table
+from rich.text import Text
 
 from torchid.compare.identifications import Compared, Comparison, Verdict
-from torchid.compare.sets import Range, SetComparison
+from torchid.compare.sets import SetComparison
 from torchid.compare.torque import TorqueSpread
-from torchid.report.identification import compact
+from torchid.report.table import Cell, Table
+from torchid.report.text import short
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -30,26 +31,12 @@ NOTABLE = 2.0
 
 def verdict(result: Comparison) -> str:
     """What agrees, in sentences."""
-    compared = result.having("agree", "drift", "differ", "never_determined")
-    if not compared:
+    count = len(result.having("agree", "drift", "differ", "never_determined"))
+    if not count:
         return "No parameter is estimated in two results: nothing can be compared."
-    said = [_counts(result, len(compared))]
-    changed = result.having("drift", "differ")
-    if changed:
-        worst = sorted(changed, key=lambda p: p.p_holm or 0.0)[:3]
-        said.append("Most significant: " + "; ".join(_change(p) for p in worst) + ".")
-    if result.whole is not None:
-        said.append(_scatter(result))
-    if result.torque is not None:
-        said.append(torque_sentence(result.torque, result.labels))
-    return " ".join(said)
-
-
-def _counts(result: Comparison, count: int) -> str:
     agree, drift, differ, never = (
         len(result.having(v)) for v in ("agree", "drift", "differ", "never_determined")
     )
-    out = f"{len(result.labels)} identifications of {result.robot}, {count} parameters in common: "
     parts = [f"{agree} agree within their intervals"] if agree else []
     if differ:
         parts.append(f"{differ} differ{'s' * (differ == 1)}")
@@ -61,12 +48,21 @@ def _counts(result: Comparison, count: int) -> str:
         )
     if never:
         parts.append(f"{never} cannot be told from zero in any, and agree in that")
-    return out + ", ".join(parts) + " (5 %, Holm)."
-
-
-def _change(p: Compared) -> str:
-    values = " -> ".join("-" if math.isnan(s) else f"{v:.3g}" for v, s in _pairs(p))
-    return f"{p.name} {values} {p.unit}"
+    said = [
+        f"{len(result.labels)} identifications of {result.robot}, {count} parameters in common: "
+        f"{', '.join(parts)} (5 %, Holm)."
+    ]
+    changed = []
+    for p in sorted(result.having("drift", "differ"), key=lambda p: p.p_holm or 0.0)[:3]:
+        values = " -> ".join("-" if math.isnan(s) else f"{v:.3g}" for v, s in _pairs(p))
+        changed.append(f"{p.name} {values} {p.unit}")
+    if changed:
+        said.append(f"Most significant: {'; '.join(changed)}.")
+    if result.whole is not None:
+        said.append(_scatter(result))
+    if result.torque is not None:
+        said.append(torque_sentence(result.torque, result.labels))
+    return " ".join(said)
 
 
 def _scatter(result: Comparison) -> str:
@@ -75,48 +71,39 @@ def _scatter(result: Comparison) -> str:
     assert whole is not None
     assert typical is not None
     low, _, high = whole.pooled_expected
-    claim = (
-        f"The results scatter {whole.pooled:.2g} times as much as their standard deviations claim "
-        f"(by chance {low:.2g} to {high:.2g})"
-    )
-    together = (
-        f"; all together, correlations included, the chi-square is {whole.q:.0f} where "
-        f"{whole.expected[0]:.0f} to {whole.expected[2]:.0f} is expected (p = {whole.p:.2g})"
-    )
     if whole.pooled <= high and whole.p >= 0.05:
+        meaning = ": the standard deviations can be trusted from run to run."
         if result.same_motion:
-            return (
-                claim
-                + together
-                + (
-                    ": no contradiction, but fitted on the same trajectory they say nothing "
-                    "about the standard deviations from run to run."
-                )
+            meaning = (
+                ": no contradiction, but fitted on the same trajectory they say nothing about the "
+                "standard deviations from run to run."
             )
-        if whole.pooled < low:
-            return (
-                claim
-                + together
-                + (
-                    ": they agree better than chance allows, so they share data, or their standard "
-                    "deviations are too large."
-                )
+        elif whole.pooled < low:
+            meaning = (
+                ": they agree better than chance allows, so they share data, or their standard "
+                "deviations are too large."
             )
-        return claim + together + ": the standard deviations can be trusted from run to run."
-    if typical > NOTABLE:
-        return (
-            claim + together + f". The typical parameter does so {typical:.2g} times: if nothing "
-            f"about the arm changed, its standard deviations are too small by a factor "
-            f"{whole.pooled:.2g}; the consensus accounts for it."
+    elif typical > NOTABLE:
+        meaning = (
+            f". The typical parameter does so {typical:.2g} times: if nothing about the arm "
+            f"changed, its standard deviations are too small by a factor {whole.pooled:.2g}; the "
+            "consensus accounts for it."
         )
-    if whole.pooled <= high:
-        return (
-            claim + together + ". What differs shows in combinations of parameters more than in "
-            "single ones: look at the torque."
+    elif whole.pooled <= high:
+        meaning = (
+            ". What differs shows in combinations of parameters more than in single ones: look at "
+            "the torque."
+        )
+    else:
+        meaning = (
+            f", but the typical parameter only {typical:.2g} times: some parameters changed, or "
+            "their standard deviations are too small, not those of all."
         )
     return (
-        claim + together + f", but the typical parameter only {typical:.2g} times: some parameters "
-        "changed, or their standard deviations are too small, not those of all."
+        f"The results scatter {whole.pooled:.2g} times as much as their standard deviations claim "
+        f"(by chance {low:.2g} to {high:.2g}); all together, correlations included, the "
+        f"chi-square is {whole.q:.0f} where {whole.expected[0]:.0f} to {whole.expected[2]:.0f} is "
+        f"expected (p = {whole.p:.2g}){meaning}"
     )
 
 
@@ -142,64 +129,46 @@ def torque_sentence(t: TorqueSpread, labels: Sequence[str]) -> str:
 
 def tables(result: Comparison) -> list[Table]:
     """Parameters, then torque."""
-    out = [_parameter_table(result)]
-    if result.torque is not None:
-        out.append(torque_table(result.torque, result.labels))
-    return out
-
-
-def _parameter_table(result: Comparison) -> Table:
-    table = compact("parameters (value ± std; scatter in claimed std; p after Holm)")
-    table.add_column("parameter", no_wrap=True)
     wide = len(result.labels) <= MOST_COLUMNS
-    for label in result.labels if wide else ("lowest", "highest"):
-        table.add_column(label, justify="right", no_wrap=True, overflow="ellipsis")
-    for heading in ("consensus", "scatter", "p"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows: list[list[Cell]] = []
     for kind in ORDER:
         of_kind = result.having(kind)
         if of_kind:
-            table.add_row(f"[bold]{WORDS[kind]}[/]")
+            rows.append([Text(WORDS[kind], "bold")])
         for p in of_kind:
-            name = f"  {short(p.name, LONGEST - len(p.unit))} \\[{p.unit}]"
-            table.add_row(name, *_cells(p, wide), *_consensus(p))
-        table.add_section()
-    return table
-
-
-def short(name: str, length: int = LONGEST) -> str:
-    """A name cut to `length` characters."""
-    return name if len(name) <= length else name[: length - 1] + "…"
-
-
-def _cells(p: Compared, wide: bool) -> list[str]:
-    cells = [
-        "held at 0" if held else "-" if math.isnan(s) else f"{v:.3g} ± {s:.2g}"
-        for (v, s), held in zip(_pairs(p), p.held.tolist(), strict=True)
-    ]
-    if wide:
-        return cells
-    known = sorted((v, c) for (v, s), c in zip(_pairs(p), cells, strict=True) if not math.isnan(s))
-    return [known[0][1], known[-1][1]] if known else ["-", "-"]
+            name = f"  {short(p.name, LONGEST - len(p.unit))} [{p.unit}]"
+            cells = [
+                "held at 0" if held else "-" if math.isnan(s) else f"{v:.3g} ± {s:.2g}"
+                for (v, s), held in zip(_pairs(p), p.held.tolist(), strict=True)
+            ]
+            if not wide:
+                values = zip(_pairs(p), cells, strict=True)
+                known = sorted((v, c) for (v, s), c in values if not math.isnan(s))
+                cells = [known[0][1], known[-1][1]] if known else ["-", "-"]
+            consensus = ["", "", ""]
+            if p.scatter is not None and p.p_holm is not None:
+                mean = f"{p.scatter.consensus:.3g} ± {p.scatter.std:.2g}"
+                consensus = [mean, f"{p.scatter.birge:.2f}", f"{p.p_holm:.2g}"]
+            rows.append([name, *cells, *consensus])
+        rows.append([])
+    labels = result.labels if wide else ("lowest", "highest")
+    parameters = Table(
+        "parameters (value ± std; scatter in claimed std; p after Holm)",
+        ("parameter", *labels, "consensus", "scatter", "p"),
+        rows,
+        names=("parameter",),
+    )
+    return [parameters, *torque_tables(result.torque, result.labels)]
 
 
 def _pairs(p: Compared) -> list[tuple[float, float]]:
     return list(zip(p.values.tolist(), p.std.tolist(), strict=True))
 
 
-def _consensus(p: Compared) -> list[str]:
-    s = p.scatter
-    if s is None or p.p_holm is None:
-        return ["", "", ""]
-    return [f"{s.consensus:.3g} ± {s.std:.2g}", f"{s.birge:.2f}", f"{p.p_holm:.2g}"]
-
-
-def torque_table(t: TorqueSpread, labels: Sequence[str]) -> Table:
-    """Joints as columns."""
-    table = compact(f"torque on {t.source}, RMS per joint [N m; N]")
-    table.add_column("")
-    for j in range(len(t.size)):
-        table.add_column(str(j + 1), justify="right", no_wrap=True)
+def torque_tables(t: TorqueSpread | None, labels: Sequence[str]) -> list[Table]:
+    """Torque, where it was compared: joints as columns."""
+    if t is None:
+        return []
     rows = [("torque", t.size), ("std between models", t.spread)]
     if t.claimed is not None:
         rows.append(("std their covariances claim", t.claimed))
@@ -211,9 +180,9 @@ def torque_table(t: TorqueSpread, labels: Sequence[str]) -> Table:
     ]
     if t.errors is not None:
         rows += [(f"measured - {label}", e) for label, e in zip(labels, t.errors, strict=True)]
-    for name, values in rows:
-        table.add_row(name, *(f"{v:.3g}" for v in values.tolist()))
-    return table
+    title = f"torque on {t.source}, RMS per joint [N m; N]"
+    cells = [(name, *(f"{v:.3g}" for v in values.tolist())) for name, values in rows]
+    return [Table(title, ["", *(str(j + 1) for j in range(len(t.size)))], cells, words=("",))]
 
 
 def set_verdict(result: SetComparison) -> str:
@@ -241,27 +210,16 @@ def set_verdict(result: SetComparison) -> str:
 
 def set_tables(result: SetComparison) -> list[Table]:
     """Ranges of physical and of base parameters, and torque."""
-    out = [
-        _range_table(title, ranges, result.labels)
-        for title, ranges in (
-            ("physical parameters, lowest .. highest", result.physical),
-            ("base parameters, lowest .. highest", result.base),
-        )
-    ]
-    return [*out, torque_table(result.torque, result.labels)]
-
-
-def _range_table(title: str, ranges: Sequence[Range], labels: Sequence[str]) -> Table:
-    table = compact(title)
-    table.add_column("parameter", overflow="fold", ratio=1)
-    for label in labels:
-        table.add_column(label, justify="right", overflow="fold")
-    table.add_column("unit")
-    table.add_column("verdict", no_wrap=True)
-    for kind in ORDER:
-        for r in (r for r in ranges if r.verdict == kind):
-            bounds = zip(r.low.tolist(), r.high.tolist(), strict=True)
-            cells = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in bounds]
-            table.add_row(r.name, *cells, r.unit, WORDS[r.verdict])
-        table.add_section()
-    return table
+    out = []
+    for what, ranges in (("physical", result.physical), ("base", result.base)):
+        rows: list[list[Cell]] = []
+        for kind in ORDER:
+            for r in (r for r in ranges if r.verdict == kind):
+                bounds = zip(r.low.tolist(), r.high.tolist(), strict=True)
+                cells = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in bounds]
+                rows.append([r.name, *cells, r.unit, WORDS[r.verdict]])
+            rows.append([])
+        title = f"{what} parameters, lowest .. highest"
+        columns = ("parameter", *result.labels, "unit", "verdict")
+        out.append(Table(title, columns, rows, names=("unit", "verdict"), words=("parameter",)))
+    return [*out, *torque_tables(result.torque, result.labels)]

@@ -8,13 +8,15 @@ from torchid.compare.diagnoses import GapComparison
 from torchid.compare.identifications import Compared, Comparison
 from torchid.compare.sets import Range, SetComparison
 from torchid.compare.torque import TorqueSpread
-from torchid.report.compare import ORDER, WORDS, short
-from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, styled
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
+from torchid.report.compare import ORDER, WORDS
+from torchid.report.panels import finish, label, new_figure, panel, rows_of, styled
+from torchid.report.text import short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = (BLUE, ORANGE, GREEN, RED, "#8250df", "#1b7c83", GREY, INK)
+COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
 SHADES = {"drift": RED, "differ": ORANGE}
 CLIP = 10.0
 """Claimed standard deviations beyond which a value is drawn at the edge."""
@@ -39,81 +41,59 @@ def forest_figure(result: Comparison) -> "Figure":
     standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
     m = len(result.labels)
-    step = 0.2 + 0.05 * m
-    figure = new_figure(10, 1.6 + step * len(shown))
-    axes = styled(figure.subplots())
+    figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(shown))
     for row, p in enumerate(shown):
-        _forest_row(axes, row, p, result)
+        assert p.scatter is not None
+        known = p.std[~p.std.isnan()]
+        unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
+        half = p.scatter.quantile * p.scatter.std / unit
+        axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
+        for k, (value, std) in enumerate(zip(p.values.tolist(), p.std.tolist(), strict=True)):
+            if math.isnan(std):
+                continue
+            x = (value - p.scatter.consensus) / unit
+            y = row + 0.6 * ((k + 0.5) / m - 0.5)
+            wide = result.quantiles[k] * std / unit
+            axes.plot([x - wide, x + wide], [y, y], color=_colour(k), linewidth=1.1)
+            marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
+            axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=_colour(k), markersize=3.2)
     axes.axvline(0, color=GREY, linewidth=0.8)
     axes.set_xlim(-CLIP - 0.5, CLIP + 0.5)
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.set_yticks(range(len(shown)), [short(p.name, 44) for p in shown], fontsize=7)
-    for label, p in zip(axes.get_yticklabels(), shown, strict=True):
-        label.set_color(SHADES.get(p.verdict, GREY if p.verdict == "never_determined" else INK))
-    axes.set_xlabel(
+    rows_of(axes, [short(p.name, 44) for p in shown])
+    label(
+        axes,
         "value - consensus, in the geometric mean of the claimed standard deviations (bars: 95 %)\n"
         "red: drifts, orange: differs, black: agrees, grey: never determined; "
         "triangles lie beyond the edge",
-        fontsize=8,
-        color=INK,
     )
-    _legend(figure, result.labels)
-    figure.suptitle(
-        f"{result.robot}: do {m} identifications agree?", fontsize=11, color=INK, x=0.01, ha="left"
-    )
-    return figure
-
-
-def _forest_row(axes: Any, row: int, p: Compared, result: Comparison) -> None:
-    assert p.scatter is not None
-    known = p.std[~p.std.isnan()]
-    unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
-    half = p.scatter.quantile * p.scatter.std / unit
-    axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
-    m = len(result.labels)
-    for k, (value, std) in enumerate(zip(p.values.tolist(), p.std.tolist(), strict=True)):
-        if math.isnan(std):
-            continue
-        x = (value - p.scatter.consensus) / unit
-        y = row + 0.6 * ((k + 0.5) / m - 0.5)
-        wide = result.quantiles[k] * std / unit
-        colour = COLOURS[k % len(COLOURS)]
-        axes.plot([x - wide, x + wide], [y, y], color=colour, linewidth=1.1)
-        marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
-        axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=colour, markersize=3.2)
+    _verdicts(figure, axes, shown, result.labels)
+    return finish(figure, f"{result.robot}: do {m} identifications agree?")
 
 
 def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> "Figure":
     """Ranges of the sets of every file, each parameter scaled to the widest of all."""
     shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
     m = len(labels)
-    figure = new_figure(9, 1.4 + (0.14 + 0.04 * m) * len(shown))
-    axes = styled(figure.subplots())
+    figure, axes = panel(9, 1.4 + (0.14 + 0.04 * m) * len(shown))
+    names = []
     for row, r in enumerate(shown):
         low, high = float(r.low.min()), float(r.high.max())
         size = max(high - low, 1e-9 * max(abs(low), abs(high)), 1e-300)
         for k in range(m):
             y = row + 0.6 * ((k + 0.5) / m - 0.5)
             a, b = ((float(x[k]) - (low + high) / 2) / size for x in (r.low, r.high))
-            axes.plot([a, b], [y, y], "|-", color=COLOURS[k % len(COLOURS)], markersize=4)
-    axes.set_ylim(len(shown) - 0.4, -0.6)
+            axes.plot([a, b], [y, y], "|-", color=_colour(k), markersize=4)
+        names.append(f"{short(r.name, 44)}  {low:.3g} .. {high:.3g}")
     axes.set_xlim(-0.55, 0.55)
-    names = [
-        f"{short(r.name, 44)}  {float(r.low.min()):.3g} .. {float(r.high.max()):.3g}" for r in shown
-    ]
-    axes.set_yticks(range(len(shown)), names, fontsize=6)
-    for label, r in zip(axes.get_yticklabels(), shown, strict=True):
-        label.set_color(SHADES.get(r.verdict, GREY if r.verdict == "never_determined" else INK))
+    rows_of(axes, names, 6)
     axes.set_xticks([])
-    axes.set_xlabel(
+    label(
+        axes,
         "range of each file's sets, scaled to the whole range of the parameter (given beside its "
         f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file",
-        fontsize=8,
-        color=INK,
     )
-    _legend(figure, labels)
-    figure.suptitle(f"{robot}: sets compared", fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
+    _verdicts(figure, axes, shown, labels)
+    return finish(figure, f"{robot}: sets compared")
 
 
 def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure":
@@ -127,9 +107,9 @@ def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure
     if t.claimed is not None:
         bars.append(("std that their covariances claim", t.claimed, GREY))
     width = 0.8 / len(bars)
-    for k, (label, values, colour) in enumerate(bars):
+    for k, (name, values, colour) in enumerate(bars):
         x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
-        axes.bar(x, values.tolist(), width * 0.94, color=colour, label=label)
+        axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
     for j in range(n):
         share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
         top = max(float(v[j]) for _, v, _ in bars)
@@ -138,35 +118,37 @@ def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure
             ha="center", fontsize=7, color=INK,
         )  # fmt: skip
     axes.margins(y=0.15)
-    axes.set_ylabel("RMS [N m; N]", fontsize=8, color=INK)
-    axes.set_title(
-        f"differences on {t.source} (in % of the joint's RMS torque)", fontsize=8, color=INK
-    )
-    axes.legend(fontsize=8, frameon=False)
+    title = f"differences on {t.source} (in % of the joint's RMS torque)"
+    label(axes, y="RMS [N m; N]", title=title).legend(fontsize=8, frameon=False)
     if t.errors is not None:
         below = styled(grid[1])
-        for k, label in enumerate(labels):
+        for k, (name, errors) in enumerate(zip(labels, t.errors.tolist(), strict=True)):
             x = [j + ((k + 0.5) / m - 0.5) * 0.8 for j in range(n)]
-            below.bar(
-                x, t.errors[k].tolist(), 0.75 / m, color=COLOURS[k % len(COLOURS)], label=label
-            )
-        below.set_ylabel("RMS [N m; N]", fontsize=8, color=INK)
-        below.set_title("measured torque - model", fontsize=8, color=INK)
+            below.bar(x, errors, 0.75 / m, color=_colour(k), label=name)
+        label(below, y="RMS [N m; N]", title="measured torque - model")
         below.legend(fontsize=8, frameon=False)
     for part in grid:
         part.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
-    figure.suptitle(f"{robot}: torque of {m} models", fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
+    return finish(figure, f"{robot}: torque of {m} models")
 
 
-def _legend(figure: "Figure", labels: Sequence[str]) -> None:
+def _colour(k: int) -> str:
+    return COLOURS[k % len(COLOURS)]
+
+
+def _verdicts(
+    figure: "Figure", axes: Any, shown: Sequence[Compared | Range], labels: Sequence[str]
+) -> None:
+    """Names of the rows in the colours of their verdicts, and a legend of the results."""
     from matplotlib.lines import Line2D
 
+    for name, row in zip(axes.get_yticklabels(), shown, strict=True):
+        name.set_color(SHADES.get(row.verdict, GREY if row.verdict == "never_determined" else INK))
     handles = [
-        Line2D([], [], color=COLOURS[k % len(COLOURS)], marker="o", markersize=4, label=label)
-        for k, label in enumerate(labels)
+        Line2D([], [], color=_colour(k), marker="o", markersize=4, label=name)
+        for k, name in enumerate(labels)
     ]
+    columns = min(4, len(labels))
     figure.legend(
-        handles=handles, loc="outside upper right", ncols=min(4, len(labels)), frameon=False,
-        fontsize=8,
-    )  # fmt: skip
+        handles=handles, loc="outside upper right", ncols=columns, frameon=False, fontsize=8
+    )

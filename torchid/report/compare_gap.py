@@ -1,10 +1,8 @@
 """A comparison of gap diagnoses for people."""
 
-from rich.table import Table
-
-from torchid.compare.diagnoses import ALPHA, Coefficient, GapComparison, Named, Shared
-from torchid.report.compare import torque_sentence, torque_table
-from torchid.report.identification import compact
+from torchid.compare.diagnoses import ALPHA, GapComparison, Named, Shared
+from torchid.report.compare import torque_sentence, torque_tables
+from torchid.report.table import Table
 
 
 def verdict(result: GapComparison) -> str:
@@ -49,37 +47,34 @@ def _name(s: Shared) -> str:
 
 def tables(result: GapComparison) -> list[Table]:
     """Diagnoses, effects with coefficients, torque."""
-    out = [_effect_table(result)]
-    if result.torque is not None:
-        out.append(torque_table(result.torque, result.labels))
-    return out
-
-
-def _effect_table(result: GapComparison) -> Table:
-    table = compact("effects (coefficient ± std)")
-    table.add_column("effect")
-    table.add_column("")
+    labels = []
     for label, status, closed in zip(result.labels, result.statuses, result.closed, strict=True):
         share = "" if closed is None else f", {100 * closed:.0f} % closed"
-        table.add_column(f"{label}\n{status}{share}", justify="right")
-    table.add_column("scatter", justify="right")
-    table.add_column("p (Holm)", justify="right")
+        labels.append(f"{label}\n{status}{share}")
+    rows: list[list[str]] = []
     for s in result.shared:
-        table.add_row(_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", "")
+        rows.append([_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", ""])
         for c in s.coefficients:
-            table.add_row("", c.name, *_values(c), f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}")
+            cells = [
+                "" if value is None else f"{value:.4g} ± {std:.2g}{_unit(c.unit)}"
+                for value, std in zip(c.values, c.std, strict=True)
+            ]
+            rows.append(["", c.name, *cells, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
+        # Coefficients that no other diagnosis gives with a standard deviation, then shapes.
         alike = [c.name for c in s.coefficients]
-        sizes = (k for n in s.named if n is not None for k in n.values if k not in alike)
-        for name in dict.fromkeys(sizes):
-            table.add_row("", name, *(_size(n, name) for n in s.named), "", "")
-        for shape in dict.fromkeys(k for n in s.named if n is not None for k in n.shapes):
+        named = [n for n in s.named if n is not None]
+        for name in dict.fromkeys(k for n in named for k in n.values if k not in alike):
+            rows.append(["", name, *(_size(n, name) for n in s.named), "", ""])
+        for shape in dict.fromkeys(k for n in named for k in n.shapes):
             cells = [
                 "" if n is None or shape not in n.shapes else f"{n.shapes[shape]:.4g}"
                 for n in s.named
             ]
-            table.add_row("", shape, *cells, "", "")
-        table.add_section()
-    return table
+            rows.append(["", shape, *cells, "", ""])
+        rows.append([])
+    columns = ("effect", "", *labels, "scatter", "p (Holm)")
+    effects = Table("effects (coefficient ± std)", columns, rows, words=("effect", ""))
+    return [effects, *torque_tables(result.torque, result.labels)]
 
 
 def _state(s: Shared, k: int) -> str:
@@ -93,15 +88,11 @@ def _state(s: Shared, k: int) -> str:
 
 
 def _size(n: Named | None, name: str) -> str:
-    """A coefficient that no other diagnosis gives with a standard deviation."""
     if n is None or name not in n.values:
         return ""
     std = f" ± {n.std[name]:.2g}" if name in n.std else ""
-    unit = n.units.get(name, "1")
-    return f"{n.values[name]:.4g}{std}{'' if unit == '1' else f' {unit}'}"
+    return f"{n.values[name]:.4g}{std}{_unit(n.units.get(name, '1'))}"
 
 
-def _values(c: Coefficient) -> list[str]:
-    pairs = zip(c.values, c.std, strict=True)
-    unit = "" if c.unit == "1" else f" {c.unit}"
-    return ["" if v is None else f"{v:.4g} ± {s:.2g}{unit}" for v, s in pairs]
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"

@@ -4,13 +4,13 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.table import Table
 from rich.text import Text
 
 from torchid.doctor.examine import Examination
-from torchid.report.figures import BLUE, INK, ORANGE, new_figure, styled
-from torchid.report.identification import compact
-from torchid.robot.model import JointType
+from torchid.report.colours import BLUE, ORANGE
+from torchid.report.panels import label, new_figure, styled
+from torchid.report.table import Table
+from torchid.report.text import joint_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,16 +20,14 @@ _STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_blac
 
 def tables(examination: Examination) -> list[Table]:
     """What is not fine, wrong first; nothing where all is fine."""
-    rows = [c for c in examination.by_verdict() if c.verdict != "fine"]
-    if not rows:
-        return []
-    table = compact(f"log of {examination.robot.name}")
-    for heading in ("verdict", "check", "evidence", "fix"):
-        table.add_column(heading, no_wrap=heading in ("verdict", "check"))
-    for (verdict, evidence, fix), group in groupby(rows, lambda c: (c.verdict, c.evidence, c.fix)):
+    found = [c for c in examination.by_verdict() if c.verdict != "fine"]
+    rows = []
+    for (verdict, evidence, fix), group in groupby(found, lambda c: (c.verdict, c.evidence, c.fix)):
         names = "\n".join(c.name for c in group)
-        table.add_row(Text(verdict, style=_STYLE[verdict]), names, Text(evidence), Text(fix or ""))
-    return [table]
+        rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
+    columns = ("verdict", "check", "evidence", "fix")
+    title = f"log of {examination.robot.name}"
+    return [Table(title, columns, rows, names=columns[:2], words=columns[2:])] if rows else []
 
 
 def fine(examination: Examination) -> str:
@@ -62,14 +60,13 @@ def torque_figure(examination: Examination) -> "Figure | None":
     figure = new_figure(10, 0.8 + 1.3 * n)
     for k, axes in enumerate(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]):
         styled(axes)
-        unit = "N" if examination.robot.joint_types[k] is JointType.PRISMATIC else "N m"
+        unit = joint_unit(examination.robot, k)
         axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
         axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
         error = 100 * search.final.errors[k]
-        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %", fontsize=8, color=INK)
+        label(axes, y=f"joint {k + 1} [{unit}]\n{error:.1f} %")
         if k == 0:
-            axes.legend(
-                fontsize=8, ncols=2, frameon=False, loc="lower right", bbox_to_anchor=(1, 1)
-            )
+            where = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
+            axes.legend(**where, fontsize=8, ncols=2, frameon=False)
     axes.set_xlabel("low-passed samples, all trajectories", fontsize=8)
     return figure

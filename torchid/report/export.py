@@ -3,18 +3,31 @@
 import math
 from typing import Any
 
-from rich.table import Table
-
-from torchid.export.checks import Comparison
 from torchid.export.export import Export
 from torchid.feasibility.plausibility import DENSITIES
-from torchid.report.identification import compact
+from torchid.report.table import Table
 
 SCHEMA = "torchid.export/1"
 
 
 def export_record(done: Export) -> dict[str, Any]:
     """JSON-ready data; every number is finite or null."""
+    checks = []
+    for one in done.comparisons:
+        value = one.difference
+        checks.append(
+            {
+                "reader": one.reader,
+                "compared": one.compared,
+                "states": one.states,
+                "largest_relative_difference": None
+                if value is None or math.isinf(value)
+                else value,
+                "limit": one.limit,
+                "ok": None if value is None else one.ok,
+                "note": one.note,
+            }
+        )
     return {
         "schema": SCHEMA,
         "robot": done.dynamics.robot.name,
@@ -25,7 +38,7 @@ def export_record(done: Export) -> dict[str, Any]:
         "original": None if done.original is None else str(done.original),
         "feasible": None if done.check is None else bool(done.check.feasibility.feasible[0]),
         "reasons": [] if done.check is None else list(done.check.feasibility.reasons(0)),
-        "checks": [_comparison(one) for one in done.comparisons],
+        "checks": checks,
         "effects": {
             "in_file": list(done.in_file),
             "beside": list(done.beside),
@@ -35,78 +48,53 @@ def export_record(done: Export) -> dict[str, Any]:
     }
 
 
-def _comparison(one: Comparison) -> dict[str, Any]:
-    value = one.difference
-    return {
-        "reader": one.reader,
-        "compared": one.compared,
-        "states": one.states,
-        "largest_relative_difference": None if value is None or math.isinf(value) else value,
-        "limit": one.limit,
-        "ok": None if value is None else one.ok,
-        "note": one.note,
-    }
-
-
 def warnings(done: Export) -> tuple[str, ...]:
     """What must not be overlooked."""
     said = list(done.dynamics.warnings) + list(done.notes)
     if done.check is not None and not bool(done.check.feasibility.feasible[0]):
         reasons = ", ".join(done.check.feasibility.reasons(0))
         said.append(f"infeasible, and written all the same: {reasons}")
-    said += _dense(done)
+    # Links that are bodies, but of no material: one sentence for all of them.
+    findings = () if done.check is None else done.check.findings[0]
+    dense = [f for f in findings if f.what == "density" and f.value > f.threshold == DENSITIES[1]]
+    if dense:
+        links = ", ".join(str(f.link) for f in dense)
+        said.append(
+            f"not plausible, though not forbidden: the inertia of link {links} is that of a body "
+            f"denser than lead (up to {max(f.value for f in dense):.2g} kg/m^3); `torchid check` "
+            "says more"
+        )
     said += [f"LEFT OUT of the {done.format} file: {words}" for words in done.left_out]
     return tuple(said)
 
 
-def _dense(done: Export) -> list[str]:
-    """Links that are bodies, but of no material; a sentence for all of them."""
-    findings = () if done.check is None else done.check.findings[0]
-    dense = [f for f in findings if f.what == "density" and f.value > f.threshold == DENSITIES[1]]
-    if not dense:
-        return []
-    links = ", ".join(str(f.link) for f in dense)
-    return [
-        f"not plausible, though not forbidden: the inertia of link {links} is that of a body "
-        f"denser than lead (up to {max(f.value for f in dense):.2g} kg/m^3); `torchid check` says "
-        "more"
-    ]
-
-
 def comparison_table(done: Export) -> Table:
     """Who reloaded the file, and by how much its torque differs from the result's."""
-    table = compact("reloaded and compared with the result's own model")
-    for name in ("reader", "compared"):
-        table.add_column(name)
-    for name in ("states", "largest difference", "limit"):
-        table.add_column(name, justify="right")
-    table.add_column("")
+    rows = []
     for one in done.comparisons:
-        value = one.difference
-        table.add_row(
-            one.reader,
-            one.compared,
-            str(one.states) if value is not None else "",
-            "" if value is None else f"{value:.1e}",
-            "" if value is None else f"{one.limit:g}",
-            ("agrees" if value is not None else "not compared")
-            + (f": {one.note}" if one.note else ""),
-        )
-    return table
+        cells, said = ("", "", ""), "not compared"
+        if one.difference is not None:
+            cells = (str(one.states), f"{one.difference:.1e}", f"{one.limit:g}")
+            said = "agrees"
+        said += f": {one.note}" if one.note else ""
+        rows.append((one.reader, one.compared, *cells, said))
+    return Table(
+        "reloaded and compared with the result's own model",
+        ("reader", "compared", "states", "largest difference", "limit", ""),
+        rows,
+        words=("reader", "compared", ""),
+    )
 
 
 def effect_lines(done: Export) -> list[str]:
     """Where each effect went, one sentence a place."""
-    places = ((f"in the {done.format} file", done.in_file), (f"in {_sidecar(done)}", done.beside))
+    sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
+    places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
     return [
         f"{len(words)} effect{'s' if len(words) > 1 else ''} {place}"
         for place, words in places
         if words
     ]
-
-
-def _sidecar(done: Export) -> str:
-    return done.files[-1].name if len(done.files) > 1 else "the sidecar"
 
 
 def headline(done: Export) -> str:

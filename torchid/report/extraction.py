@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from rich.table import Table
 
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
@@ -22,8 +21,9 @@ from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
 from torchid.json_data import plain
-from torchid.report.figures import BLUE, GREY, INK, RED, new_figure, styled
-from torchid.report.identification import compact
+from torchid.report.colours import BLUE, GREY, RED
+from torchid.report.panels import finish, label, new_figure, styled
+from torchid.report.table import Table
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -103,21 +103,29 @@ def at_bounds(found: Found) -> list[str]:
 
 def headline(found: Found, proof: Certificate | None) -> str:
     """One or two sentences: what came out."""
-    k, count = found.best, int(found.verdict.feasible.sum())
-    degree = float(found.verdict.degree[k])
-    verdict = (
+    k, verdict, name = found.best, found.verdict, found.problem.robot.name
+    degree = float(verdict.degree[k])
+    said = (
         f"feasible ({'on the boundary' if degree < ON_THE_BOUNDARY else f'degree {degree:.2g}'})"
-        if bool(found.verdict.feasible[k])
-        else f"infeasible: {', '.join(found.verdict.reasons(k))}"
+        if bool(verdict.feasible[k])
+        else f"infeasible: {', '.join(verdict.reasons(k))}"
     )
     text = (
-        f"{len(found.sets)} set{'s' * (len(found.sets) > 1)} of {found.problem.robot.name} by "
-        f"{found.method}, {count} of them "
-        f"feasible. Best: {found.sets.ids[k]}, phi {float(found.phi[k]):.5g}, {verdict}; its "
-        f"torque is up to {100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
+        f"{len(found.sets)} set{'s' * (len(found.sets) > 1)} of {name} by {found.method}, "
+        f"{int(verdict.feasible.sum())} of them feasible. Best: {found.sets.ids[k]}, phi "
+        f"{float(found.phi[k]):.5g}, {said}; its torque is up to "
+        f"{100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
         f"{int(found.torque[k].argmax()) + 1})."
     )
-    text += _equally_good(found)
+    # The loss does not choose between sets that have it alike; how different are they?
+    phi = found.phi[verdict.feasible]
+    alike = phi <= 1.01 * phi.min() + 1e-18 if len(phi) else phi > 0
+    if int(alike.sum()) > 1:
+        total = found.sets.parameters.mass[verdict.feasible][alike].sum(-1)
+        text += (
+            f" {int(alike.sum())} feasible sets have this loss (to 1 %); their total mass ranges "
+            f"from {float(total.min()):.4g} to {float(total.max()):.4g} kg."
+        )
     edges = at_bounds(found)
     if edges:
         more = "" if len(edges) <= _SHOWN else f" and {len(edges) - _SHOWN} more"
@@ -134,19 +142,6 @@ def loss_notes(found: Found, values: BaseValues) -> tuple[str, ...]:
     return (
         "the two-step loss counts coefficients, all alike, not torque: --loss one-step asks for "
         "the log's torque",
-    )
-
-
-def _equally_good(found: Found) -> str:
-    """Says when the loss does not choose between sets, and how different they are."""
-    phi = found.phi[found.verdict.feasible]
-    alike = phi <= 1.01 * phi.min() + 1e-18 if len(phi) else phi > 0
-    if int(alike.sum()) < 2:
-        return ""
-    total = found.sets.parameters.mass[found.verdict.feasible][alike].sum(-1)
-    return (
-        f" {int(alike.sum())} feasible sets have this loss (to 1 %); their total mass ranges from "
-        f"{float(total.min()):.4g} to {float(total.max()):.4g} kg."
     )
 
 
@@ -179,59 +174,51 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
     """The best sets, and what forces the least loss."""
     count = len(found.sets)
     which = f"the best {_SHOWN} of {count} sets" if count > _SHOWN else f"set{'s' * (count > 1)}"
-    table = compact(
-        f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)"
-    )
-    for heading in ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"):
-        table.add_column(heading, justify="left" if heading in ("set", "reasons") else "right")
     verdict = found.verdict.feasible.tolist()
-    order = sorted(range(len(found.sets)), key=lambda k: (not verdict[k], float(found.phi[k])))
+    order = sorted(range(count), key=lambda k: (not verdict[k], float(found.phi[k])))
+    rows = []
     for k in order[:_SHOWN]:
-        table.add_row(
-            found.sets.ids[k],
-            f"{float(found.phi[k]):.5g}",
-            f"{100 * float(found.torque[k].max()):.2g}",
-            f"{float(found.gamma[k]):.2g}",
-            "yes" if verdict[k] else "no",
-            _degree(float(found.verdict.degree[k])),
-            ", ".join(found.verdict.reasons(k)),
+        degree = float(found.verdict.degree[k])
+        rows.append(
+            (
+                found.sets.ids[k], f"{float(found.phi[k]):.5g}",
+                f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}",
+                "yes" if verdict[k] else "no",
+                "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}",
+                ", ".join(found.verdict.reasons(k)),
+            )
+        )  # fmt: skip
+    out = [
+        Table(
+            f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",
+            ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"),
+            rows,
+            words=("set", "reasons"),
         )
-    out = [table]
+    ]
     if proof is not None and noticeable(proof):
-        forced = compact(f"what forces phi_min = {proof.phi_min:.5g}")
-        forced.add_column("without the condition")
-        forced.add_column("phi_min would be", justify="right")
-        for name, value in list(noticeable(proof).items())[:_SHOWN]:
-            forced.add_row(name, f"{value:.5g}")
-        out.append(forced)
+        title = f"what forces phi_min = {proof.phi_min:.5g}"
+        columns = ("without the condition", "phi_min would be")
+        least = [(name, f"{value:.5g}") for name, value in noticeable(proof).items()]
+        out.append(Table(title, columns, least[:_SHOWN], words=columns[:1]))
     return out
-
-
-def _degree(value: float) -> str:
-    return "boundary" if abs(value) < ON_THE_BOUNDARY else f"{value:.2g}"
 
 
 def extraction_record(
     found: Found, proof: Certificate | None, warnings: tuple[str, ...]
 ) -> dict[str, Any]:
     """JSON-ready data."""
-    search = None
+    search: dict[str, Any] | None = None
     if found.search is not None:
         s = found.search
-        search = {
-            "runs": s.settings.runs,
-            "stages": s.settings.stages,
-            "generations": s.settings.generations,
-            "population": s.settings.population,
-            "penalty": s.settings.penalty,
-            "schedule": s.settings.schedule,
-            "engine": s.settings.engine,
-            "polish": s.settings.polish,
-            "seed": s.settings.seed,
-            "phi_before_polish": s.searched_phi.tolist(),
-            "gamma_before_polish": s.searched_gamma.tolist(),
-            "contradictions": list(s.contradictions),
-        }
+        settings = (
+            "runs", "stages", "generations", "population", "penalty", "schedule", "engine",
+            "polish", "seed",
+        )  # fmt: skip
+        search = {name: getattr(s.settings, name) for name in settings}
+        search["phi_before_polish"] = s.searched_phi.tolist()
+        search["gamma_before_polish"] = s.searched_gamma.tolist()
+        search["contradictions"] = list(s.contradictions)
     return {
         "schema": SCHEMA,
         **problem_record(found.problem),
@@ -257,32 +244,29 @@ def extraction_record(
 def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
     """Loss and penalty of all runs against the stage, and the loss after the polish."""
     figure = new_figure(9, 5.4)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    upper, lower = (styled(axes) for axes in figure.subplots(2, 1, sharex=True))
     stages = range(1, search.settings.stages + 1)
-    best = search.best
-    for axes, history, label in (
-        (styled(upper), search.history_phi, "loss phi of the best so far"),
-        (styled(lower), search.history_gamma, "penalty gamma"),
+    for axes, history, what in (
+        (upper, search.history_phi, "loss phi of the best so far"),
+        (lower, search.history_gamma, "penalty gamma"),
     ):
         shown = history.clamp(min=1e-34).numpy()
         axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
-        axes.plot(stages, shown[best], color=BLUE, linewidth=1.6, label="best run")
-        axes.set_ylabel(label, fontsize=8, color=INK)
+        axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.6, label="best run")
+        label(axes, y=what)
     upper.set_yscale("log")
     lower.set_yscale("symlog", linthresh=1e-8)
     lower.set_ylim(bottom=-1e-9)
     if search.settings.polish:
         end = [search.settings.stages + 0.6] * len(search.phi)
-        upper.scatter(
-            end, search.phi.clamp(min=1e-34).numpy(), s=10, color=BLUE, label="after the polish"
-        )
+        phi = search.phi.clamp(min=1e-34).numpy()
+        upper.scatter(end, phi, s=10, color=BLUE, label="after the polish")
     if proof is not None and proof.feasible and proof.phi_min > 0:
         upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
     upper.legend(fontsize=8, frameon=False, loc="best")
-    lower.set_xlabel("stage of Algorithm 1", fontsize=8, color=INK)
-    figure.suptitle(
+    label(lower, "stage of Algorithm 1")
+    return finish(
+        figure,
         f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
         f"'{search.problem.bounds.name}', {search.settings.penalty} loss",
-        fontsize=11, color=INK, x=0.01, ha="left",
-    )  # fmt: skip
-    return figure
+    )

@@ -3,11 +3,8 @@
 import re
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
-
 from torchid.effects.registry import KINDS
-from torchid.gap.diagnosis import Diagnosis, JointGap, NotTestable, RegimeGap
+from torchid.gap.diagnosis import Diagnosis, NotTestable
 from torchid.gap.record import INERTIA_MEANING, INERTIA_REMEDY
 from torchid.report.gap_words import (
     CLEAR,
@@ -17,11 +14,9 @@ from torchid.report.gap_words import (
     listed,
     regime_words,
     shapes,
-    torque_unit,
-)
-from torchid.report.identification import compact
-from torchid.report.text import interval, percent
-from torchid.robot.model import JointType
+)  # fmt: skip
+from torchid.report.table import Table
+from torchid.report.text import interval, joint_unit, percent, torque_unit
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
@@ -45,126 +40,126 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 def where_table(diagnosis: Diagnosis) -> Table:
     """Joints: size and share of the gap, and the regimes that hold more than their share."""
-    table = compact(f"where: torque the model lacks, below {diagnosis.band:g} Hz")
-    table.add_column("joint")
-    for heading in ("gap, RMS", "noise, RMS", "share"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column(f"holds more than its share (excess [95 %], p < {CLEAR:g})", ratio=1)
+    rows = []
     for gap in diagnosis.joints:
-        table.add_row(
-            str(gap.joint + 1), f"{gap.gap_rms:.3g} {_unit(diagnosis, gap.joint)}", _floor(gap),
-            percent(gap.share), _regimes(diagnosis, gap),
+        clear = [
+            r for r in diagnosis.regimes if r.joint == gap.joint and r.p < CLEAR and r.excess > 0
+        ]
+        said = []
+        for r in sorted(clear, key=lambda r: -r.excess)[:_MOST_REGIMES]:
+            text = f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
+            if r.times:
+                starts: dict[str, list[str]] = {}
+                for name, start, _ in r.times[:_MOST_REGIMES]:
+                    starts.setdefault(name, []).append(f"{start:.1f}")
+                places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
+                text += f" at {places}{' ...' if len(r.times) > _MOST_REGIMES else ''}"
+            said.append(text)
+        low, high = gap.noise_floor_rms
+        rows.append(
+            (
+                str(gap.joint + 1), f"{gap.gap_rms:.3g} {joint_unit(diagnosis.robot, gap.joint)}",
+                f"{low:.3g} - {high:.3g}", percent(gap.share), ", ".join(said) or "-",
+            )
         )  # fmt: skip
-    return table
-
-
-def _regimes(diagnosis: Diagnosis, gap: JointGap) -> str:
-    clear = [r for r in diagnosis.regimes if r.joint == gap.joint and r.p < CLEAR and r.excess > 0]
-    clear.sort(key=lambda r: -r.excess)
-    return ", ".join(_regime(r) for r in clear[:_MOST_REGIMES]) or "-"
-
-
-def _regime(r: RegimeGap) -> str:
-    text = escape(f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}")
-    if r.times:
-        shown = r.times[:_MOST_REGIMES]
-        starts: dict[str, list[str]] = {}
-        for name, start, _ in shown:
-            starts.setdefault(name, []).append(f"{start:.1f}")
-        places = [f"{', '.join(at)} s of {escape(name)}" for name, at in starts.items()]
-        text += f" at {'; '.join(places)}{' ...' if len(r.times) > len(shown) else ''}"
-    return text
+    regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
+    return Table(
+        f"where: torque the model lacks, below {diagnosis.band:g} Hz",
+        ("joint", "gap, RMS", "noise, RMS", "share", regimes),
+        rows,
+        words=("joint", regimes),
+    )
 
 
 def which_table(diagnosis: Diagnosis) -> Table:
     """Accepted effects with their coefficients."""
-    table = compact("which: effects the model lacks (value ± std)")
-    table.add_column("effect", no_wrap=True)
-    table.add_column("joints", no_wrap=True)
-    table.add_column("value", no_wrap=True)
-    table.add_column("cannot be told from")
-    for heading in ("lost\nwithout it", "closes\nalone", "p"):
-        table.add_column(heading, justify="right")
+    rows = []
     for f in diagnosis.findings:
         values = coefficients(f, diagnosis.robot)
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
-        shape = f"\n({', '.join(shapes(f, diagnosis.robot))})" if f.effect.shapes else ""
-        table.add_row(
-            effect_words(f.effect.name), _joints(f.joints), escape("\n".join(values) + shape),
-            _others(f.ambiguous_with), percent(f.share), percent(f.first), _p(f.p_value),
-        )  # fmt: skip
+        if f.effect.shapes:
+            values.append(f"({', '.join(shapes(f, diagnosis.robot))})")
+        joints = ", ".join(str(j + 1) for j in f.joints) or "all"
+        shares = (percent(f.share), percent(f.first), _p(f.p_value))
+        what = effect_words(f.effect.name)
+        rows.append((what, joints, "\n".join(values), _others(f.ambiguous_with), *shares))
     for p in diagnosis.parametric:
         links = [str(link + 1) for link in p.links]
-        what = "all base parameters" if not links else f"inertia of link {listed(links)}"
-        table.add_row(
-            what, _joints(p.links) if links else "all", "see the corrected model",
-            _others(p.ambiguous_with), percent(p.share), "-", _p(p.p_value),
+        what = f"inertia of link {listed(links)}" if links else "all base parameters"
+        rows.append(
+            (
+                what, ", ".join(links) or "all", "see the corrected model",
+                _others(p.ambiguous_with), percent(p.share), "-", _p(p.p_value),
+            )
         )  # fmt: skip
-    return table
+    columns = (
+        "effect", "joints", "value", "cannot be told from", "lost\nwithout it", "closes\nalone",
+        "p",
+    )  # fmt: skip
+    title = "which: effects the model lacks (value ± std)"
+    return Table(title, columns, rows, names=columns[:3], words=columns[3:4])
 
 
 def meaning_table(diagnosis: Diagnosis) -> Table:
     """What each effect means and what to do; an effect on several joints once."""
-    table = compact("what it means, and what to do")
-    table.add_column("effect", no_wrap=True)
-    table.add_column("what it means", ratio=1)
-    table.add_column("what to do", ratio=1)
+    rows = []
     for name in dict.fromkeys(f.effect.name for f in diagnosis.findings):
         same = [f for f in diagnosis.findings if f.effect.name == name]
         kind = same[0].effect
         notes = [f"{joints_words(f.located)}: {note}" for f in same for note in f.notes]
-        meaning = "\n".join([kind.meaning, *notes])
-        table.add_row(effect_words(name), escape(meaning), escape(kind.remedy))
+        rows.append((effect_words(name), "\n".join([kind.meaning, *notes]), kind.remedy))
     if diagnosis.parametric:
-        table.add_row("inertial parameters", INERTIA_MEANING, INERTIA_REMEDY)
-    return table
+        rows.append(("inertial parameters", INERTIA_MEANING, INERTIA_REMEDY))
+    columns = ("effect", "what it means", "what to do")
+    return Table(
+        "what it means, and what to do", columns, rows, names=columns[:1], words=columns[1:]
+    )
 
 
 def how_far_table(diagnosis: Diagnosis) -> Table:
     """RMS per joint before and after, beside the noise."""
-    far, floor, n = diagnosis.how_far, diagnosis.floor, diagnosis.robot.n
-    unit = torque_unit(diagnosis.robot)
-    table = compact(f"how far: RMS of what the model lacks \\[{unit}]")
-    table.add_column("model")
-    for j in range(n):
-        table.add_column(str(j + 1), justify="right", no_wrap=True)
-    table.add_column("all", justify="right")
-    for name, rms in (("as given", far.rms_before), ("corrected", far.rms_after)):
-        cells = [f"{v:.3g}" for v in rms.tolist()]
-        table.add_row(name, *cells, f"{float(rms.norm()):.3g}")
-    for name, level in (("noise, at least", floor.low), ("noise, at most", floor.high)):
-        table.add_row(name, *(f"{v:.3g}" for v in level.tolist()), f"{float(level.norm()):.3g}")
-    return table
+    far, floor = diagnosis.how_far, diagnosis.floor
+    rows = [
+        (name, *(f"{v:.3g}" for v in level.tolist()), f"{float(level.norm()):.3g}")
+        for name, level in (
+            ("as given", far.rms_before), ("corrected", far.rms_after),
+            ("noise, at least", floor.low), ("noise, at most", floor.high),
+        )
+    ]  # fmt: skip
+    joints = (str(j + 1) for j in range(diagnosis.robot.n))
+    title = f"how far: RMS of what the model lacks [{torque_unit(diagnosis.robot)}]"
+    return Table(title, ["model", *joints, "all"], rows, words=("model",))
 
 
 def budget_table(diagnosis: Diagnosis) -> Table:
     """Shares of the gap, the closed fraction, and rollouts."""
     far, budget = diagnosis.how_far, diagnosis.budget
-    table = compact("budget: what closes the gap")
-    for heading in ("base parameters", "effects", "unexplained", "closed \\[95 %]"):
-        table.add_column(heading, justify="right")
-    closed = "the gap may be noise"
-    if far.closed is not None and far.closed_ci95 is not None:
-        closed = escape(f"{percent(far.closed)} {interval(far.closed_ci95)}")
     parts = (budget.parametric, budget.structural, budget.unexplained)
     shares = ["-"] * 3 if far.closed is None else [percent(x) for x in parts]
-    table.add_row(*shares, closed)
-    return table
+    columns = ("base parameters", "effects", "unexplained", "closed [95 %]")
+    return Table("budget: what closes the gap", columns, [(*shares, closed_words(diagnosis))])
+
+
+def closed_words(diagnosis: Diagnosis) -> str:
+    """The share of the gap that is closed, with its interval."""
+    far = diagnosis.how_far
+    if far.closed is None or far.closed_ci95 is None:
+        return "the gap may be noise"
+    return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
 def rollout_table(rollout: dict[str, Any]) -> Table:
     """Position errors of short simulations, corrected model relative to the given one."""
-    table = compact("simulated motion: position error after to before")
-    for heading in ("horizon", "ratio \\[95 %]", "lost before", "lost after"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for row in rollout.get("horizons", ()):
         if row.get("ratio") is None:
             continue
         within = row.get("ratio_ci95")
-        span = f" \\[{within[0]:.2f}, {within[1]:.2f}]" if within else ""
+        span = f" [{within[0]:.2f}, {within[1]:.2f}]" if within else ""
         lost = [percent(row[key]) for key in ("diverged_before", "diverged_after")]
-        table.add_row(f"{row['horizon_s']:g} s", f"{row['ratio']:.2f}{span}", *lost)
-    return table
+        rows.append((f"{row['horizon_s']:g} s", f"{row['ratio']:.2f}{span}", *lost))
+    columns = ("horizon", "ratio [95 %]", "lost before", "lost after")
+    return Table("simulated motion: position error after to before", columns, rows)
 
 
 def remarks(diagnosis: Diagnosis) -> list[str]:
@@ -180,16 +175,25 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
 
 def not_testable_table(diagnosis: Diagnosis) -> Table:
     """Effects these data could not show, joints of one reason on one line."""
-    table = compact("not testable with these data")
-    table.add_column("effect", no_wrap=True)
-    table.add_column("joint: smallest size that would have been seen", ratio=1)
-    table.add_column("why", ratio=1)
     groups: dict[tuple[str, str], list[NotTestable]] = {}
     for x in diagnosis.not_testable:
         groups.setdefault((x.effect, _NUMBER.sub("#", x.reason)), []).append(x)
+    rows = []
     for (effect, _), members in groups.items():
-        table.add_row(effect_words(effect), _smallest(members), escape(_reason(members)))
-    return table
+        # Joints on which no size would do stand together, behind the others.
+        sizes, never = [], []
+        for x in members:
+            place = " and ".join(str(j + 1) for j in x.joints) or "the arm"
+            if x.smallest_detectable is None:
+                never.append(place)
+            else:
+                sizes.append(f"{place}: {x.smallest_detectable:.3g} {x.unit}".rstrip())
+        sizes += [f"{', '.join(never)}: no size"] if never else []
+        rows.append((effect_words(effect), "; ".join(sizes), _reason(members)))
+    columns = ("effect", "joint: smallest size that would have been seen", "why")
+    return Table(
+        "not testable with these data", columns, rows, names=columns[:1], words=columns[1:]
+    )
 
 
 def _reason(members: list[NotTestable]) -> str:
@@ -203,34 +207,11 @@ def _reason(members: list[NotTestable]) -> str:
     return _NUMBER.sub(lambda _: next(each), members[0].reason)
 
 
-def _smallest(members: list[NotTestable]) -> str:
-    """`2: 0.4 N m; joint 3: ...`; joints on which no size would do together."""
-    never = [x for x in members if x.smallest_detectable is None]
-    texts = [
-        f"{_place(x)}: {x.smallest_detectable:.3g} {x.unit}".rstrip()
-        for x in members
-        if x.smallest_detectable is not None
-    ]
-    if never:
-        texts.append(f"{', '.join(_place(x) for x in never)}: no size")
-    return "; ".join(texts)
-
-
-def _place(x: NotTestable) -> str:
-    return " and ".join(str(j + 1) for j in x.joints) or "the arm"
-
-
 def experiment_table(experiment: dict[str, Any]) -> Table:
     """What to record next."""
-    table = compact("next experiment")
-    table.add_column("", no_wrap=True)
-    table.add_column("", ratio=1)
-    table.show_header = False
-    for key, value in experiment.items():
-        text = _value(value)
-        if text:
-            table.add_row(key.replace("_", " "), escape(text))
-    return table
+    texts = {key.replace("_", " "): _value(value) for key, value in experiment.items()}
+    rows = [(key, text) for key, text in texts.items() if text]
+    return Table("next experiment", ("", " "), rows, names=("",), words=(" ",))
 
 
 def _value(value: Any) -> str:
@@ -245,19 +226,6 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else effect_words(value) if value in KINDS else str(value)
-
-
-def _unit(diagnosis: Diagnosis, joint: int) -> str:
-    return "N" if diagnosis.robot.joint_types[joint] is JointType.PRISMATIC else "N m"
-
-
-def _floor(gap: JointGap) -> str:
-    low, high = gap.noise_floor_rms
-    return f"{low:.3g} - {high:.3g}"
-
-
-def _joints(joints: tuple[int, ...]) -> str:
-    return ", ".join(str(j + 1) for j in joints) or "all"
 
 
 def _others(names: tuple[str, ...]) -> str:

@@ -7,21 +7,18 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import Diagnosis, Trace
-from torchid.report.figures import GREY, INK, new_figure, styled
-from torchid.robot.model import JointType
+from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.panels import finish, label, new_figure, styled
+from torchid.report.text import joint_unit
 from torchid.statistics.jackknife import student_quantile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BEFORE, AFTER = "#d55e00", "#0072b2"
-"""Vermilion and blue of Okabe and Ito: told apart by every kind of colour vision."""
-
 BINS = 24
 BLOCK = 1.0
 """Seconds of a block for the bins' intervals."""
 
-_SMALL = 8
 _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
@@ -49,8 +46,8 @@ class Samples:
 def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
     """Binned means of the gap against velocity, position, acceleration, load and time, over a light
     scatter, and its spectrum over the noise."""
-    prismatic = diagnosis.robot.joint_types[joint] is JointType.PRISMATIC
-    length, unit = ("m", "N") if prismatic else ("rad", "N m")
+    unit = joint_unit(diagnosis.robot, joint)
+    length = "m" if unit == "N" else "rad"
     s = samples(diagnosis.traces, joint)
     figure = new_figure(11, 6.4)
     grid = figure.subplots(2, 3)
@@ -60,27 +57,45 @@ def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
         (s.ddq, f"acceleration [{length}/s²]"),
         (s.load, f"torque of the model [{unit}]"),
     )
-    limit = _limit(s)
+    # Half the height of the panels is the scatter but for its outermost points.
+    both = np.abs(np.concatenate([s.before, s.after]))
+    limit = 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
     high = float(diagnosis.floor.high[joint])
     for axes, (x, name) in zip(grid.flat[:4], panels, strict=True):
-        _against(styled(axes), x, s, high)
+        styled(axes)
+        axes.axhspan(-high, high, color=INK, alpha=0.10, linewidth=0, label="noise, ±1 RMS")
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        some = slice(None, None, max(1, len(x) // _SCATTER))
+        faint = {"s": 4, "alpha": 0.16, "linewidths": 0, "rasterized": True}
+        for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
+            axes.scatter(x[some], y[some], color=colour, **faint)
+        for y, colour, whose in (
+            (s.before, BEFORE, "model as given"),
+            (s.after, AFTER, "with the effects found"),
+        ):
+            centre, mean, half = binned(x, y, s.block)
+            text = f"{whose}: mean, 95 % interval"
+            _banded(axes, centre, mean, mean - half, mean + half, colour, text)
         axes.set_ylim(-limit, limit)
-        axes.set_xlabel(name, fontsize=_SMALL, color=INK)
+        label(axes, name)
     for axes in grid[:, 0]:
-        axes.set_ylabel(f"measured - model [{unit}]", fontsize=_SMALL, color=INK)
+        label(axes, y=f"measured - model [{unit}]")
+    # RMS over a few seconds: a mean over time would show the motion, not the gap's size. A block
+    # that two bins share counts in both, so that no bin of a short log has too few.
+    axes = styled(grid[1, 1])
+    axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
+    bins = int(np.clip(len(np.unique(s.block)) // _FEWEST, 1, BINS))
+    for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
+        centre, mean, half = binned(s.t, np.square(y), s.block, bins)
+        ends = (np.sqrt(np.maximum(mean - half, 0)), np.sqrt(mean + half))
+        _banded(axes, centre, np.sqrt(mean), *ends, colour)
+    axes.set_ylim(bottom=0)
     several = len(diagnosis.traces) > 1
-    label = "time, one trajectory after another [s]" if several else "time [s]"
-    _over_time(styled(grid[1, 1]), s, high, unit, label)
+    time = "time, one trajectory after another [s]" if several else "time [s]"
+    label(axes, time, f"RMS [{unit}]")
     _spectrum(styled(grid[1, 2]), diagnosis, joint, unit)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=_SMALL
-    )
-    figure.suptitle(
-        f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted",
-        fontsize=11, color=INK, x=0.01, ha="left",
-    )  # fmt: skip
-    return figure
+    title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted"
+    return finish(figure, title, grid[0, 0], columns=5)
 
 
 def samples(traces: tuple[Trace, ...], joint: int) -> Samples:
@@ -109,49 +124,21 @@ def samples(traces: tuple[Trace, ...], joint: int) -> Samples:
     return Samples(**{name: np.concatenate(x) for name, x in parts.items()})
 
 
-def _limit(s: Samples) -> float:
-    """Half the height of the panels: the scatter but for its outermost points."""
-    both = np.abs(np.concatenate([s.before, s.after]))
-    return 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
-
-
-def _against(axes: Any, x: np.ndarray, s: Samples, high: float) -> None:
-    """Scatter and binned means of both gaps over x."""
-    axes.axhspan(-high, high, color=INK, alpha=0.10, linewidth=0, label="noise, ±1 RMS")
-    axes.axhline(0, color=GREY, linewidth=0.8)
-    some = slice(None, None, max(1, len(x) // _SCATTER))
-    for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
-        axes.scatter(x[some], y[some], s=4, color=colour, alpha=0.16, linewidths=0, rasterized=True)
-    for y, colour, name in (
-        (s.before, BEFORE, "model as given"),
-        (s.after, AFTER, "with the effects found"),
-    ):
-        centre, mean, half = binned(x, y, s.block)
-        axes.fill_between(centre, mean - half, mean + half, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(
-            centre, mean, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
-            markersize=3.4, markeredgecolor="white", markeredgewidth=0.4,
-            label=f"{name}: mean, 95 % interval",
-        )  # fmt: skip
-
-
-def _over_time(axes: Any, s: Samples, high: float, unit: str, label: str) -> None:
-    """RMS over a few seconds: a mean over time would show the motion, not the gap's size."""
-    axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
-    # A block that two bins share counts in both, so that no bin of a short log has too few.
-    bins = int(np.clip(len(np.unique(s.block)) // _FEWEST, 1, BINS))
-    for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
-        centre, mean, half = binned(s.t, np.square(y), s.block, bins)
-        root = np.sqrt(mean)
-        low, top = np.sqrt(np.maximum(mean - half, 0)), np.sqrt(mean + half)
-        axes.fill_between(centre, low, top, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(
-            centre, root, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
-            markersize=3.4, markeredgecolor="white", markeredgewidth=0.4,
-        )  # fmt: skip
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel(label, fontsize=_SMALL, color=INK)
-    axes.set_ylabel(f"RMS [{unit}]", fontsize=_SMALL, color=INK)
+def _banded(
+    axes: Any,
+    x: np.ndarray,
+    y: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    colour: str,
+    text: str | None = None,
+) -> None:
+    """A line with marks over the band of its interval."""
+    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
+    axes.plot(
+        x, y, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
+        markersize=3.4, markeredgecolor="white", markeredgewidth=0.4, label=text,
+    )  # fmt: skip
 
 
 def binned(
@@ -188,9 +175,8 @@ def binned(
 def _spectrum(axes: Any, diagnosis: Diagnosis, joint: int, unit: str) -> None:
     """Amplitude spectral density of both gaps over that of white noise of the floor's RMS."""
     band = diagnosis.band
-    curves = {"before": BEFORE, "after": AFTER}
     lowest = np.inf
-    for name, colour in curves.items():
+    for name, colour in (("before", BEFORE), ("after", AFTER)):
         f, density = spectrum(diagnosis.traces, joint, name)
         shown = (f > 0) & (f <= 1.2 * band)
         if not shown.any():
@@ -209,8 +195,7 @@ def _spectrum(axes: Any, diagnosis: Diagnosis, joint: int, unit: str) -> None:
         " cut-off of the fit", (diagnosis.cutoff, 0.98), xycoords=("data", "axes fraction"),
         fontsize=7, color=GREY, va="top",
     )  # fmt: skip
-    axes.set_xlabel("frequency [Hz] (grey: noise)", fontsize=_SMALL, color=INK)
-    axes.set_ylabel(f"gap, spectral density [{unit}/√Hz]", fontsize=_SMALL, color=INK)
+    label(axes, "frequency [Hz] (grey: noise)", f"gap, spectral density [{unit}/√Hz]")
 
 
 def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +208,11 @@ def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndar
     for trace in traces:
         if trace.rate != rate:
             continue
-        stretch = _longest(trace)
+        # The longest run of valid instants.
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], trace.valid.cpu().numpy(), [0]])))
+        starts, ends = edges[::2], edges[1::2]
+        k = int((ends - starts).argmax()) if len(starts) else 0
+        stretch = slice(int(starts[k]), int(ends[k])) if len(starts) else slice(0, 0)
         x = (trace.measured - getattr(trace, model))[stretch, joint].cpu().numpy()
         size = round(4.0 * rate)
         if len(x) < size:
@@ -232,13 +221,3 @@ def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndar
         total = density * len(x) + (total if len(total) else 0.0)
         weight += len(x)
     return frequencies, total / max(weight, 1.0)
-
-
-def _longest(trace: Trace) -> slice:
-    """Longest run of valid instants."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], trace.valid.cpu().numpy(), [0]])))
-    starts, ends = edges[::2], edges[1::2]
-    if not len(starts):
-        return slice(0, 0)
-    k = int((ends - starts).argmax())
-    return slice(int(starts[k]), int(ends[k]))

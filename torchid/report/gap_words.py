@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
 from torchid.gap.record import unit_of
-from torchid.report.text import interval, percent
-from torchid.robot.model import JointType, Robot
+from torchid.report.text import interval, listed, percent, torque_unit
+from torchid.robot.model import Robot
 
 REGIMES = {
     "velocity_reversal": "at velocity reversals",
@@ -38,13 +38,6 @@ def effect_words(name: str) -> str:
 def regime_words(name: str) -> str:
     """`low_speed` as `low speed`."""
     return name.replace("_", " ")
-
-
-def listed(words: Sequence[str], last: str = "and") -> str:
-    """`a, b and c`."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
 def joints_words(joints: Iterable[int]) -> str:
@@ -89,14 +82,6 @@ def shapes(finding: Finding, robot: Robot) -> list[str]:
     return [f"{s.name} = {v:.4g} {_shown(s.unit, located, robot)}".rstrip() for s, v in pairs]
 
 
-def torque_unit(robot: Robot) -> str:
-    """Of all joints together."""
-    kinds = set(robot.joint_types)
-    if kinds == {JointType.PRISMATIC}:
-        return "N"
-    return "N m" if kinds == {JointType.REVOLUTE} else "N m, N"
-
-
 NONE_LEFT = 5e-3
 """Share of the gap that is unexplained, below which no share is told."""
 UNCHANGED = 0.99
@@ -105,31 +90,56 @@ UNCHANGED = 0.99
 
 def verdict(diagnosis: Diagnosis) -> str:
     """The answer in plain words."""
-    said = {
-        "no_gap": _no_gap,
-        "parametric_only": _parametric_only,
-        "explained": _explained,
-        "detected_unexplained": _unexplained,
-        "not_testable": _not_testable,
-    }[diagnosis.status]
-    return said(diagnosis)
-
-
-def finding_words(finding: Finding, robot: Robot) -> str:
-    """`joint 2 has Coulomb friction that the model lacks (0.61 ± 0.02 N m)`."""
-    place, name = joints_words(finding.located), with_article(finding.effect.name)
-    inner = _inner([finding], robot)
-    if _known(finding, robot):
-        return f"the model's {effect_words(finding.effect.name)} of {place} is off{inner}"
-    return f"{place} has {name} that the model lacks{inner}"
-
-
-def group_words(findings: Sequence[Finding], robot: Robot) -> str:
-    """One effect on several joints: `Coulomb friction on joints 1 and 2 (0.61 ± 0.02 N m, ...)`."""
-    joints = [j for f in findings for j in f.located]
-    name = with_article(findings[0].effect.name)
-    place = f" on {joints_words(joints)}" if joints else ""
-    return f"{name}{place}{_inner(findings, robot)}"
+    d, far = diagnosis, diagnosis.how_far
+    unit = torque_unit(d.robot)
+    before, after = (f"{float(x.norm()):.3g} {unit}" for x in (far.rms_before, far.rms_after))
+    noise = f"{float(d.floor.low.norm()):.3g} to {float(d.floor.high.norm()):.3g}"
+    shrinks = f"the gap goes from {before} to {after} RMS"
+    if far.closed is not None and far.closed_ci95 is not None:
+        shrinks = (
+            f"{shrinks}, which may be chance"
+            if far.closed_ci95[0] <= 0
+            else f"the gap shrinks by {percent(far.closed)} {interval(far.closed_ci95)}"
+        )
+    if d.status == "no_gap":
+        return (
+            f"No gap: measured torque and the model of {d.robot.name} differ by no more than noise "
+            f"({before} RMS over all joints; noise {noise}).{_unseen(d)}"
+        )
+    if d.status == "not_testable":
+        why = d.not_testable[0].reason if d.not_testable else "they hold too little motion"
+        said = f"These data cannot show what causes a gap: {why.rstrip('.')}"
+    elif d.status == "parametric_only":
+        said = (
+            f"{_inertia(d.parametric)}, and no other effect is needed; with corrected ones "
+            f"{shrinks}"
+        )
+    elif d.status == "explained":
+        said = _known_causes(d, shrinks)
+    elif not d.findings and not d.parametric:
+        said = (
+            f"There is a gap ({before} RMS over all joints; noise {noise}) that no effect of the "
+            f"library explains; it lies {_mostly(d)}"
+        )
+    elif _unconfirmed(d):
+        said = (
+            f"there is a gap, and the data fitted say {_causes(d)}; but on data that took no part "
+            f"{shrinks}, so nothing is confirmed"
+        )
+    elif d.budget.unexplained < NONE_LEFT:
+        # The arm as a whole is within its noise; some joints are not.
+        joints = (far.rms_after > d.floor.high).nonzero().flatten().tolist()
+        place = f" on {joints_words(joints)}" if joints else ""
+        said = (
+            f"{_known_causes(d, shrinks)}; what is left{place} is more than noise, and it is no "
+            "effect of the library"
+        )
+    else:
+        said = (
+            f"Part of the gap is unexplained ({percent(d.budget.unexplained)} of it); what is "
+            f"known: {_known_causes(d, shrinks)}; what is left is no effect of the library"
+        )
+    return said[0].upper() + said[1:] + "."
 
 
 def with_article(name: str) -> str:
@@ -142,35 +152,18 @@ def with_article(name: str) -> str:
 
 def _inner(findings: Sequence[Finding], robot: Robot) -> str:
     """Values, and what they cannot be told from, in brackets."""
-    texts = [text for f in findings if (text := _short_values(f, robot))]
+    texts = []
+    for f in findings:
+        values = coefficients(f, robot)
+        if len(values) == 1:
+            texts.append(values[0].split(" = ")[1])
+        elif 1 < len(values) <= _MOST_NAMED:
+            texts.append(", ".join(values))
     parts = [", ".join(texts)] if texts and len(texts) <= _MOST_NAMED else []
     others = list(dict.fromkeys(effect_words(x) for f in findings for x in f.ambiguous_with))
     if others:
         parts.append(f"or {listed(others, 'or')}: these data cannot tell")
     return f" ({'; '.join(parts)})" if parts else ""
-
-
-def _known(finding: Finding, robot: Robot) -> bool:
-    """Whether the model has this effect at this place already."""
-    places = [j + 1 for j in finding.located]
-    return any(
-        r.get("effect") == finding.effect.name and (not places or r.get("joint") in places)
-        for r in robot.effects
-    )
-
-
-def _short_values(finding: Finding, robot: Robot) -> str:
-    texts = coefficients(finding, robot)
-    if len(texts) == 1:
-        return texts[0].split(" = ")[1]
-    return ", ".join(texts) if len(texts) <= _MOST_NAMED else ""
-
-
-def _no_gap(d: Diagnosis) -> str:
-    return (
-        f"No gap: measured torque and the model of {d.robot.name} differ by no more than noise "
-        f"({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}).{_unseen(d)}"
-    )
 
 
 def _unseen(d: Diagnosis) -> str:
@@ -185,45 +178,6 @@ def _unseen(d: Diagnosis) -> str:
     )
 
 
-def _parametric_only(d: Diagnosis) -> str:
-    return _sentence(
-        f"{_inertia(d.parametric)}, and no other effect is needed; with corrected ones "
-        f"{_shrinks(d)}"
-    )
-
-
-def _explained(d: Diagnosis) -> str:
-    return _sentence(f"{_causes(d)}; with {_it(d)} {_shrinks(d)}")
-
-
-def _unexplained(d: Diagnosis) -> str:
-    if not d.findings and not d.parametric:
-        return _sentence(
-            f"There is a gap ({_rms(d, 'before')} RMS over all joints; noise {_floor(d)}) that no "
-            f"effect of the library explains; it lies {_mostly(d)}"
-        )
-    if _unconfirmed(d):
-        return _sentence(
-            f"there is a gap, and the data fitted say {_causes(d)}; but on data that took no part "
-            f"{_shrinks(d)}, so nothing is confirmed"
-        )
-    known = f"{_causes(d)}; with {_it(d)} {_shrinks(d)}"
-    if d.budget.unexplained < NONE_LEFT:
-        return _sentence(f"{known}; {_left_over(d)}, and it is no effect of the library")
-    return _sentence(
-        f"Part of the gap is unexplained ({percent(d.budget.unexplained)} of it); what is known: "
-        f"{known}; what is left is no effect of the library"
-    )
-
-
-def _left_over(d: Diagnosis) -> str:
-    """What is left where the arm as a whole is within its noise."""
-    above = d.how_far.rms_after > d.floor.high
-    joints = above.nonzero().flatten().tolist()
-    place = f" on {joints_words(joints)}" if joints else ""
-    return f"what is left{place} is more than noise"
-
-
 def _unconfirmed(d: Diagnosis) -> bool:
     """Whether the causes that are named leave the held-out gap as it was."""
     far = d.how_far
@@ -231,21 +185,40 @@ def _unconfirmed(d: Diagnosis) -> bool:
     return doubtful and float(far.rms_after.norm()) > UNCHANGED * float(far.rms_before.norm())
 
 
-def _not_testable(d: Diagnosis) -> str:
-    why = d.not_testable[0].reason if d.not_testable else "they hold too little motion"
-    return _sentence(f"These data cannot show what causes a gap: {why.rstrip('.')}")
+def _known_causes(d: Diagnosis, shrinks: str) -> str:
+    them = "it" if len(d.findings) + len(d.parametric) == 1 else "them"
+    return f"{_causes(d)}; with {them} {shrinks}"
 
 
 def _causes(d: Diagnosis) -> str:
     """All causes, one effect on several joints together, the largest first."""
-    names = list(dict.fromkeys(f.effect.name for f in sorted(d.findings, key=lambda f: -f.share)))
-    by_joint = sorted(d.findings, key=lambda f: f.located)
-    groups = [[f for f in by_joint if f.effect.name == name] for name in names]
     inertia = [_inertia(d.parametric)] if d.parametric else []
     if len(d.findings) == 1:
-        return listed([finding_words(d.findings[0], d.robot), *inertia])
-    texts = [group_words(g, d.robot) for g in groups[:_MOST_NAMED]]
-    more = len(groups) - _MOST_NAMED
+        f = d.findings[0]
+        place, inner = joints_words(f.located), _inner([f], d.robot)
+        # The model may have this effect at this place already.
+        joints = [j + 1 for j in f.located]
+        known = any(
+            r.get("effect") == f.effect.name and (not joints or r.get("joint") in joints)
+            for r in d.robot.effects
+        )
+        return listed(
+            [
+                f"the model's {effect_words(f.effect.name)} of {place} is off{inner}"
+                if known
+                else f"{place} has {with_article(f.effect.name)} that the model lacks{inner}",
+                *inertia,
+            ]
+        )
+    names = list(dict.fromkeys(f.effect.name for f in sorted(d.findings, key=lambda f: -f.share)))
+    by_joint = sorted(d.findings, key=lambda f: f.located)
+    texts = []
+    for name in names[:_MOST_NAMED]:
+        same = [f for f in by_joint if f.effect.name == name]
+        joints = [j for f in same for j in f.located]
+        place = f" on {joints_words(joints)}" if joints else ""
+        texts.append(f"{with_article(name)}{place}{_inner(same, d.robot)}")
+    more = len(names) - _MOST_NAMED
     if more > 0:
         texts.append(f"{more} smaller effect{'s' if more > 1 else ''}")
     lacks = [f"the model lacks {listed(texts)}"] if texts else []
@@ -260,21 +233,6 @@ def _inertia(changed: Sequence[Parametric]) -> str:
     return f"the inertial parameters of link{'s' if len(links) > 1 else ''} {numbers} are wrong"
 
 
-def _it(d: Diagnosis) -> str:
-    return "it" if len(d.findings) + len(d.parametric) == 1 else "them"
-
-
-def _shrinks(d: Diagnosis) -> str:
-    far = d.how_far
-    if far.closed is None or far.closed_ci95 is None:
-        return f"the gap goes from {_rms(d, 'before')} to {_rms(d, 'after')} RMS"
-    if far.closed_ci95[0] <= 0:
-        return (
-            f"the gap goes from {_rms(d, 'before')} to {_rms(d, 'after')} RMS, which may be chance"
-        )
-    return f"the gap shrinks by {percent(far.closed)} {interval(far.closed_ci95)}"
-
-
 def _mostly(d: Diagnosis) -> str:
     """Where most of the gap is."""
     worst = max(d.joints, key=lambda gap: gap.share, default=None)
@@ -285,16 +243,3 @@ def _mostly(d: Diagnosis) -> str:
     if clear:
         text += f", {REGIMES[max(clear, key=lambda r: r.excess).regime]}"
     return text
-
-
-def _rms(d: Diagnosis, when: str) -> str:
-    rms = d.how_far.rms_before if when == "before" else d.how_far.rms_after
-    return f"{float(rms.norm()):.3g} {torque_unit(d.robot)}"
-
-
-def _floor(d: Diagnosis) -> str:
-    return f"{float(d.floor.low.norm()):.3g} to {float(d.floor.high.norm()):.3g}"
-
-
-def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:] + "."

@@ -1,16 +1,14 @@
 """What a designed motion would add, for people and as data."""
 
 import math
-from collections.abc import Iterable
 from typing import Any
 
-from rich.table import Table
-
 from torchid.excitation.informed import InformedDesign
+from torchid.json_data import plain
 from torchid.next_motion.separating_motion import Separation
-from torchid.next_motion.separation import DECISIVE, Rival, Told, beyond, named
-from torchid.report.compare import short
-from torchid.report.identification import compact
+from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
+from torchid.report.table import Table
+from torchid.report.text import short
 
 MOST_ROWS = 20
 
@@ -32,29 +30,32 @@ def informed_verdict(d: InformedDesign) -> str:
 
 def informed_table(d: InformedDesign) -> Table:
     """Standard deviations before, after a plain motion, after this one; the worst known first."""
-    table = compact("predicted standard deviations")
-    for heading in ("parameter", "value", "now", "after a plain motion", "after this motion"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
     relative = d.before / d.prior.values.abs().clamp(min=1e-300)
     order = [k for k in relative.argsort(descending=True).tolist() if bool(d.targets[k])]
+    rows = []
     for k in order[:MOST_ROWS]:
-        known = math.isfinite(float(d.before[k]))
-        table.add_row(
-            f"{short(d.prior.base.names[k], 40)} \\[{d.prior.base.units[k]}]",
-            f"{float(d.prior.values[k]):.3g}" if known else "-",
-            f"{float(d.before[k]):.2g}" if known else "unknown",
-            f"{float(d.with_plain[k]):.2g}",
-            f"{float(d.after[k]):.2g}",
-        )
-    if len(order) > MOST_ROWS:
-        table.caption = f"and {len(order) - MOST_ROWS} more, in the JSON"
-    return table
+        value, now = f"{float(d.prior.values[k]):.3g}", f"{float(d.before[k]):.2g}"
+        if not math.isfinite(float(d.before[k])):
+            value, now = "-", "unknown"
+        name = f"{short(d.prior.base.names[k], 40)} [{d.prior.base.units[k]}]"
+        rows.append((name, value, now, f"{float(d.with_plain[k]):.2g}", f"{float(d.after[k]):.2g}"))
+    return Table(
+        "predicted standard deviations",
+        ("parameter", "value", "now", "after a plain motion", "after this motion"),
+        rows,
+        words=("parameter",),
+        note=_more(len(order)),
+    )
+
+
+def _more(count: int) -> str:
+    return f"and {count - MOST_ROWS} more, in the JSON" if count > MOST_ROWS else ""
 
 
 def informed_record(d: InformedDesign) -> dict[str, Any]:
     """JSON-ready."""
     columns = zip(
-        d.prior.base.names, d.prior.base.units, d.targets.tolist(), _numbers(d.before.tolist()),
+        d.prior.base.names, d.prior.base.units, d.targets.tolist(), plain(d.before),
         d.with_plain.tolist(), d.after.tolist(), strict=True,
     )  # fmt: skip
     return {
@@ -71,19 +72,29 @@ def informed_record(d: InformedDesign) -> dict[str, Any]:
 def separation_verdict(s: Separation, kind: str) -> str:
     """What the motion separates, or shows."""
     of_all = len(s.rivals)
-    after, plain = (sum(t.reached >= 1 for t in x) for x in (s.after, s.with_plain))
+    after, without = (sum(t.reached >= 1 for t in x) for x in (s.after, s.with_plain))
     if kind == "not_testable":
         out = (
             f"Of {of_all} effects and places that the log could not have shown and a motion can, "
             f"this motion shows {after} where they are a tenth of the joint's torque, a plain "
-            f"exciting motion of the same length {plain}."
+            f"exciting motion of the same length {without}."
         )
     else:
         names = " and ".join(dict.fromkeys(r.truth.effect.name for r in s.rivals))
+        k = min(range(of_all), key=lambda k: s.after[k].reached)
+        rival, told = s.rivals[k], s.after[k]
+        other = f" against {rival.name}" if rival.name else ""
+        hardest = f"{_place(rival)}{other}: {told.difference:.3g} in squared residuals over noise"
+        if told.reached < 1 and told.difference >= DECISIVE:
+            hardest += ", but only a small share of what the effect explains"
+        elif told.reached < 1:
+            times = math.ceil(DECISIVE / max(told.difference, 1e-9))
+            hardest += f", {DECISIVE:g} decide" + (
+                f": drive it {times} times" if times < 20 else ""
+            )
         out = (
             f"For {names}, this motion is expected to decide {after} of {of_all} questions, a "
-            f"plain exciting motion of the same length {plain}. The hardest is "
-            f"{_hardest(s)}."
+            f"plain exciting motion of the same length {without}. The hardest is {hardest}."
         )
     both = {(r.name, r.truth.effect.name) for r in s.rivals}
     nested = [r for r in s.hopeless if (r.truth.effect.name, r.name) in both]
@@ -101,33 +112,23 @@ def separation_verdict(s: Separation, kind: str) -> str:
     return out
 
 
-def _hardest(s: Separation) -> str:
-    k = min(range(len(s.after)), key=lambda k: s.after[k].reached)
-    rival, told = s.rivals[k], s.after[k]
-    other = f" against {rival.name}" if rival.name else ""
-    said = f"{_place(rival)}{other}: {told.difference:.3g} in squared residuals over noise"
-    if told.reached >= 1:
-        return said
-    if told.difference >= DECISIVE:
-        return f"{said}, but only a small share of what the effect explains"
-    times = math.ceil(DECISIVE / max(told.difference, 1e-9))
-    return f"{said}, {DECISIVE:g} decide" + (f": drive it {times} times" if times < 20 else "")
-
-
 def separation_table(s: Separation, kind: str) -> Table:
     """Every pair, both ways, the hardest first; * where it decides."""
-    table = compact("expected difference of the squared residuals, in noise units; * decides")
     testing = kind == "not_testable"
-    headings = ("effect", "size") if testing else ("if it is", "and not")
-    for heading in (*headings, "plain motion", "this motion"):
-        table.add_column(heading, justify="right" if "motion" in heading else "left")
-    rows = sorted(zip(s.rivals, s.with_plain, s.after, strict=True), key=lambda r: r[2].reached)
-    for r, plain, after in rows[:MOST_ROWS]:
+    found = sorted(zip(s.rivals, s.with_plain, s.after, strict=True), key=lambda r: r[2].reached)
+    rows = []
+    for r, *both in found[:MOST_ROWS]:
         second = f"{max(r.truth.values, key=abs):.3g}" if testing else r.name
-        table.add_row(_place(r), second, _shown(plain), _shown(after))
-    if len(rows) > MOST_ROWS:
-        table.caption = f"and {len(rows) - MOST_ROWS} more, in the JSON"
-    return table
+        told = (f"{t.difference:.3g} {'*' if t.reached >= 1 else ' '}" for t in both)
+        rows.append((_place(r), second, *told))
+    headings = ("effect", "size") if testing else ("if it is", "and not")
+    return Table(
+        "expected difference of the squared residuals, in noise units; * decides",
+        (*headings, "plain motion", "this motion"),
+        rows,
+        words=headings,
+        note=_more(len(found)),
+    )
 
 
 def separation_record(s: Separation, kind: str) -> dict[str, Any]:
@@ -153,17 +154,9 @@ def separation_record(s: Separation, kind: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _shown(told: Told) -> str:
-    return f"{told.difference:.3g} " + ("*" if told.reached >= 1 else " ")
-
-
 def _place(r: Rival) -> str:
     effect = r.truth.effect
     if len(r.truth.effects) > 1:
         return f"{effect.name}, every joint"
     joints = ", ".join(str(j + 1) for j in effect.joints)
     return f"{effect.name}, joint {joints}" if joints else effect.name
-
-
-def _numbers(values: Iterable[float]) -> list[float | None]:
-    return [v if math.isfinite(v) else None for v in values]

@@ -2,19 +2,43 @@
 
 import math
 
-from rich.table import Table
+from torchid.identification.payload import Estimate, Payload
+from torchid.report.table import Table
 
-from torchid.identification.payload import Body, Estimate, Payload
-from torchid.report.identification import compact
-
-_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
+QUANTITIES = (
+    ("mass", "kg"),
+    *((f"com {axis}", "m") for axis in "xyz"),
+    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
 
 
 def tables(payload: Payload) -> list[Table]:
-    """The body in both frames, and what else changed, if anything did."""
-    out = [body_table(payload)]
+    """The body in the tool's and in the last link's frame, and what else changed, if anything."""
+    tool, link = (
+        [
+            _cells(part, k)
+            for part in (body.mass, body.com, body.inertia_about_com)
+            for k in range(part.value.numel())
+        ]
+        for body in (payload.tool, payload.link)
+    )
+    named = zip(QUANTITIES, tool, link, strict=True)
+    out = [
+        Table(
+            f"payload of {payload.robot} (value ± std, 95 % interval)",
+            ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %"),
+            [(*name, *own, *other) for name, own, other in named],
+            names=("quantity", "unit"),
+        )
+    ]
     if payload.friction_changes:
-        out.append(effect_table(payload))
+        columns = ("coefficient", "unit", "change", "std")
+        rows = [
+            (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
+        ]
+        title = "effects that changed with the load, not part of the payload"
+        out.append(Table(title, columns, rows, words=columns[:2]))
     return out
 
 
@@ -28,50 +52,16 @@ def headline(payload: Payload) -> str:
         )
     if not payload.seen:
         return f"No payload can be seen on the last link of {payload.robot}."
+    verdict = "not physically consistent"
+    if payload.consistent or payload.consistent_within:
+        within = "" if payload.consistent else " within its interval"
+        verdict = f"physically consistent{within}"
     half = payload.quantile * float(mass.std)
     place = ", ".join("?" if math.isnan(c) else f"{1e3 * c:.1f}" for c in com.value.tolist())
     return (
         f"{payload.robot} carries {float(mass.value):.4g} ± {half:.2g} kg (95 %), centre of mass "
-        f"at ({place}) mm of the tool frame; {_verdict(payload)}."
+        f"at ({place}) mm of the tool frame; {verdict}."
     )
-
-
-def body_table(payload: Payload) -> Table:
-    """Mass, centre of mass and inertia about it, in the tool's and in the last link's frame."""
-    table = compact(f"payload of {payload.robot} (value ± std, 95 % interval)")
-    table.add_column("quantity", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    for frame in ("tool frame", "last link's frame"):
-        table.add_column(frame, justify="right", no_wrap=True)
-        table.add_column("95 %", justify="right", no_wrap=True)
-    rows = zip(_rows(payload.tool), _rows(payload.link), strict=True)
-    for (name, unit, *tool), (_, _, *link) in rows:
-        table.add_row(name, unit, *tool, *link)
-    return table
-
-
-def effect_table(payload: Payload) -> Table:
-    """Coefficients of effects that changed with the load."""
-    table = compact("effects that changed with the load, not part of the payload")
-    for heading in ("coefficient", "unit", "change", "std"):
-        table.add_column(heading, justify="right" if heading in ("change", "std") else "left")
-    for c in payload.friction_changes:
-        table.add_row(c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}")
-    return table
-
-
-def _rows(body: Body) -> list[tuple[str, ...]]:
-    """Name, unit, value ± std and interval of each quantity."""
-    quantities = (
-        (("mass",), "kg", body.mass),
-        (tuple(f"com {axis}" for axis in "xyz"), "m", body.com),
-        (tuple(f"inertia {e}" for e in _ENTRIES), "kg m^2", body.inertia_about_com),
-    )
-    return [
-        (name, unit, *_cells(estimate, k))
-        for names, unit, estimate in quantities
-        for k, name in enumerate(names)
-    ]
 
 
 def _cells(estimate: Estimate, k: int) -> tuple[str, str]:
@@ -81,11 +71,3 @@ def _cells(estimate: Estimate, k: int) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
-
-
-def _verdict(payload: Payload) -> str:
-    if payload.consistent:
-        return "physically consistent"
-    if payload.consistent_within:
-        return "physically consistent within its interval"
-    return "not physically consistent"

@@ -1,15 +1,16 @@
 """A robot as tables and as plain data."""
 
-import math
 from typing import Any
 
-from rich.table import Table
+from rich.text import Text
 
-from torchid.report.identification import compact
+from torchid.json_data import plain
+from torchid.report.table import Table
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
-_LIMITS = ("position", "velocity", "acceleration", "torque")
+_LIMITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "torque": "N m"}
+"""Limits of a joint, and their units where it turns."""
 
 
 def robot_record(robot: Robot) -> dict[str, Any]:
@@ -62,46 +63,30 @@ def robot_warnings(robot: Robot) -> tuple[str, ...]:
 
 def robot_tables(robot: Robot) -> list[Table]:
     """Joints with limits, and links with parameters."""
-    joints = compact(f"{robot.name}: {robot.n} joints")
-    for heading in ("", "joint", "type", *(f"{name} {_unit(name)}" for name in _LIMITS)):
-        joints.add_column(heading)
+    rows = []
     for i in range(robot.n):
         limits = (_interval(_limit(getattr(robot.limits, name), i)) for name in _LIMITS)
         kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
-        joints.add_row(str(i + 1), robot.joint_names[i], kind, *limits)
-    return [joints] if robot.parameters is None else [joints, _links(robot)]
-
-
-def _links(robot: Robot) -> Table:
+        rows.append((str(i + 1), robot.joint_names[i], kind, *limits))
+    columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in _LIMITS.items()))
+    joints = Table(f"{robot.name}: {robot.n} joints", columns, rows, words=columns)
     p = robot.parameters
-    assert p is not None
-    table = compact("links (axes of the link frame)")
-    for heading in ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent"):
-        table.add_column(heading)
-    rows = zip(
-        robot.link_names,
-        p.mass.tolist(),
-        p.com.tolist(),
-        p.inertia_about_com.tolist(),
-        p.consistency_margin().tolist(),
-        strict=True,
-    )
-    for i, (name, mass, com, inertia, margin) in enumerate(rows, start=1):
-        verdict = "yes" if margin >= 0 else f"[red]no[/] ({margin:.1e})"
-        table.add_row(str(i), name, f"{mass:.5g}", _vector(com), _vector(inertia), verdict)
-    return table
-
-
-def _unit(limit: str) -> str:
-    return {"position": "[rad]", "velocity": "[rad/s]", "acceleration": "[rad/s²]"}.get(
-        limit, "[N m]"
-    ).replace("[", r"\[")  # fmt: skip
+    if p is None:
+        return [joints]
+    links, margins = [], p.consistency_margin().tolist()
+    for i, name in enumerate(robot.link_names):
+        fine = margins[i] >= 0
+        verdict = "yes" if fine else Text.assemble(("no", "red"), f" ({margins[i]:.1e})")
+        vectors = (
+            " ".join(f"{v:.4g}" for v in x[i].tolist()) for x in (p.com, p.inertia_about_com)
+        )
+        links.append((str(i + 1), name, f"{float(p.mass[i]):.5g}", *vectors, verdict))
+    columns = ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent")
+    return [joints, Table("links (axes of the link frame)", columns, links, words=columns)]
 
 
 def _limit(limits: Tensor | None, i: int) -> list[float | None] | None:
-    if limits is None:
-        return None
-    return [v if math.isfinite(v) else None for v in limits[i].tolist()]
+    return None if limits is None else plain(limits[i])
 
 
 def _interval(limits: list[float | None] | None) -> str:
@@ -111,7 +96,3 @@ def _interval(limits: list[float | None] | None) -> str:
     if low is not None and high is not None and abs(low + high) < 1e-12:
         return f"±{high:.5g}"
     return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))
-
-
-def _vector(values: list[float]) -> str:
-    return " ".join(f"{v:.4g}" for v in values)

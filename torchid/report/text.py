@@ -1,7 +1,10 @@
-"""Numbers and names from outside, as tables, pictures and pages show them."""
+"""Numbers and names as tables, pictures and pages show them."""
 
 import math
 import unicodedata
+from collections.abc import Iterable
+
+from torchid.robot.model import JointType, Robot
 
 
 def printable(text: str) -> str:
@@ -25,3 +28,25 @@ def interval(ends: tuple[float, float]) -> str:
     """Of fractions, in percent: `[90, 95]`."""
     low, high = (percent(x).removesuffix(" %") for x in ends)
     return f"[{low}, {high}]"
+
+
+def short(name: str, length: int) -> str:
+    """A name cut to `length` characters."""
+    return name if len(name) <= length else name[: length - 1] + "…"
+
+
+def listed(words: Iterable[str], last: str = "and", nothing: str = "") -> str:
+    """`a, b and c`."""
+    *first, end = list(words) or [nothing]
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def joint_unit(robot: Robot, joint: int) -> str:
+    """Unit of the torque of a joint (from 0)."""
+    return "N" if robot.joint_types[joint] is JointType.PRISMATIC else "N m"
+
+
+def torque_unit(robot: Robot, both: str = "N m, N") -> str:
+    """Unit of the torques of all joints together; `both` where the joints differ."""
+    units = {joint_unit(robot, j) for j in range(robot.n)}
+    return units.pop() if len(units) == 1 else both

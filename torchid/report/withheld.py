@@ -4,9 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rich.table import Table
-
-from torchid.report.identification import compact
+from torchid.report.table import Table
 
 Summary = Mapping[str, Any]
 
@@ -62,28 +60,13 @@ class Line:
             return False
         return own < other if self.low is None else own > other
 
-    def text(self, scores: Mapping[str, Any]) -> str:
+    def parts(self, scores: Mapping[str, Any]) -> tuple[str, str, str]:
         """Value, interval and count."""
-        value, interval, count = self._parts(scores)
-        return value + (f" ({interval})" if interval else "") + (f", {count}" if count else "")
-
-    def cells(self, scores: Mapping[str, Any]) -> tuple[str, str, str, str]:
-        """Value, interval, count, and the target with whether it is met."""
-        met = self.met(scores)
-        words = "" if met is None else " met" if met else " missed"
-        return (*self._parts(scores), self.target + words)
-
-    def brief(self, scores: Mapping[str, Any]) -> str:
-        """The value alone."""
-        return self._parts(scores)[0]
-
-    def _parts(self, scores: Mapping[str, Any]) -> tuple[str, str, str]:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
         entry = {} if self.path[-1] == "set_size" else self.entry(scores)
-        interval = entry.get("ci95")
-        between = "" if interval is None else " to ".join(self._plain(end) for end in interval)
+        between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
             count = f"{entry['hits']} of {entry['total']}"
@@ -139,18 +122,24 @@ SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 def score_table(summary: Summary) -> Table:
     """Scores that there are cases for, beside targets and baselines."""
-    table = compact(f"withheld cases of seed {summary['seed']}: {summary['cases']} answers")
-    table.add_column("score", no_wrap=True)
-    for heading in ("torchid", "95 %", "cases"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("target", no_wrap=True)
-    for name in summary["baselines"]:
-        table.add_column(SHORT.get(name, name), justify="right", no_wrap=True)
+    rows = []
     for line in LINES:
+        met = line.met(summary["scores"])
         if line.value(summary["scores"]) is not None:
-            others = [line.brief(scores) for scores in summary["baselines"].values()]
-            table.add_row(line.label, *line.cells(summary["scores"]), *others)
-    return table
+            target = line.target + ("" if met is None else " met" if met else " missed")
+            others = (line.parts(scores)[0] for scores in summary["baselines"].values())
+            rows.append((line.label, *line.parts(summary["scores"]), target, *others))
+    return Table(
+        f"withheld cases of seed {summary['seed']}: {summary['cases']} answers",
+        ("score", "torchid", "95 %", "cases", "target", *_names(summary, SHORT)),
+        rows,
+        names=("score", "target"),
+    )
+
+
+def _names(summary: Summary, words: Mapping[str, str]) -> list[str]:
+    """Of the simple methods."""
+    return [words.get(name, name) for name in summary["baselines"]]
 
 
 def headline(summary: Summary) -> str:
@@ -170,9 +159,11 @@ def beaten_by(summary: Summary) -> list[str]:
     """Scores in which a simple method is better, in words."""
     ours = summary["scores"]
     return [
-        f"{line.label}: {BASELINES.get(name, name)} {line.brief(scores)}, ours {line.brief(ours)}"
+        f"{line.label}: {name} {line.parts(scores)[0]}, ours {line.parts(ours)[0]}"
         for line in LINES
-        for name, scores in summary["baselines"].items()
+        for name, scores in zip(
+            _names(summary, BASELINES), summary["baselines"].values(), strict=True
+        )
         if line.beats(scores, ours)
     ]
 
@@ -186,12 +177,26 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
     """
     scores = summary["scores"]
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
+    rows = []
+    for line in LINES:
+        value, between, count = line.parts(scores)
+        text = value + (f" ({between})" if between else "") + (f", {count}" if count else "")
+        met = line.met(scores)
+        words = "" if met is None else "yes" if met else "no"
+        others = (line.parts(other)[0] for other in summary["baselines"].values())
+        rows.append((line.label, text, line.target, words, *others))
+    better = beaten_by(summary)
+    comparison = "No simple method is better on any score that has a target."
+    if better:
+        comparison = "A simple method is better on:\n\n" + "\n".join(f"- {x}" for x in better)
     parts = [
         f"# Withheld cases: seed {summary['seed']}",
         f"{headline(summary)} Kinds: {kinds}. SHA-256 of the keys: `{summary['keys_sha256']}`. "
         f"torchid {summary['scored_with']}. Intervals: 95 %.",
-        markdown_table(*_score_rows(summary)),
-        _comparison(summary),
+        markdown_table(
+            ["score", "torchid gap", "target", "met", *_names(summary, BASELINES)], rows
+        ),
+        comparison if summary["baselines"] else "",
         *(f"![{name}]({name})" for name in figures),
         "## Status by kind",
         counts_table("kind", scores["status"]),
@@ -201,41 +206,28 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
         _confusion(scores["confusion"]),
         "## Outside the library",
         counts_table("cause", scores["outside"]["by_cause"]),
-        *([_confusion(scores["confusion_outside"])] if scores["confusion_outside"] else []),
+        _confusion(scores["confusion_outside"]) if scores["confusion_outside"] else "",
         "## Poor excitation",
         counts_table("cases", {"poor": scores["poor"]["verdicts"]}),
         "## Detected / named, by size in standard deviations of the noise",
         _detection(scores["detection"]),
         "## Cases that went wrong",
-        _wrong(summary["answers"]),
-    ]
+        markdown_table(
+            ["case", "kind", "arm", "planted", "status", "named"],
+            [
+                (a["case"], a["kind"], a["arm"], listed(a["planted"]), a["status"],
+                 listed(a["named"]))
+                for a in summary["answers"] if not a["right"]
+            ],
+        ),
+    ]  # fmt: skip
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _comparison(summary: Summary) -> str:
-    if not summary["baselines"]:
-        return ""
-    better = beaten_by(summary)
-    if not better:
-        return "No simple method is better on any score that has a target."
-    return "A simple method is better on:\n\n" + "\n".join(f"- {text}" for text in better)
-
-
-def _score_rows(summary: Summary) -> tuple[list[str], list[list[str]]]:
-    baselines = summary["baselines"]
-    names = [BASELINES.get(name, name) for name in baselines]
-    head = ["score", "torchid gap", "target", "met", *names]
-    body = []
-    for line in LINES:
-        met = line.met(summary["scores"])
-        words = "" if met is None else "yes" if met else "no"
-        others = [line.brief(scores) for scores in baselines.values()]
-        body.append([line.label, line.text(summary["scores"]), line.target, words, *others])
-    return head, body
-
-
-def markdown_table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
-    """Rows as Markdown."""
+def markdown_table(head: Sequence[str], body: Sequence[Sequence[object]]) -> str:
+    """Rows as Markdown; `None.` where there are none."""
+    if not body:
+        return "None."
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     lines += ["| " + " | ".join(str(x) for x in cells) + " |" for cells in body]
     return "\n".join(lines)
@@ -244,15 +236,12 @@ def markdown_table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str
 def counts_table(first: str, groups: Mapping[str, Mapping[str, int]]) -> str:
     """Counts in groups as Markdown; the groups are the rows."""
     columns = list(dict.fromkeys(name for counts in groups.values() for name in counts))
-    if not columns:
-        return "None."
     body = [[name, *(counts.get(c, 0) for c in columns)] for name, counts in groups.items()]
-    return markdown_table([first, *(c.replace("_", " ") for c in columns)], body)
+    head = [first, *(c.replace("_", " ") for c in columns)]
+    return markdown_table(head, body if columns else [])
 
 
 def _by_effect(groups: Mapping[str, Mapping[str, Any]]) -> str:
-    if not groups:
-        return "None."
     keys = ("detected", "top1", "in_set", "family", "exact")
     body = []
     for name, found in groups.items():
@@ -271,35 +260,20 @@ def _confusion(matrix: Mapping[str, Mapping[str, int]]) -> str:
         for said, count in sorted(row.items(), key=lambda item: -item[1])
         if said != planted
     ]
-    return markdown_table(["planted", "named first instead", "cases"], body) if body else "None."
+    return markdown_table(["planted", "named first instead", "cases"], body)
 
 
 def _detection(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     levels = sorted({point["level"] for points in curves.values() for point in points})
-    if not levels:
-        return "None."
     body = []
     for name, points in curves.items():
-        by_level = {point["level"]: point for point in points}
-        cells = [_rates(by_level[level]) if level in by_level else "" for level in levels]
-        body.append([name, *cells])
-    return markdown_table(["family", *(f"{level:.2g}" for level in levels)], body)
-
-
-def _rates(point: Mapping[str, Any]) -> str:
-    detected, named = point["detected"], point["named"]
-    return f"{detected['hits']} / {named['hits']} of {named['total']}"
-
-
-def _wrong(answers: Sequence[Mapping[str, Any]]) -> str:
-    body = [
-        [a["case"], a["kind"], a["arm"], listed(a["planted"]), a["status"], listed(a["named"])]
-        for a in answers
-        if not a["right"]
-    ]
-    if not body:
-        return "None."
-    return markdown_table(["case", "kind", "arm", "planted", "status", "named"], body)
+        rates = {
+            p["level"]: f"{p['detected']['hits']} / {p['named']['hits']} of {p['named']['total']}"
+            for p in points
+        }
+        body.append([name, *(rates.get(level, "") for level in levels)])
+    head = ["family", *(f"{level:.2g}" for level in levels)]
+    return markdown_table(head, body if levels else [])
 
 
 def listed(effects: Iterable[Mapping[str, Any]]) -> str:

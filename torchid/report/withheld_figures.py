@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchid.report.figures import BLUE, GREY, INK, ORANGE, new_figure, styled
+from torchid.report.colours import BLUE, GREY, INK, ORANGE
+from torchid.report.panels import finish, label, legend_below, new_figure, ruled, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,8 +34,14 @@ def figures(summary: Mapping[str, Any]) -> dict[str, "Figure"]:
 def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
     """Planted causes (rows) and what was named first (columns): share of the row as colour, cases
     as number. Causes outside the library are below the line, and have no right name."""
+    from matplotlib.patches import Rectangle
+
     rows = [*sorted(inside), *sorted(outside)]
-    columns = _columns(inside, outside)
+    # Names said: those that were planted first, in the same order, then others, then none.
+    said = {name for matrix in (inside, outside) for row in matrix.values() for name in row}
+    planted = [name for name in sorted(inside) if name in said]
+    nothing = sorted(name for name in said if name.startswith("("))
+    columns = [*planted, *sorted(said - set(planted) - set(nothing)), *nothing]
     table = np.array(
         [[{**inside, **outside}[r].get(c, 0) for c in columns] for r in rows], dtype=float
     )
@@ -50,20 +57,20 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
                     color="white" if shares[y, x] > 0.55 else INK,
                 )  # fmt: skip
             if row == column:
-                axes.add_patch(_frame(x, y))
+                corner = (x - 0.5, y - 0.5)
+                axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
     names = [_words(c) for c in columns]
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(rows)), [_words(r) for r in rows])
-    _grid(axes, len(rows), len(columns))
+    ruled(axes, len(rows), len(columns), 1.5)
     if inside and outside:
         axes.axhline(len(inside) - 0.5, color=INK, linewidth=1.0)
         axes.text(
             len(columns) - 0.4, len(inside) + 0.5 * len(outside) - 0.5, "outside\nthe library",
             fontsize=_SMALL, color=INK, va="center",
         )  # fmt: skip
-    axes.set_xlabel("named first", fontsize=_SMALL, color=INK)
-    axes.set_ylabel("planted", fontsize=_SMALL, color=INK)
-    return _titled(figure, "What was planted and what was named first (number of cases)")
+    label(axes, "named first", "planted")
+    return finish(figure, "What was planted and what was named first (number of cases)")
 
 
 def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figure":
@@ -96,56 +103,17 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
         axes.set_title(_words(name), fontsize=_SMALL + 1, color=INK, loc="left")
     for axes in list(grid.flat)[len(curves) :]:
         axes.set_visible(False)
-    _label_edges(grid, len(curves))
-    handles, labels = grid.flat[0].get_legend_handles_labels()
-    figure.legend(
-        handles, [f"{label} (band: 95 %)" for label in labels], loc="outside lower center",
-        ncols=2, frameon=False, fontsize=_SMALL,
-    )  # fmt: skip
-    return _titled(figure, "Detected and named, by the size of what was planted")
-
-
-def _label_edges(grid: Any, count: int) -> None:
-    """Axis labels on the left, and on the lowest panel of every column."""
+    # Axis labels stand on the left, and on the lowest panel of every column.
     for axes in grid[:, 0]:
-        axes.set_ylabel("cases [%]", fontsize=_SMALL, color=INK)
-    lines, columns = grid.shape
+        label(axes, y="cases [%]")
     for column in range(columns):
-        lowest = max(k for k in range(lines) if k * columns + column < count)
-        grid[lowest, column].set_xlabel("size / noise", fontsize=_SMALL, color=INK)
-        grid[lowest, column].tick_params(labelbottom=True)
-
-
-def _columns(inside: Matrix, outside: Matrix) -> list[str]:
-    """Names said: those that were planted first, in the same order, then others, then none."""
-    said = {name for matrix in (inside, outside) for row in matrix.values() for name in row}
-    planted = [name for name in sorted(inside) if name in said]
-    nothing = sorted(name for name in said if name.startswith("("))
-    return [*planted, *sorted(said - set(planted) - set(nothing)), *nothing]
-
-
-def _frame(x: int, y: int) -> Any:
-    """Around the right answer."""
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=GREY, linewidth=1.0)
-
-
-def _grid(axes: Any, rows: int, columns: int) -> None:
-    """White lines between cells."""
-    axes.set_xticks(np.arange(columns + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-    axes.grid(which="minor", color="white", linewidth=1.5)
-    axes.tick_params(which="both", length=0)
-    axes.tick_params(which="major", labelsize=_SMALL, labelcolor=INK)
-    for side in axes.spines.values():
-        side.set_visible(False)
+        lowest = max(k for k in range(lines) if k * columns + column < len(curves))
+        label(grid[lowest, column], "size / noise").tick_params(labelbottom=True)
+    handles, labels = grid.flat[0].get_legend_handles_labels()
+    bands = (f"{name} (band: 95 %)" for name in labels)
+    legend_below(figure, dict(zip(bands, handles, strict=True)), 2)
+    return finish(figure, "Detected and named, by the size of what was planted")
 
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _titled(figure: "Figure", text: str) -> "Figure":
-    figure.suptitle(text, fontsize=11, color=INK, x=0.01, ha="left")
-    return figure

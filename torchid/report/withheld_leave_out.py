@@ -20,8 +20,7 @@ def leave_out_headline(result: Mapping[str, Any]) -> str:
     wrong = result["verdicts"]["confident_wrong"]
     text = f"{wrong['hits']} of {wrong['total']} answers name another family for sure"
     if wrong["share"] is not None:
-        low, high = wrong["ci95"]
-        text += f": {100 * wrong['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+        text += f": {_percent(wrong)}"
     if result["errors"]:
         text += f"; {len(result['errors'])} diagnoses failed"
     return text + "."
@@ -45,9 +44,7 @@ def leave_out_markdown(result: Mapping[str, Any]) -> str:
         "## By effect",
         counts_table("left out", result["by_effect"]),
         "## Cases that went wrong",
-        markdown_table(["left out", "case", "answer", "status", "named"], cases)
-        if cases
-        else "None.",
+        markdown_table(["left out", "case", "answer", "status", "named"], cases),
     ]
     return "\n\n".join(parts) + "\n"
 

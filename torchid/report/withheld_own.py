@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from rich.table import Table
-
-from torchid.withheld.own import OwnCheck, Withheld
+from torchid.report.table import Table
+from torchid.withheld.own import OwnCheck
 from torchid.withheld.planting import LEVELS, Planted
 
 
@@ -24,38 +23,30 @@ def own_headline(found: OwnCheck) -> str:
 
 
 def own_tables(found: OwnCheck) -> list[Table]:
-    """What was withheld, and the smallest sizes planted that were found."""
-    withheld = [_withheld(found.withheld)] if found.withheld else []
-    return [*withheld, *([_planted(found.planted)] if found.planted else [])]
-
-
-def _withheld(rows: Sequence[Withheld]) -> Table:
-    table = Table(title="Accepted effects, withheld", title_justify="left")
-    for head in ("effect", "joint", "found again", "named instead", "closed", "known to close"):
-        table.add_column(head)
-    for w in rows:
-        others = [
-            f"{name}{_at(js)}" for name, js in w.findings if (name, js) != (w.effect, w.joints)
-        ]
-        again = "yes" if w.named else "in a set" if w.in_set else "no"
-        table.add_row(
-            w.effect, _joints(w.joints), again, ", ".join(others), _share(w.closed), _share(w.known)
+    """What was withheld, and the smallest sizes planted that were found: in units of the noise,
+    those at which an effect was named, or in a set (in brackets)."""
+    withheld = []
+    for w in found.withheld:
+        others = (
+            f"{name} {_joints(js)}" if js else name
+            for name, js in w.findings
+            if (name, js) != (w.effect, w.joints)
         )
-    return table
-
-
-def _planted(rows: Sequence[Planted]) -> Table:
-    """Smallest size, in units of the noise, at which an effect was named, or in a set (in
-    brackets)."""
-    effects = list(dict.fromkeys(p.effect for p in rows))
-    joints = sorted({p.joint for p in rows})
-    table = Table(title="Smallest size found, over noise", title_justify="left")
-    table.add_column("effect")
-    for j in joints:
-        table.add_column(f"joint {j + 1}", justify="right")
-    for effect in effects:
-        table.add_row(effect, *(smallest(rows, effect, j) for j in joints))
-    return table
+        again = "yes" if w.named else "in a set" if w.in_set else "no"
+        shares = ("no gap" if x is None else f"{100 * x:.0f} %" for x in (w.closed, w.known))
+        withheld.append((w.effect, _joints(w.joints), again, ", ".join(others), *shares))
+    heads = ("effect", "joint", "found again", "named instead", "closed", "known to close")
+    joints = sorted({p.joint for p in found.planted})
+    planted = [
+        (effect, *(smallest(found.planted, effect, j) for j in joints))
+        for effect in dict.fromkeys(p.effect for p in found.planted)
+    ]
+    columns = ("effect", *(f"joint {j + 1}" for j in joints))
+    made = (
+        Table("Accepted effects, withheld", heads, withheld, words=heads),
+        Table("Smallest size found, over noise", columns, planted, words=("effect",)),
+    )
+    return [table for table in made if table.rows]
 
 
 def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:
@@ -69,11 +60,3 @@ def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:
 
 def _joints(joints: Sequence[int]) -> str:
     return " ".join(str(j + 1) for j in joints) or "arm"
-
-
-def _at(joints: Sequence[int]) -> str:
-    return f" {_joints(joints)}" if joints else ""
-
-
-def _share(value: float | None) -> str:
-    return "no gap" if value is None else f"{100 * value:.0f} %"

@@ -25,7 +25,7 @@ from torchid.gap.data.prepare import prepare
 from torchid.gap.data.repeats import find_repeats
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
-from torchid.gap.search.evidence import Offer, Question, Worth, fit_terms, offers, subset_of
+from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
 from torchid.gap.search.explain import folds_of
 from torchid.gap.search.terms import LINK, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
@@ -95,8 +95,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         found = candidates_of(
             columns, gap, given, wanted, folds.parts, columns.model.effects, extra
         )
-        size = torque.square().mean(1)
-        return Question(found, found.gram.over(), settings.alpha, Worth(), size)
+        return Question(found, found.gram.over(), settings.alpha)
 
     question = asked(())
     pushes = contacts(question, settings.alpha)

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.segments import Segment
 from torchid.design.motion import MOVING
+from torchid.design.segments import Segment
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
@@ -68,7 +68,10 @@ def held_ages_of(log: Log, segments: Sequence[Segment]) -> list[Float[Tensor, "_
         # The segment's trajectory is the next one of this name and length.
         for name, rows, rate in parts:
             step = round(rate / segment.rate)
-            if name == segment.name and math.ceil((rows.stop - rows.start) / step) == segment.length:
+            if (
+                name == segment.name
+                and math.ceil((rows.stop - rows.start) / step) == segment.length
+            ):
                 break
         else:
             raise ValueError(f"segment '{segment.name}' is not of this log, or out of order.")

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.errors import LogError
-from torchid.design.segments import segments_of
-from torchid.gap.data.repeats import find_repeats
 from torchid.design.motion import measurements
+from torchid.design.segments import segments_of
+from torchid.errors import LogError
+from torchid.gap.data.repeats import find_repeats
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 

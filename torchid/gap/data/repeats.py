@@ -257,9 +257,7 @@ def _agreeing(
     for first, last in _runs(agrees):
         # Next to a trajectory's ends, odd reflection stands in for what a shift would need.
         low = max(first * step + start, margin, margin - whole)
-        high = min(
-            (last - 1) * step + 1 + start, one.length - margin, two.length - margin - whole
-        )
+        high = min((last - 1) * step + 1 + start, one.length - margin, two.length - margin - whole)
         rows = slice(low, high)
         if high - low >= shortest and _moves(one.motion.q, rows):
             out.append(Pair(a, rows, b, slice(low + whole, high + whole), lag - whole))

@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import torch
 
 from torchid.gap.diagnosis import Trace
-from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, permuted, quadratic
+from torchid.gap.localise.resampling import (
+    Draws,
+    Look,
+    best_of,
+    flipped,
+    linear,
+    permuted,
+    quadratic,
+)
 from torchid.identification.statistics import CORRELATION_TIMES, correlation_instants
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.typing import Float, Tensor

@@ -110,9 +110,7 @@ def _shared_features(motions: Sequence[Motion], samples: Samples) -> Float[Tenso
     return torch.cat([samples.of(signals), samples.t.unsqueeze(0)])
 
 
-def _own_features(
-    motions: Sequence[Motion], samples: Samples, joint: int
-) -> Float[Tensor, "F N"]:
+def _own_features(motions: Sequence[Motion], samples: Samples, joint: int) -> Float[Tensor, "F N"]:
     """Direction, model torque, their and the velocity's history, and the way since reversal."""
     signals, instants = [], []
     for m in motions:

@@ -48,7 +48,8 @@ class Noise:
         structure: (n,) share of the noise's variance that a flexible predictor still finds in what
             the model leaves, where that is significant; else 0.
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
-        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s]: what a joint
+        reach: (n,) how near to a reversal nothing counts for how far the gap closes [s]: what a
+        joint
             did while it may have stuck would be a gap of its own.
         uneven: (n,) joints whose noise is not the same everywhere.
     """
@@ -129,8 +130,9 @@ def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
 def sliding_only(
     columns: Columns, keep: Bool[Tensor, "n N"], band: float, repeats: Repeats
 ) -> Bool[Tensor, "n N"]:
-    """The samples that count where repeats tell the noise: those in which joints surely slide. There
-    what a joint did while it stuck would stand out as a gap of its own; all samples without."""
+    """The samples that count where repeats tell the noise: those in which joints surely slide.
+    There what a joint did while it stuck would stand out as a gap of its own; all samples
+    without."""
     segments = columns.samples.segments
     residual = [s.tau - columns.model.torque(s, columns.samples) for s in segments]
     floor = _from_repeats(segments, residual, Samples(segments, band), repeats)

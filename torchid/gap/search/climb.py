@@ -1,9 +1,9 @@
 """The search: terms enter, leave and change places as long as the evidence rises.
 
-Evidence ranks, held-out worth gates. A step needs positive evidence. Whether a cause is worth a name
-is asked of the finished explanation, for a true cause whose complement is missing looks worthless:
-one that lowers the held-out error of no joint by a share that the user finds worth having leaves,
-the least worthy first.
+Evidence ranks, held-out worth gates. A step needs positive evidence. Whether a cause is worth a
+name is asked of the finished explanation, for a true cause whose complement is missing looks
+worthless: one that lowers the held-out error of no joint by a share that the user finds worth
+having leaves, the least worthy first.
 """
 
 import math
@@ -32,10 +32,12 @@ from torchid.gap.search.terms import BASE, Term
 from torchid.typing import Float, Tensor
 
 TRIED = 10
-"""Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no name."""
+"""Candidates, best first, whose evidence is computed exactly at each step; 5 and 20 change no
+name."""
 
 FRICTION = ("coulomb_friction", "viscous_friction")
-"""What a joint without any friction in its model lacks at once: one alone takes the other's part."""
+"""What a joint without any friction in its model lacks at once: one alone takes the other's
+part."""
 
 CLOSELY = 3
 """Of these, those whose effective samples are computed."""
@@ -173,7 +175,9 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
         rows = slice(first, first + len(term.at))
         first = rows.stop
         inner = torch.linalg.pinv(spread[rows, rows], rtol=1e-9, hermitian=True)
-        held.append((float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k))
+        held.append(
+            (float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k)
+        )
     weakest = [k for value, k in sorted(held)[:CLOSELY]]
     found = [
         fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight) for k in weakest
@@ -183,7 +187,8 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
 
 
 def _swapped(question: Question, fit: Fitted) -> Fitted | None:
-    """With one term changed for another, if the evidence rises: another shape, or another effect."""
+    """With one term changed for another, if the evidence rises: another shape, or another
+    effect."""
     own = _own(question, fit)
     best: Fitted | None = None
     for term in own:
@@ -225,8 +230,9 @@ def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) 
 def held_out_losses(
     question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted, terms: Sequence[Term]
 ) -> Float[Tensor, " n"]:
-    """Sums of squares that terms leave on data they were not fitted on. What happened once cannot be
-    foretold: a term that the other folds hardly hold keeps the coefficients of all data there."""
+    """Sums of squares that terms leave on data they were not fitted on. What happened once cannot
+    be foretold: a term that the other folds hardly hold keeps the coefficients of all data
+    there."""
     every = (*question.fixed, *terms)
     total = torch.zeros_like(fit.losses)
     subset, ridge = subset_of(question.normal, every), ridge_of(every)
@@ -303,7 +309,7 @@ def _single_fall(
     lost = held_out_losses(question, folds, fit, rest)
     now = held_out_losses(question, folds, fit, own)
     assert term.place is not None
-    return float((lost[term.place] / now[term.place].clamp(min=1e-300)))
+    return float(lost[term.place] / now[term.place].clamp(min=1e-300))
 
 
 def _joints(term: Term, n: int) -> Iterator[int]:

@@ -2,10 +2,10 @@
 out from all the rest of the log.
 
 A contact is no law: in its window the torque is otherwise, elsewhere it is as ever. So the gap is
-first freed from whatever laws might explain of it (bodies, friction, offsets on every joint), well or
-badly; windows are then compared with each other. What a wrong law leaves at reversals or at speed
-happens again and again, and sets the scale: a contact must stand out from that, by chance corrected
-for all windows that were looked at.
+first freed from whatever laws might explain of it (bodies, friction, offsets on every joint), well
+or badly; windows are then compared with each other. What a wrong law leaves at reversals or at
+speed happens again and again, and sets the scale: a contact must stand out from that, by chance
+corrected for all windows that were looked at.
 """
 
 import math

@@ -3,9 +3,9 @@
     E(S) = sum_j n_j log(L_j(0) / L_j(S)) - |x / sigma|^2 - sum_k log n_k - 2 log(looks / alpha) c
 
 L_j(S) is the sum of squares that the terms S leave on joint j, n_j the effective number of samples
-there: samples divided by the autocorrelation time of what is left. Every coefficient and every shape
-that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that were
-looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
+there: samples divided by the autocorrelation time of what is left. Every coefficient and every
+shape that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that
+were looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
 something is missing E is careful by itself.
 
 A cause is one term; or the same effect on most joints, where arms have it (dry friction, say).
@@ -14,11 +14,13 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 
 from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
+from torchid.effects.transient import Contact
 from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
@@ -26,10 +28,12 @@ from torchid.typing import Float, Tensor
 VISIBLE = 0.01
 """Share of a column's square that must be left beside the model for it to be seen at all. Of less,
 what is left is noise of the columns and the misfit of what is there: the coefficient would be large
-and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are unseen."""
+and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are
+unseen."""
 
 LOOKED_AT = 24
-"""Terms of one place and number of columns that are offered at most; more than all effects there."""
+"""Terms of one place and number of columns that are offered at most; more than all effects
+there."""
 
 SURE = 2.0
 """Standard deviations beyond what physics allows from which a coefficient is refused."""
@@ -88,15 +92,13 @@ class Question:
         normal: of the samples that are explained.
         alpha: family-wise level.
         worth: least size of a cause.
-        torque: (n,) mean square of the joints' torque.
         rows: columns of terms that were in a model, as samples.
     """
 
     candidates: Candidates
     normal: Normal
     alpha: float
-    worth: Worth
-    torque: Float[Tensor, " n"]
+    worth: Worth = Worth()
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
 
     @property
@@ -109,9 +111,14 @@ class Question:
         """Candidates that are looked at."""
         return float(max(1, len(self.candidates.terms)))
 
+    @cached_property
+    def torque(self) -> Float[Tensor, " n"]:
+        """Mean square (n,) of the joints' measured torque."""
+        return torch.cat([s.tau for s in self.candidates.columns.samples.segments]).square().mean(0)
+
     def least(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is so
-        large, as a mean square."""
+        """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is
+        so large, as a mean square."""
         gap = self.worth.gap * error.clamp(min=0).sqrt()
         return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
 
@@ -307,8 +314,8 @@ class Offer:
 def offers(question: Question, fit: Fitted) -> list[Offer]:
     """Every candidate's gain beside a fit, those that physics refuses left out.
 
-    Gains are those of independent samples, for what a candidate leaves may be as independent: what is
-    dependent now may be the very effect that is missing.
+    Gains are those of independent samples, for what a candidate leaves may be as independent: what
+    is dependent now may be the very effect that is missing.
     """
     normal = question.normal
     weight = normal.rows / fit.losses.clamp(min=1e-300)
@@ -351,7 +358,7 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
                     grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
                     extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
                     b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m] @ rest
-        gains, counts, x = _gains(batch, gram, h, b)
+        gains, counts = _gains(batch, gram, h, b)
         if batch.place is not None:
             gains = gains - extra
         n = float(normal.rows.sum() if batch.place is None else normal.rows[batch.place])
@@ -360,15 +367,37 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
         paid = (counts + batch.shapes) * math.log(max(n, 2.0))
         for m in (rise - paid).argsort(descending=True)[:LOOKED_AT].tolist():
             term = batch.terms[m]
-            if float(gains[m]) > 0 and term.key not in present and term not in fit.terms:
+            if float(gains[m]) > 0 and term.key not in present and not _beside(term, fit.terms):
                 out.append(Offer(term, float(rise[m]), float(paid[m])))
     return sorted(out, key=lambda o: -o.net)
 
 
+def _beside(term: Term, others: Sequence[Term]) -> bool:
+    """Whether a term in a window of time stands in or next to another one's: one push is one."""
+    windows = [_window(t) for t in (term, *others) if t.effects and t.effects[0].windowed]
+    if not windows or not term.effects or not term.effects[0].windowed:
+        return False
+    (start, stop), *there = windows
+    return any(
+        start < b + 0.5 * max(stop - start, b - a) and a < stop + 0.5 * max(stop - start, b - a)
+        for a, b in there
+    )
+
+
+def _window(term: Term) -> tuple[float, float]:
+    effect = term.effects[0]
+    assert isinstance(effect, Contact)
+    start, stop = effect.start, effect.stop
+    return -math.inf if start is None else start, math.inf if stop is None else stop
+
+
 def _gains(
-    batch: Batch, gram: Float[Tensor, "M C C"], held: Float[Tensor, "M C k"], b: Float[Tensor, "M C"]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Gains (M,), directions (M,) and coefficients (M, C) of terms beside a model that holds part of
+    batch: Batch,
+    gram: Float[Tensor, "M C C"],
+    held: Float[Tensor, "M C k"],
+    b: Float[Tensor, "M C"],
+) -> tuple[Tensor, Tensor]:
+    """Gains (M,) and directions (M,) of terms beside a model that holds part of
     their columns; 0 where physics forbids a coefficient."""
     square = gram.diagonal(dim1=1, dim2=2)
     left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
@@ -389,4 +418,4 @@ def _gains(
     low = (x + batch.known < -SURE * std) & batch.signed
     high = x.abs() > batch.largest + SURE * std
     wrong = (sure & (low | high)).any(-1)
-    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1), x
+    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1)

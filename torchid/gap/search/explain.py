@@ -1,5 +1,6 @@
 """The whole search: events, laws from several starts, shapes refined, columns taken anew."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +12,7 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data.prepare import Data
 from torchid.gap.search.climb import allowed, climbed, empty_fit, held_out_losses, worthy
+from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
@@ -19,7 +21,6 @@ from torchid.gap.search.evidence import (
     residual,
     rows_of,
 )
-from torchid.gap.search.events import contacts
 from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
 from torchid.typing import Float, Int, Tensor
@@ -92,7 +93,6 @@ def explained(
         parts: (N,) fold of every sample, from 1; 0 of those between folds.
         block: (N,) block of every sample.
     """
-    torque = torch.cat([s.tau for s in data.segments]).square().mean(0)
     at, extra = model, list[Effect]()
     start: tuple[Term, ...] = ()
     gap = Columns(model, data.samples).gap()
@@ -101,7 +101,7 @@ def explained(
         """Candidates at a model, for the gap of the model as given."""
         candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
         normal = candidates.gram.over()
-        return Question(candidates, normal, rules.alpha, rules.worth, torque)
+        return Question(candidates, normal, rules.alpha, rules.worth)
 
     for attempt in range(PASSES):
         columns = Columns(at, data.samples)
@@ -148,8 +148,8 @@ def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
 
 
 def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
-    """The best of what is found from several starts: nothing, dry and viscous friction on all joints,
-    and, where more than one body was blamed, all base parameters in their place."""
+    """The best of what is found from several starts: nothing, dry and viscous friction on all
+    joints, and, where more than one body was blamed, all base parameters in their place."""
     friction = [
         t
         for t in question.candidates.terms
@@ -167,16 +167,16 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
     return max(found, key=lambda f: f.evidence)
 
 
-def with_bodies(
-    question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted
-) -> Fitted:
-    """All base parameters beside what was found, if they are worth it: last, for they hold a share of
-    every cause, and without displacing any."""
+def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
+    """All base parameters beside what was found, if they are worth it: last, for they hold a share
+    of every cause, and without displacing any."""
     own = fit.terms[len(question.fixed) :]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
-    more = fit_terms(question, [*(t for t in own if not t.inertial), *base], fit.effective, fit.weight)
+    more = fit_terms(
+        question, [*(t for t in own if not t.inertial), *base], fit.effective, fit.weight
+    )
     if more.evidence <= fit.evidence:
         return fit
     rows = question.normal.rows.clamp(min=1.0)
@@ -188,7 +188,9 @@ def with_bodies(
     return more if bool((fall >= question.least(without)).any()) else fit
 
 
-def without_terms(found: Explanation, gone: Sequence[Term], data: Data, block: Tensor) -> Explanation:
+def without_terms(
+    found: Explanation, gone: Sequence[Term], data: Data, block: Tensor
+) -> Explanation:
     """The same explanation without some terms."""
     question, fit = found.question, found.fit
     kept = [t for t in found.terms if all(t is not g for g in gone)]
@@ -206,7 +208,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
     out: list[Effect] = []
     for term in fit.terms[len(question.fixed) :]:
         effect = term.effects[0] if len(term.effects) == 1 else None
-        if not (isinstance(effect, Contact) or isinstance(effect, JointEffect) and effect.shapes):
+        if not (isinstance(effect, Contact) or (isinstance(effect, JointEffect) and effect.shapes)):
             continue
         others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
         best = _closest(question, fit, others, effect, columns)
@@ -294,8 +296,9 @@ def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term
 
 def _near(one: Effect, two: Effect) -> bool:
     if isinstance(one, Contact) and isinstance(two, Contact):
-        assert one.start is not None and one.stop is not None and two.start is not None
-        return two.stop is not None and one.start < two.stop and two.start < one.stop
+        starts = [c.start or 0.0 for c in (one, two)]
+        stops = [math.inf if c.stop is None else c.stop for c in (one, two)]
+        return starts[0] < stops[1] and starts[1] < stops[0]
     return one.identity == two.identity
 
 
@@ -308,4 +311,3 @@ def _changed(old: Model, new: Model, data: Data) -> bool:
         if bool(((a - b).square().mean(0) > CHANGED**2 * b.square().mean(0) + 1e-300).any()):
             return True
     return False
-

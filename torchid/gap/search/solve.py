@@ -5,6 +5,7 @@ secants of something nonlinear (an encoder's offset). Gauss-Newton steps on the 
 corrected model itself settle both, and what is nonlinear in several coefficients at once.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
 from torchid.gap.data.prepare import Data
+from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
@@ -55,15 +57,29 @@ class Solution:
     left: Float[Tensor, "n N"]
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Model:
-        """The same terms, fitted on some of the samples only. What these do not determine is zero: a
-        contact that was elsewhere."""
-        x = torch.cat(self.values) if self.values else torch.zeros(0, dtype=torch.float64)
+        """The same terms, fitted on some of the samples only. What happened once cannot be
+        foretold: a term that these samples hardly hold keeps the coefficients of all."""
+        if not self.values:
+            return self.model
+        x = torch.cat(self.values)
+        squares = self.a.square().sum(1)
+        held = [
+            float((squares[k] * fitted).sum(-1).max()) >= FORETOLD * float(squares[k].sum(-1).max())
+            for k in self._rows()
+        ]
+        free = torch.cat([torch.full((len(v),), h) for v, h in zip(self.values, held, strict=True)])
         size = self.left.square().sum(1).clamp(min=1e-300)
         weight = (self.left.shape[1] / size).sqrt().unsqueeze(1) * fitted
-        y = self.left + torch.tensordot(x, self.a, 1)
-        again = least_squares((self.a * weight).flatten(1), (y * weight).flatten())
+        y = self.left + torch.tensordot(x * free, self.a, 1)
+        again = x.clone()
+        again[free] = least_squares((self.a[free] * weight).flatten(1), (y * weight).flatten())
         parts = again.split([len(v) for v in self.values])
         return corrected(self.start, self.terms, parts, self.wanted)
+
+    def _rows(self) -> list[slice]:
+        """Each term's rows of `a`."""
+        ends = list(itertools.accumulate((len(v) for v in self.values), initial=0))
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def solved(
@@ -102,7 +118,7 @@ def solved(
             break
         a = _stacked(at, taken, data.keep)
         best = Solution(start, wanted, tuple(taken), tuple(values), (), model, a, left)
-        if step > 1 and last - loss < SETTLED * last or step == STEPS or not len(a):
+        if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
         dx = least_squares((a * weight).flatten(1), (left * weight).flatten())
@@ -154,8 +170,8 @@ def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
 def corrected(
     start: Model, terms: Sequence[Term], values: Sequence[Float[Tensor, " _"]], wanted: Wanted
 ) -> Model:
-    """The model with the fitted terms: other inertial parameters, further effects. An effect that it
-    has already grows by the coefficients; another shape of it stands in its place."""
+    """The model with the fitted terms: other inertial parameters, further effects. An effect that
+    it has already grows by the coefficients; another shape of it stands in its place."""
     pi = start.robot.require_parameters("a diagnosis").pi.double().clone()
     effects: list[Valued] = list(start.effects)
     for term, v in zip(terms, values, strict=True):

@@ -22,7 +22,8 @@ PAYLOAD = "payload"
 
 PRIOR = 0.3
 """Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to
-some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly any."""
+some ten per cent. Half of it asks for 1.2 times the evidence of an error of 30 %, double hardly
+any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +152,6 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
     return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
 
 
-
-
 def candidates_of(
     columns: Columns,
     gap: Float[Tensor, "n N"],
@@ -211,8 +210,8 @@ def candidates_of(
             effects = [kind(joint, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
             found = columns.of_shapes(kind, joint, shapes)
             terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
-        for effect in _own_shapes(wanted, given, joint, extra):
-            terms.append(put((effect,), joint, columns.of(effect)[1]))
+        for shaped in _own_shapes(wanted, given, joint, extra):
+            terms.append(put((shaped,), joint, columns.of(shaped)[1]))
     # Own columns stand behind the common ones.
     terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
     terms = _standing_in(terms, given)
@@ -225,9 +224,7 @@ def candidates_of(
     chosen = [t for t in terms if wanted.allows(t) and id(t) not in always]
     if wanted.free:
         chosen = [t for t in chosen if not t.inertial]
-    return Candidates(
-        columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen))
-    )
+    return Candidates(columns, gap, data.keep, gram, tuple(chosen), fixed, tuple(_batches(chosen)))
 
 
 def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
@@ -250,7 +247,9 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
     spread = (grouping[:, _paper_position(n)] * sigma.flatten()).norm(dim=1)
     described = (Coefficient("", "", False, "a base parameter"),)
-    base = Term(BASE, (), None, torch.tensor(numbers), described * len(numbers), (0.0,) * len(numbers))
+    base = Term(
+        BASE, (), None, torch.tensor(numbers), described * len(numbers), (0.0,) * len(numbers)
+    )
     return [*out, base if wanted.free else replace(base, sigma=spread)]
 
 
@@ -279,9 +278,9 @@ def _model_effects(
     """Effects of the whole arm at all their places, where the log holds what they need."""
     for name in wanted.names:
         kind = KINDS[name]
-        if issubclass(kind, ModelEffect) and not (kind.inertial or kind.needs & data.missing):
-            if not kind.windowed:
-                yield from kind.candidates(columns.model.robot)
+        unknown = kind.inertial or kind.windowed or kind.needs & data.missing
+        if issubclass(kind, ModelEffect) and not unknown:
+            yield from kind.candidates(columns.model.robot)
     yield from (e for e in extra if isinstance(e, ModelEffect))
 
 
@@ -290,7 +289,8 @@ def _joint_kinds(wanted: Wanted, data: Data, joint: int) -> Iterator[type[JointE
     for name in dict.fromkeys((*wanted.names, *wanted.background)):
         kind = KINDS[name]
         if issubclass(kind, JointEffect) and not kind.needs & data.missing:
-            if bool(data.slides[joint]) or not (kind.jumps or kind.family in ("speed", "time")):
+            friction = kind.jumps or kind.family in ("speed", "time")
+            if bool(data.slides[joint]) or not friction:
                 yield kind
 
 
@@ -318,8 +318,9 @@ def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
     out = []
     for term in terms:
         alone = term.effects[0] if len(term.effects) == 1 and term.place is not None else None
+        joint = -1 if term.place is None else term.place
         instead = [
-            (term.place, own[effect], torch.tensor(values, dtype=torch.float64))
+            (joint, own[effect], torch.tensor(values, dtype=torch.float64))
             for effect, values in given
             if alone and effect in own and effect != alone and effect.identity == alone.identity
         ]

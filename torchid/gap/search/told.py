@@ -18,13 +18,11 @@ from torchid.gap.search.evidence import (
     Fitted,
     Question,
     directions,
-    effective_samples,
     fit_terms,
     residual,
-    rows_of,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.terms import BASE, LINK, Term
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Int, Tensor
 
@@ -112,9 +110,9 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
 
 
 def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Term]:
-    """Terms that explain as much in a term's place, the best first, one a name: those whose evidence
-    is within the odds; and base parameters that do as well, whatever they cost, for then the effect
-    stands only if the parameters are trusted."""
+    """Terms that explain as much in a term's place, the best first, one a name: those whose
+    evidence is within the odds; and base parameters that do as well, whatever they cost, for then
+    the effect stands only if the parameters are trusted."""
     limit = fit.evidence - 2 * math.log(ODDS)
     others = without.terms[len(question.fixed) :]
     found: list[tuple[float, Term]] = []
@@ -173,6 +171,12 @@ def _notes(
     """Coefficients that the data leave open, those that correct one of the model's own, and when a
     contact was."""
     out = []
+    told = directions(found.question, term)
+    if term.name == PAYLOAD and told < len(values):
+        out.append(
+            f"the motion determines {told} combinations of the ten parameters only; these values "
+            "are one choice of many with the same torque"
+        )
     pairs = zip(term.coefficients, values.tolist(), std.tolist(), term.known, strict=True)
     for c, v, s, own in pairs:
         if s > abs(v):
@@ -225,40 +229,33 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
 
 def _contribution(found: Explanation, term: Term) -> Float[Tensor, " n"]:
     rest = [t for t in found.terms if t is not term]
-    fit = found.fit
-    return fit.weight * (fit_terms(found.question, rest, fit.effective, fit.weight).losses - fit.losses)
+    without = fit_terms(found.question, rest, found.fit.effective, found.fit.weight)
+    return found.fit.weight * (without.losses - found.fit.losses)
 
 
 def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
     """Effects that these data cannot show, one entry an effect and place: with the smallest first
     coefficient whose evidence would be positive on average."""
     question, fit = found.question, found.fit
-    normal = question.normal
-    torque = torch.cat([s.tau for s in question.candidates.columns.samples.segments])
-    rms = torch.nn.functional.pad(torque.square().mean(0).sqrt(), (0, 0))
+    normal, weight = question.normal, fit.weight
     accepted = {t.key for t in found.terms}
-    best: dict[tuple[object, ...], tuple[float, float, float, Term]] = {}
+    best: dict[tuple[object, ...], tuple[float, float, Term]] = {}
     for term in question.candidates.terms:
-        if term.name in (BASE, LINK) or term.key in accepted:
+        if term.inertial or term.key in accepted:
             continue
-        joints = range(len(normal.g)) if term.place is None else (term.place,)
-        size = left = 0.0
-        for j in joints:
+        # Of the first column's square, what no combination of the model's columns holds.
+        size, row = 0.0, int(term.at[0])
+        held = torch.zeros(fit.root.shape[1], dtype=torch.float64)
+        for j in range(len(normal.g)) if term.place is None else (term.place,):
             g, s = normal.g[j], fit.subset.joints[j]
-            w = float(fit.weight[j])
-            row = int(term.at[0])
-            size += w * float(g[row, row])
-            held = w * (g[row, s.at] @ fit.root[s.of])
-            left += w * float(g[row, row])
-            held_all = held if term.place is not None or j == 0 else held_all + held
-        left -= float(held_all @ held_all)
-        rows = float(normal.rows[list(joints)].sum())
-        share = left / size if size > 0 else 0.0
+            size += float(weight[j] * g[row, row])
+            held += weight[j] * (g[row, s.at] @ fit.root[s.of])
+        left = size - float(held @ held)
         if term.key not in best or left > best[term.key][1]:
-            best[term.key] = size, left, share, term
+            best[term.key] = size, left, term
     out = []
-    for size, left, share, term in best.values():
-        effect = term.effects[0]
+    for size, left, term in best.values():
+        effect, share = term.effects[0], left / size if size > 0 else 0.0
         n = float(fit.effective.sum() if term.place is None else fit.effective[term.place])
         needed = question.price() + (1 + term.shapes) * math.log(max(n, 2.0))
         smallest: float | None = math.sqrt(needed / max(left, 1e-300))
@@ -269,9 +266,10 @@ def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
             smallest, reason = None, "exactly a combination of parameters that are fitted"
         elif share < VISIBLE:
             reason = f"only {100 * share:.2g} % of it is not a combination of what is fitted"
-        elif term.place is not None and smallest is not None:
-            own = smallest * math.sqrt(size / float(fit.weight[term.place]) / max(1.0, float(normal.rows[term.place])))
-            if own > LARGE * float(rms[term.place]):
+        elif term.place is not None:
+            square = size / float(weight[term.place] * normal.rows[term.place].clamp(min=1))
+            torque = float(question.torque[term.place].sqrt())
+            if math.sqrt(needed / left * square) > LARGE * torque:
                 reason = "noise hides it up to half of the joint's torque"
         if reason:
             joint = effect.joints[:1]

@@ -1,5 +1,5 @@
-"""Held-out data: whole trajectories, or, where there are too few, contiguous stretches; and the torque
-of models that were fitted without them."""
+"""Held-out data: whole trajectories, or, where there are too few, contiguous stretches; and the
+torque of models that were fitted without them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -14,8 +14,8 @@ from typing import Any
 
 import torch
 
-from torchid.effects.registry import model_torque, nominal_effects
 from torchid.design.segments import Segment
+from torchid.effects.registry import model_torque, nominal_effects
 from torchid.gap.localise.resampling import bootstrap
 from torchid.gap.validate.shooting import Windows, edge_of, starts_of, windows_of
 from torchid.json_data import plain

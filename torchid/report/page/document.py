@@ -1,11 +1,11 @@
 """What a page consists of: the verdict, pictures, tables, and how all of it was obtained."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from torchid.report.page.origin import Origin
-from torchid.report.study.sheets import Sheet
+from torchid.report.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ class Section:
     heading: str
     notes: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
-    sheets: tuple[Sheet, ...] = ()
+    sheets: tuple[Table, ...] = ()
 
     @property
     def empty(self) -> bool:
@@ -70,6 +70,22 @@ class Page:
     origin: Origin
 
 
-def unit_words(unit: str) -> str:
-    """`kg m^2` as `kg m²`."""
-    return unit.replace("^2", "²").replace("^3", "³")
+def result_page(
+    title: str,
+    verdict: str,
+    facts: Sequence[tuple[str, str]],
+    origin: Origin,
+    *,
+    pictures: Iterable[Picture],
+    tables: Iterable[Table],
+    notes: Iterable[str],
+    findings: Sequence[str] = (),
+) -> Page:
+    """The page of a result: pictures, findings, numbers, and what to bear in mind."""
+    sections = (
+        Section("pictures", "Pictures", pictures=tuple(pictures)),
+        Section("findings", "Findings", notes=tuple(findings)),
+        Section("numbers", "Numbers", sheets=tuple(tables)),
+        Section("remarks", "To bear in mind", notes=tuple(notes)),
+    )
+    return Page(title, verdict, tuple(facts), sections, origin)

@@ -94,23 +94,20 @@ def input_files(named: Iterable[tuple[str, str, Path]]) -> tuple[InputFile, ...]
     Raises:
         TorchidError: a file that cannot be read.
     """
-    return tuple(_read(*entry) for given in named for entry in _inside(*given))
-
-
-def _inside(role: str, name: str, path: Path) -> list[tuple[str, str, Path]]:
-    if not path.is_dir():
-        return [(role, name, path)]
-    parts = sorted(p for p in path.rglob("*") if p.is_file())
-    return [(role, f"{name}/{p.relative_to(path).as_posix()}", p) for p in parts]
-
-
-def _read(role: str, name: str, path: Path) -> InputFile:
-    try:
-        with open(path, "rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        return InputFile(role, name, path.stat().st_size, digest)
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    out = []
+    for role, name, path in named:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        for file in files:
+            shown = name if file == path else f"{name}/{file.relative_to(path).as_posix()}"
+            try:
+                with open(file, "rb") as stream:
+                    digest = hashlib.file_digest(stream, "sha256").hexdigest()
+                out.append(InputFile(role, shown, file.stat().st_size, digest))
+            except OSError as error:
+                raise TorchidError(
+                    f"'{file}' cannot be read: {error.strerror or error}."
+                ) from error
+    return tuple(out)
 
 
 def versions() -> tuple[tuple[str, str], ...]:

@@ -1,11 +1,11 @@
 """A page as HTML: one file, nothing to load, no script."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from torchid.errors import MissingExtraError
 from torchid.files import atomic_write
-from torchid.report.page.document import Page, Picture
+from torchid.report.page.document import Page
 from torchid.report.page.svg import inline_svg
 from torchid.report.text import printable
 
@@ -37,7 +37,14 @@ def render(page: Page) -> str:
         MissingExtraError: Jinja2 is not installed.
     """
     template = _environment().get_template("page.html.j2")
-    return template.render(page=page, drawn=_drawn(page))
+    room, drawn = MOST_BYTES - _WORDS_AND_TABLES, {}
+    for picture in (picture for section in page.sections for picture in section.pictures):
+        svg = inline_svg(picture)
+        room -= len(svg.encode())
+        if room < 0:
+            break
+        drawn[picture.name] = svg
+    return template.render(page=page, drawn=drawn)
 
 
 def write_page(page: Page, path: str | Path) -> Path:
@@ -52,22 +59,6 @@ def write_page(page: Page, path: str | Path) -> Path:
     return Path(path)
 
 
-def _drawn(page: Page) -> dict[str, str]:
-    """SVG of every picture by name, as many as there is room for."""
-    room, out = MOST_BYTES - _WORDS_AND_TABLES, {}
-    for picture in _pictures(page):
-        svg = inline_svg(picture)
-        room -= len(svg.encode())
-        if room < 0:
-            break
-        out[picture.name] = svg
-    return out
-
-
-def _pictures(page: Page) -> list[Picture]:
-    return [picture for section in page.sections for picture in section.pictures]
-
-
 def _environment() -> "Environment":
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -76,15 +67,11 @@ def _environment() -> "Environment":
     made = Environment(
         loader=PackageLoader("torchid.report.page", "templates"),
         autoescape=True,  # names of robots and files come from anywhere
-        finalize=_printable,
+        # What a macro or the figures' writer made is markup, and stays.
+        finalize=lambda value: printable(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
     return made
-
-
-def _printable(value: Any) -> Any:
-    """Of plain text; what a macro or the figures' writer made is markup, and stays."""
-    return printable(value) if type(value) is str else value

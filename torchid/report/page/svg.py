@@ -7,17 +7,15 @@ left out.
 
 import io
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lxml import etree
 
-from torchid.report.figures import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED, literal
+from torchid.report.colours import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.gap_joint_figures import AFTER, BEFORE
 from torchid.report.page.document import Picture
+from torchid.report.panels import literal
 from torchid.report.text import printable
-
-if TYPE_CHECKING:
-    pass
 
 THEME = {
     INK: "ink", "#000000": "ink", GREY: "grey", GRID: "grid", "#ffffff": "paper", BLUE: "blue",
@@ -60,27 +58,23 @@ def inline_svg(picture: Picture) -> str:
     width = 96 * figure.get_figwidth()
     figure.clear()
     root = etree.fromstring(stream.getvalue(), etree.XMLParser(huge_tree=True))
-    _strip(root)
+    # What is not seen goes: metadata, comments, outlines without a line, and the style sheet, which
+    # would hold for the whole page.
+    for element in list(root.iter(etree.Comment, f"{_SVG}metadata", f"{_SVG}style", f"{_SVG}path")):
+        if element.tag != f"{_SVG}path" or element.get("style") == "fill: none":
+            element.getparent().remove(element)
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
     _prefix(root, picture.name)
     _flatten(root)
     for element in root.iter():
         _themed(element)
-    _label(root, picture.alt, width)
+    root.set("role", "img")
+    root.set("aria-label", printable(picture.alt))
+    root.set("style", f"--width:{width:.0f}px")
     etree.cleanup_namespaces(root)
     text: str = etree.tostring(root, encoding="unicode")
     return text
-
-
-def _strip(root: Any) -> None:
-    """What is not seen: metadata, comments, outlines without a line, and the style sheet, which
-    would hold for the whole page."""
-    for element in list(root.iter(etree.Comment, f"{_SVG}metadata", f"{_SVG}style")):
-        element.getparent().remove(element)
-    for element in list(root.iter(f"{_SVG}path")):
-        if element.get("style") == "fill: none":
-            element.getparent().remove(element)
-    for name in ("width", "height", "version"):
-        root.attrib.pop(name, None)
 
 
 def _prefix(root: Any, name: str) -> None:
@@ -124,7 +118,7 @@ def _themed(element: Any) -> None:
             element.set("style", "; ".join(filter(None, (element.get("style"), own))))
     if "style" in element.attrib:
         style = _FONT.sub(_font, _FAMILY.sub("", element.get("style")))
-        style = _COLOUR.sub(_variable, style)
+        style = _COLOUR.sub(lambda m: f"var(--{THEME[m[0]]})" if m[0] in THEME else m[0], style)
         element.set("style", style.replace(": ", ":").replace("; ", ";"))
     if element.get("transform", "").startswith("rotate(-0 "):
         del element.attrib["transform"]
@@ -134,11 +128,6 @@ def _themed(element: Any) -> None:
         for key in ("x", "y", "width", "height"):
             if key in element.attrib:
                 element.set(key, _rounded(element.get(key)))
-
-
-def _variable(found: re.Match[str]) -> str:
-    name = THEME.get(found[0])
-    return found[0] if name is None else f"var(--{name})"
 
 
 def _font(found: re.Match[str]) -> str:
@@ -175,9 +164,3 @@ def _between(before: str, point: str, after: str) -> bool:
     if x0 == x1 == x2:
         return (float(y1) - float(y0)) * (float(y2) - float(y1)) >= 0
     return False
-
-
-def _label(root: Any, alt: str, width: float) -> None:
-    root.set("role", "img")
-    root.set("aria-label", printable(alt))
-    root.set("style", f"--width:{width:.0f}px")

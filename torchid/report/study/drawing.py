@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from torchid.files import atomic_write
-from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, styled
+from torchid.report.colours import BLUE, GREEN, INK, ORANGE, RED
+from torchid.report.panels import label, new_figure, styled
 from torchid.typing import Tensor
 from torchid.wrenches.classes import FEASIBLE, MIXED
 
@@ -56,6 +57,16 @@ class Drawing:
         """Name of its file."""
         return f"{self.name}.png"
 
+    @property
+    def words(self) -> str:
+        """The name as people read it."""
+        return self.name.replace("_", " ")
+
+    @property
+    def plain_caption(self) -> str:
+        """The caption where stars would be markup."""
+        return self.caption.replace("*", "")
+
 
 def save(figure: "Figure", path: Path) -> Path:
     """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
@@ -73,26 +84,16 @@ def save(figure: "Figure", path: Path) -> Path:
     return path
 
 
-def colour_of(name: str) -> str:
-    """Colour of a class of reasons."""
-    return CLASS_COLOURS.get(name, GREY)
-
-
 def thin(signal: Tensor) -> Array:
     """At most `MOST_POINTS` evenly spaced instants (first axis) as an array."""
     return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
 
 
-def panel_size(n: int) -> tuple[float, float]:
-    """Width and height [in] of a figure of `joint_panels`."""
-    columns = n if n <= 3 else 2
-    return 11.0, 1.1 + 2.0 * -(-n // columns)
-
-
-def joint_panels(figure: "Figure", n: int, label: str, time: bool = True) -> list[Any]:
-    """One panel a joint: in a row up to three joints, else in two columns."""
+def joint_panels(n: int, what: str) -> "tuple[Figure, list[Any]]":
+    """A figure of one panel a joint: in a row up to three joints, else in two columns."""
     columns = n if n <= 3 else 2
     rows = -(-n // columns)
+    figure = new_figure(11.0, 1.1 + 2.0 * rows)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False).flatten()
     for axes in grid[n:]:
         axes.set_axis_off()
@@ -100,25 +101,11 @@ def joint_panels(figure: "Figure", n: int, label: str, time: bool = True) -> lis
         styled(axes)
         axes.set_title(f"joint {j + 1}", fontsize=9, color=INK, loc="left")
         if j % columns == 0:
-            axes.set_ylabel(label, fontsize=8, color=INK)
-        if time and j + columns >= n:
+            label(axes, y=what)
+        if j + columns >= n:
             # sharex hides the labels of a panel that has an empty one below it.
-            axes.tick_params(labelbottom=True)
-            axes.set_xlabel("time [s]", fontsize=8, color=INK)
-    return list(grid[:n])
-
-
-def finish(figure: "Figure", title: str, axes: Any = None, columns: int = 4) -> "Figure":
-    """Title at the left, and one legend of a panel's lines, each name once, below all panels."""
-    if axes is not None:
-        handles, labels = axes.get_legend_handles_labels()
-        once = dict(zip(labels, handles, strict=True))
-        figure.legend(
-            list(once.values()), list(once), loc="outside lower center", ncols=columns,
-            frameon=False, fontsize=8,
-        )  # fmt: skip
-    figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
+            label(axes, "time [s]").tick_params(labelbottom=True)
+    return figure, list(grid[:n])
 
 
 def note(axes: Any, text: str) -> None:

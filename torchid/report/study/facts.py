@@ -1,15 +1,12 @@
 """What a study's numbers say, for its tables, captions and page: nothing here is drawn."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import torch
 
-from torchid.extraction.convex.certificate import Certificate
-from torchid.feasibility.margins import feasibility
-from torchid.feasibility.sets import nominal_set
+from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
 from torchid.typing import Float, Int, Tensor
 from torchid.wrenches.classes import class_of
@@ -20,8 +17,6 @@ _SAME = 1e-4
 """Share of a set's parameters by which two runs that ended in the same set may differ."""
 _EQUAL = 1e-3
 """Share by which errors of runs that are the same may differ."""
-_ACTIVE = 5e-2
-"""Share of phi_min that releasing a condition saves, for the condition to be named."""
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -29,14 +24,6 @@ def number(value: float, digits: int = 3) -> str:
     if math.isnan(value):
         return "-"
     return "none" if math.isinf(value) else f"{value:.{digits}g}"
-
-
-def listed(items: Iterable[str], nothing: str = "none") -> str:
-    """a, b and c."""
-    names = list(items)
-    if len(names) < 2:
-        return names[0] if names else nothing
-    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def count(k: int, what: str, many: str = "") -> str:
@@ -47,12 +34,6 @@ def count(k: int, what: str, many: str = "") -> str:
 def joint_names(study: Study) -> tuple[str, ...]:
     """Headings of one column a joint."""
     return tuple(f"joint {j + 1}" for j in range(study.robot.n))
-
-
-def torque_unit(study: Study) -> str:
-    """Unit of the joints' torques: N m, N, or both where the joints differ."""
-    kinds = {str(kind) for kind in study.robot.joint_types}
-    return {frozenset("R"): "N m", frozenset("P"): "N"}.get(frozenset(kinds), "N m; N")
 
 
 def by_feasibility(study: Study, feasible: bool) -> list[ScenarioResult]:
@@ -84,22 +65,15 @@ def run_classes(study: Study) -> list[str]:
     ]
 
 
-def class_errors(study: Study, name: str) -> Float[Tensor, " R"]:
-    """Force errors of the runs of a class, largest joint [N]."""
+def distinct_errors(study: Study, name: str) -> int:
+    """How many force errors of the runs of a class (largest joint) are really different."""
     rows = [k for k, found in enumerate(run_classes(study)) if found == name]
-    return study.errors.force_rms[rows].amax(-1)
+    return different(study.errors.force_rms[rows].amax(-1))
 
 
 def all_degrees(study: Study) -> Float[Tensor, " K"]:
     """Degree of every run of every scenario."""
     return torch.cat([s.feasibility.degree for s in study.scenarios])
-
-
-def reason_counts(result: ScenarioResult) -> dict[str, int]:
-    """In how many of a scenario's runs each reason occurs, most frequent first."""
-    runs = range(len(result.extraction.sets))
-    found = Counter(reason for k in runs for reason in result.feasibility.reasons(k))
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
 
 def kept(gamma: Float[Tensor, " R"]) -> int:
@@ -120,20 +94,9 @@ def different(values: Float[Tensor, " R"]) -> int:
     return min(1, len(values)) + int((ordered[1:] > (1 + _EQUAL) * ordered[:-1]).sum())
 
 
-def truth_reasons(study: Study) -> tuple[str, ...]:
-    """Why the simulated arm's own parameters are infeasible; empty if they are not."""
-    asked = study.scenarios[0].extraction.problem.conditions
-    return feasibility(nominal_set(study.robot), asked).reasons(0)
-
-
-def proof(study: Study, result: ScenarioResult) -> Certificate | None:
-    """The certificate of a scenario's bounds, if there is one."""
-    return study.certificates.get(result.scenario.bounds)
-
-
 def phi_min(study: Study, result: ScenarioResult) -> float:
     """The least loss of any feasible set in a scenario's bounds; nan without a certificate."""
-    found = proof(study, result)
+    found = study.certificates.get(result.scenario.bounds)
     return math.nan if found is None else found.phi_min
 
 
@@ -147,13 +110,6 @@ def contradictions(study: Study, bounds: str) -> tuple[str, ...]:
     """Conditions that a group of bounds leaves no room for."""
     found = [s.extraction.contradictions for s in study.scenarios if s.scenario.bounds == bounds]
     return tuple(dict.fromkeys(name for names in found for name in names))
-
-
-def active(certificate: Certificate) -> dict[str, float]:
-    """phi_min without each condition that raises it by more than a little, largest effect first."""
-    below = (1 - _ACTIVE) * certificate.phi_min
-    found = {name: phi for name, phi in certificate.released.items() if phi < below}
-    return dict(sorted(found.items(), key=lambda item: item[1]))
 
 
 def rms(signal: Float[Tensor, "*batch T n"]) -> Float[Tensor, "*batch n"]:
@@ -187,3 +143,16 @@ def at_joint(values: Sequence[float], unit: str = "") -> str:
     """The largest of one value a joint, and where: `3.2 N at joint 2`."""
     joint = max(range(len(values)), key=lambda k: values[k])
     return f"{number(values[joint])}{unit and ' '}{unit} at joint {joint + 1}"
+
+
+def payload_numbers(study: Study) -> tuple[list[float], list[float], list[float], list[float]]:
+    """True value, estimate, lower and upper end of the 95 % interval of the ten quantities."""
+    body = InertialParameters(study.payload.true)
+    true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com])
+    tool = study.payload.estimate.tool
+    parts = (tool.mass, tool.com, tool.inertia_about_com)
+    value, low, high = (
+        torch.cat([getattr(part, name) for part in parts]).tolist()
+        for name in ("value", "low", "high")
+    )
+    return true.tolist(), value, low, high

@@ -1,133 +1,117 @@
-"""A study's motions: exciting trajectories with their noise, and those of the comparisons."""
+"""A study's motions and torques: exciting trajectories with their noise, the motions of the
+comparisons, and the torques of the identified coefficients and of the best sets."""
 
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
 
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
-from torchid.report.excitation import trajectory_figure
-from torchid.report.figures import INK, ORANGE, new_figure, styled
-from torchid.report.study.drawing import Drawing, Section, finish, headroom, note, thin
-from torchid.report.study.facts import (
-    at_joint,
-    listed,
-    number,
-    rms,
-)
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.excitation import SIGNALS, trajectory_figure
+from torchid.report.panels import finish, label, legend_below, new_figure, styled
+from torchid.report.study import facts
+from torchid.report.study.drawing import Drawing, Section, headroom, note, thin
+from torchid.report.study.facts import at_joint, count, number, rms
+from torchid.report.text import listed, torque_unit
 from torchid.robot.model import Robot
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
+from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-_NOISY = (("position", "q", "rad"), ("velocity", "dq", "rad/s"), ("acceleration", "ddq", "rad/s²"))
-"""Signals that the report's noise is added to, with units of turning joints."""
+_UNITS = ("rad", "rad/s", "rad/s²")
+"""Of the signals that the report's noise is added to, where joints turn."""
 
 
 def motion_drawings(study: Study) -> list[Drawing]:
     """Every motion of the study (figures 5.1, 5.2, 5.5 and their like)."""
-    return [
-        *_exciting(study),
-        *_noise_drawing(study),
-        _validation_motion(study),
-        _new("validation", "sets_motion", study, study.sets_motion.motion,
-             "The motion on which the torques of the best sets are compared"),
-        _new("wrenches", "reference_motion", study, study.wrench_motion.motion,
-             "The reference motion on which the internal wrenches are compared"),
-    ]  # fmt: skip
-
-
-def _exciting(study: Study) -> list[Drawing]:
     planned, logged = study.excitation.trajectories(), study.log.trajectories()
-    noise = study.settings.excitation.noise_db
-    total = len(planned)
-    return [
-        Drawing(
-            "identification",
-            f"excitation_{k}",
-            f"Exciting trajectory {k} of {total}, {_sampling(plan)}, per joint. "
-            + _use(study.robot, plan)
-            + _noise(study.robot, plan, log, noise),
-            _drawer(
-                study.robot, plan, f"{study.robot.name}: exciting trajectory {k} of {total}",
-                None if noise is None else log,
-            ),
+    total, name = len(planned), study.robot.name
+    noise, validation = study.settings.excitation.noise_db, study.settings.validation
+    out = [
+        _motion(
+            study.robot, "identification", f"excitation_{k}", plan,
+            f"{name}: exciting trajectory {k} of {total}",
+            f"Exciting trajectory {k} of {total}, {_sampling(plan)}, per joint. ", log, noise,
         )
         for k, (plan, log) in enumerate(zip(planned, logged, strict=True), start=1)
     ]  # fmt: skip
-
-
-def _noise_drawing(study: Study) -> list[Drawing]:
-    """The noise alone: at the scale of the motion it is as wide as a line."""
-    noise = study.settings.excitation.noise_db
-    if noise is None:
-        return []
-    plan, log = study.excitation.trajectories()[0], study.log.trajectories()[0]
-    largest = []
-    for name, signal, unit in _NOISY:
-        sizes = rms(getattr(log, signal) - getattr(plan, signal)).tolist()
-        largest.append(f"{name} {at_joint(sizes, unit)}")
-    return [
-        Drawing(
-            "identification",
-            "excitation_noise",
-            f"The noise of exciting trajectory 1 alone: the noisy minus the planned motion, with "
-            f"its root mean square in each panel. Largest: {listed(largest)}.",
-            lambda: _noise_figure(study.robot, plan, log),
+    if noise is not None:
+        plan, log = planned[0], logged[0]
+        largest = []
+        for (what, signal), unit in zip(SIGNALS, _UNITS, strict=True):
+            sizes = rms(getattr(log, signal) - getattr(plan, signal)).tolist()
+            largest.append(f"{what} {at_joint(sizes, unit)}")
+        caption = (
+            "The noise of exciting trajectory 1 alone: the noisy minus the planned motion, with "
+            f"its root mean square in each panel. Largest: {listed(largest)}."
         )
-    ]
+        noise_only = partial(_noise_figure, study.robot, plan, log)
+        out.append(Drawing("identification", "excitation_noise", caption, noise_only))
+    plan = new_motion(study.robot, validation)
+    caption = (
+        f"The sinusoidal motion that validates the coefficients, {_sampling(plan)}; it takes no "
+        "part in the fit. "
+    )
+    title = f"{name}: motion of the validation"
+    out.append(
+        _motion(
+            study.robot, "identification", "validation_motion", plan, title, caption,
+            study.validation, validation.noise_db,
+        )
+    )  # fmt: skip
+    comparisons: tuple[tuple[Section, str, Log, str], ...] = (
+        ("validation", "sets_motion", study.sets_motion.motion,
+         "The motion on which the torques of the best sets are compared"),
+        ("wrenches", "reference_motion", study.wrench_motion.motion,
+         "The reference motion on which the internal wrenches are compared"),
+    )  # fmt: skip
+    for section, file, motion, what in comparisons:
+        title = f"{name}: {file.replace('_', ' ')}"
+        caption = f"{what}, {_sampling(motion)}. "
+        out.append(_motion(study.robot, section, file, motion, title, caption))
+    return out
+
+
+def _motion(
+    robot: Robot,
+    section: Section,
+    file: str,
+    plan: Log,
+    title: str,
+    caption: str,
+    log: Log | None = None,
+    noise_db: float | None = None,
+) -> Drawing:
+    """A planned motion with the robot's limits, under the noisy one, if it is noisy."""
+    noisy = None if noise_db is None else log
+    caption += _use(robot, plan)
+    if noisy is not None:
+        caption += _noise(robot, plan, noisy, noise_db)
+    return Drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
 
 
 def _noise_figure(robot: Robot, plan: Log, log: Log) -> "Figure":
+    """The noise alone: at the scale of the motion it is as wide as a line."""
     figure = new_figure(11, 1.0 + 1.25 * robot.n)
     grid = figure.subplots(robot.n, 3, sharex=True, squeeze=False)
     t = thin(plan.t - plan.t[0])
-    for c, (name, signal, unit) in enumerate(_NOISY):
+    for c, (name, signal) in enumerate(SIGNALS):
         difference = getattr(log, signal) - getattr(plan, signal)
-        grid[0, c].set_title(f"{name} [{unit}]", fontsize=9, color=INK)
-        grid[-1, c].set_xlabel("time [s]", fontsize=8, color=INK)
+        grid[0, c].set_title(f"{name} [{_UNITS[c]}]", fontsize=9, color=INK)
+        label(grid[-1, c], "time [s]")
         for j in range(robot.n):
             axes = styled(grid[j, c])
             axes.plot(t, thin(difference[:, j]), color=ORANGE, linewidth=0.6)
             headroom(axes)
             note(axes, number(float(rms(difference)[j]), 2))
     for j in range(robot.n):
-        grid[j, 0].set_ylabel(f"joint {j + 1}", fontsize=8, color=INK)
+        label(grid[j, 0], y=f"joint {j + 1}")
     return finish(figure, f"{robot.name}: noise of exciting trajectory 1")
-
-
-def _drawer(robot: Robot, plan: Log, title: str, noisy: Log | None) -> Callable[[], "Figure"]:
-    return lambda: trajectory_figure(robot, plan, title, noisy)
-
-
-def _validation_motion(study: Study) -> Drawing:
-    settings = study.settings.validation
-    plan = new_motion(study.robot, settings)
-    return Drawing(
-        "identification",
-        "validation_motion",
-        f"The sinusoidal motion that validates the coefficients, {_sampling(plan)}; it takes no "
-        f"part in the fit. {_use(study.robot, plan)}"
-        f"{_noise(study.robot, plan, study.validation, settings.noise_db)}",
-        _drawer(
-            study.robot, plan, f"{study.robot.name}: motion of the validation",
-            None if settings.noise_db is None else study.validation,
-        ),
-    )  # fmt: skip
-
-
-def _new(section: Section, name: str, study: Study, motion: Log, what: str) -> Drawing:
-    title = f"{study.robot.name}: {name.replace('_', ' ')}"
-    return Drawing(
-        section,
-        name,
-        f"{what}, {_sampling(motion)}. {_use(study.robot, motion)}",
-        _drawer(study.robot, motion, title, None),
-    )
 
 
 def _sampling(motion: Log) -> str:
@@ -138,7 +122,7 @@ def _sampling(motion: Log) -> str:
 def _use(robot: Robot, motion: Log) -> str:
     """How much of the limits a motion uses."""
     parts = []
-    for name, signal in (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq")):
+    for name, signal in SIGNALS:
         limits = getattr(robot.limits, name)
         values = getattr(motion, signal)
         if limits is None or values is None or not bool(torch.isfinite(limits).all()):
@@ -151,10 +135,8 @@ def _use(robot: Robot, motion: Log) -> str:
 
 
 def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
-    if noise_db is None:
-        return ""
     beyond, shares = torch.zeros(log.samples, dtype=torch.bool), []
-    for name, signal in (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq")):
+    for name, signal in SIGNALS:
         limits, values, clean = (
             getattr(x, y) for x, y in ((robot.limits, name), (log, signal), (plan, signal))
         )
@@ -169,3 +151,120 @@ def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
         "is wide; with it "
         f"{100 * float(beyond.double().mean()):.1f} % of the instants are beyond a limit."
     )
+
+
+def torque_drawings(study: Study) -> list[Drawing]:
+    """Torques of the validation and of the best sets (figures 5.3, 5.4 and their like)."""
+    identified, rebuilt, true = facts.validation_torques(study)
+    size = rms(true)
+    error = rms(identified - true) / size
+    worst, where = float(error.max()), int(error.argmax()) + 1
+    verdict = (
+        "that is rounding: the two overlap and the identification is exact"
+        if worst < facts.ROUNDING
+        else "the identification is not exact"
+    )
+    other = float((rms(rebuilt - true) / size).max())
+    caption = (
+        "Torque on the validation motion: of the identified coefficients (red), of the "
+        "coefficients reconstructed from the true parameters (blue, dotted) and of the true "
+        "parameters in the dynamic model (green, dashed). The residuals at the right have scales "
+        "of their own. The identified torque differs from the true one by at most "
+        f"{number(worst)} of its root mean square (joint {where}); {verdict}. The reconstructed "
+        f"one differs by at most {number(other)}: as far as the regrouping itself is exact."
+    )
+    validation = Drawing(
+        "identification", "validation_torque", caption,
+        lambda: _torque_figure(study, identified, rebuilt, true),
+    )  # fmt: skip
+    return [validation, _sets_torque(study)]
+
+
+def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tensor) -> "Figure":
+    n = study.robot.n
+    figure = new_figure(11, 1.2 + 1.35 * n)
+    grid = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
+    t = thin(study.validation.t - study.validation.t[0])
+    lines = (
+        (identified, "identified", RED, "-", 2.6),
+        (rebuilt, "reconstructed", BLUE, ":", 2.0),
+        (true, "true parameters", GREEN, "--", 1.2),
+    )
+    residuals = (
+        (identified - true, "identified - true", ORANGE),
+        (rebuilt - true, "reconstructed - true", GREY),
+    )
+    for j in range(n):
+        left, right = styled(grid[j, 0]), styled(grid[j, 1])
+        for values, name, colour, style, width in lines:
+            left.plot(t, thin(values[:, j]), style, color=colour, linewidth=width, label=name)
+        for values, name, colour in residuals:
+            right.plot(t, thin(values[:, j]), color=colour, linewidth=0.7, label=name)
+        label(left, y=f"joint {j + 1}")
+        right.yaxis.get_offset_text().set_fontsize(8)
+        largest = float((identified - true)[:, j].abs().max())
+        headroom(right)
+        note(right, f"largest {number(largest, 2)}")
+    unit = torque_unit(study.robot, "N m; N")
+    for axes, name in zip(grid[0], (f"torque [{unit}]", f"residual [{unit}]"), strict=True):
+        axes.set_title(name, fontsize=9, color=INK)
+    for axes in grid[-1]:
+        label(axes, "time [s]")
+    title = f"{study.robot.name}: torque on the motion of the validation"
+    return finish(figure, title, *grid[0], columns=5)
+
+
+def _sets_torque(study: Study) -> Drawing:
+    error, real = facts.torque_errors(study.sets_motion)
+    share, unit = error / real, torque_unit(study.robot, "N m; N")
+    names = study.sets_motion.labels[1:]
+    close = [k for k in range(len(names)) if float(share[k].max()) < facts.ROUNDING]
+    sentences = []
+    if close:
+        sentences.append(
+            f"{listed(names[k] for k in close)} {'gives' if len(close) == 1 else 'give'} the real "
+            f"torque to rounding (at most {number(float(share[close].max()))} of its root mean "
+            "square): the torque cannot tell such a set from the real one."
+        )
+    sentences += [
+        f"{names[k]} does not: its error is largest with {at_joint(error[k].tolist(), unit)}, and "
+        f"relative to the joint's torque with {at_joint((100 * share[k]).tolist(), '%')}, whose "
+        f"torque is {number(float(real[share[k].argmax()]))} {unit}."
+        for k in range(len(names))
+        if k not in close
+    ]
+    caption = (
+        f"Torque of the {count(len(names), 'best set')} (columns, dashed) over that of the real "
+        f"parameters (grey) per joint (rows) [{unit}], on a motion that took no part in anything "
+        f"before; the number is the root mean square difference. {' '.join(sentences)}"
+    )
+    return Drawing("validation", "sets_torque", caption, lambda: _sets_figure(study, error))
+
+
+def _sets_figure(study: Study, error: Tensor) -> "Figure":
+    sets, n = study.sets_motion, study.robot.n
+    k = len(sets.labels) - 1
+    figure = new_figure(max(6.0, 1.0 + 2.05 * k), 1.2 + 1.2 * n)
+    grid = figure.subplots(n, k, sharex=True, sharey="row", squeeze=False)
+    t = thin(sets.motion.t)
+    for s in range(k):
+        colour = GREEN if study.scenarios[s].feasible else RED
+        for j in range(n):
+            axes = styled(grid[j, s])
+            axes.plot(t, thin(sets.torque[0, :, j]), color=GREY, linewidth=3.0, label="real")
+            axes.plot(t, thin(sets.torque[s + 1, :, j]), "--", color=colour, linewidth=1.1)
+            note(axes, number(float(error[s, j]), 2))
+            if s == k - 1:
+                headroom(axes)
+        grid[0, s].set_title(sets.labels[s + 1], fontsize=9, color=INK)
+        label(grid[-1, s], "time [s]")
+    for j in range(n):
+        label(grid[j, 0], y=f"joint {j + 1}")
+    handles = {
+        "real": grid[0, 0].plot([], [], color=GREY, linewidth=3.0)[0],
+        "feasible set": grid[0, 0].plot([], [], "--", color=GREEN)[0],
+        "infeasible set": grid[0, 0].plot([], [], "--", color=RED)[0],
+    }
+    legend_below(figure, handles, 3)
+    unit = torque_unit(study.robot, "N m; N")
+    return finish(figure, f"{study.robot.name}: torque [{unit}] of the best sets on a new motion")

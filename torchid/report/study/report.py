@@ -1,29 +1,29 @@
-"""A whole study for people: tables in the terminal, and a folder with figures, page and sets."""
+"""A whole study for people: its figures, and a folder with figures, page and sets."""
 
 from dataclasses import replace
 from pathlib import Path
 
-from rich.table import Table
-
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import ParameterSets, joined, to_record
+from torchid.feasibility.sets import joined, to_record
 from torchid.files import atomic_write
 from torchid.json_data import write_json
-from torchid.report.study.figures import drawings, save
+from torchid.report.study.drawing import Drawing, save
+from torchid.report.study.motion_figures import motion_drawings, torque_drawings
 from torchid.report.study.page import page
-from torchid.report.study.sheets import rich_table
-from torchid.report.study.tables import all_sheets
-from torchid.report.study.verdict import headline
+from torchid.report.study.search_figures import search_drawings
+from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
 from torchid.study.result import Study
 
-__all__ = ["headline", "tables", "write_study"]
 
-_PAGE, _BEST, _ALL = "study.md", "sets.json", "all_sets.json"
-
-
-def tables(study: Study) -> list[Table]:
-    """Coefficients, certificates, scenarios, search, reasons, torque, wrenches, payload."""
-    return [rich_table(sheet) for sheet in all_sheets(study)]
+def drawings(study: Study) -> list[Drawing]:
+    """Figures with captions, none of them drawn yet (figures 5.1 to 5.19, and more)."""
+    return [
+        *motion_drawings(study),
+        *torque_drawings(study),
+        *search_drawings(study),
+        *wrench_drawings(study),
+        *payload_drawings(study),
+    ]
 
 
 def write_study(study: Study, folder: Path) -> list[Path]:
@@ -47,20 +47,15 @@ def write_study(study: Study, folder: Path) -> list[Path]:
             f"the folder '{folder}' cannot be made: {error.strerror or error}."
         ) from error
     figures = drawings(study)
-    best = joined([s.best for s in study.scenarios])
-    every = joined([_named(s.extraction.sets, s.scenario.id) for s in study.scenarios])
+    every = [
+        replace(s.extraction.sets, ids=tuple(f"{s.scenario.id}/{k}" for k in s.extraction.sets.ids))
+        for s in study.scenarios
+    ]
+    sets = {"sets.json": [s.best for s in study.scenarios], "all_sets.json": every}
     written = [save(d.draw(), folder / d.file) for d in figures]
-    sets = [_write_sets(best, study, folder / _BEST), _write_sets(every, study, folder / _ALL)]
+    for name, parts in sets.items():
+        write_json(to_record(joined(parts), study.robot), folder / name)
     # The page comes last: where it is, all that it shows is there too.
-    with atomic_write(folder / _PAGE) as stream:
-        stream.write(page(study, figures, [path.name for path in sets]))
-    return [folder / _PAGE, *sets, *written]
-
-
-def _named(sets: ParameterSets, scenario: str) -> ParameterSets:
-    return replace(sets, ids=tuple(f"{scenario}/{name}" for name in sets.ids))
-
-
-def _write_sets(sets: ParameterSets, study: Study, path: Path) -> Path:
-    write_json(to_record(sets, study.robot), path)
-    return path
+    with atomic_write(folder / "study.md") as stream:
+        stream.write(page(study, figures, list(sets)))
+    return [folder / "study.md", *(folder / name for name in sets), *written]

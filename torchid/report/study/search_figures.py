@@ -6,26 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report.figures import BLUE, GREY, INK, new_figure, styled
-from torchid.report.study.drawing import (
-    BREAKS,
-    KEEPS,
-    Drawing,
-    finish,
-    floored,
-    spread,
-)
-from torchid.report.study.facts import (
-    all_degrees,
-    by_feasibility,
-    count,
-    endings,
-    ids,
-    kept,
-    listed,
-    number,
-    phi_min,
-)
+from torchid.report.colours import BLUE, GREY, INK
+from torchid.report.panels import finish, label, new_figure, panel, styled
+from torchid.report.study import facts
+from torchid.report.study.drawing import BREAKS, KEEPS, Drawing, floored, spread
+from torchid.report.study.facts import count, ids, kept, number
+from torchid.report.text import listed
 from torchid.study.result import ScenarioResult, Study
 
 if TYPE_CHECKING:
@@ -76,7 +62,6 @@ def _convergence(study: Study) -> "Figure":
     positive = gammas[(gammas > 0) & torch.isfinite(gammas)]
     zero = 10.0 ** (math.floor(math.log10(float(positive.min()))) - 1) if len(positive) else 1e-1
     for c, s in enumerate(study.scenarios):
-        colour = KEEPS if s.feasible else BREAKS
         histories = (
             floored(s.extraction.history_phi, _LEAST_PHI),
             floored(s.extraction.history_gamma, zero),
@@ -86,33 +71,30 @@ def _convergence(study: Study) -> "Figure":
             stages = np.arange(1, values.shape[1] + 1)
             axes.plot(stages, values.T, color=GREY, linewidth=0.5, alpha=0.7)
             axes.plot(stages, values[s.extraction.best], color=BLUE, linewidth=2.0)
-        least = phi_min(study, s)
+        least = facts.phi_min(study, s)
         if _LEAST_PHI < least < math.inf:
             grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
-        grid[0, c].set_title(_heading(s), fontsize=9, color=colour)
-        grid[1, c].set_xlabel("stage", fontsize=8, color=INK)
+        heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
+        grid[0, c].set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
+        label(grid[1, c], "stage")
         grid[1, c].axhline(zero, color=INK, linewidth=0.8)
         grid[1, c].text(0.98, zero / 1.3, "gamma = 0", transform=grid[1, c].get_yaxis_transform(),
                         fontsize=7, color=INK, ha="right", va="top")  # fmt: skip
     grid[1, 0].set_ylim(bottom=zero / 10)
-    grid[0, 0].set_ylabel("phi", fontsize=8, color=INK)
-    grid[1, 0].set_ylabel("gamma", fontsize=8, color=INK)
+    label(grid[0, 0], y="phi")
+    label(grid[1, 0], y="gamma")
     empty = grid[0, 0]
     empty.plot([], [], color=GREY, linewidth=0.8, label="runs")
     empty.plot([], [], color=BLUE, linewidth=2.0, label="best run")
-    if any(_LEAST_PHI < phi_min(study, s) < math.inf for s in study.scenarios):
+    if any(_LEAST_PHI < facts.phi_min(study, s) < math.inf for s in study.scenarios):
         empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
     return finish(figure, f"{study.robot.name}: the search, stage by stage", empty)
-
-
-def _heading(s: ScenarioResult) -> str:
-    return f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
 
 
 def _losses_caption(study: Study) -> str:
     sentences = []
     for s in study.scenarios:
-        e, least = s.extraction, phi_min(study, s)
+        e, least = s.extraction, facts.phi_min(study, s)
         if math.isnan(least):
             said = "no phi_min is known"
         elif least == 0:
@@ -125,10 +107,9 @@ def _losses_caption(study: Study) -> str:
                 f"{int(under.sum())} below ({int((under & s.feasibility.feasible).sum())} of these "
                 "feasible)"
             )
+        ended = count(len(facts.endings(s).unique()), "different set")
         sentences.append(
-            f"{s.scenario.id}: best {number(s.phi)}, "
-            f"{count(len(endings(s).unique()), 'different set')} in {count(len(e.sets), 'run')}; "
-            f"{said}"
+            f"{s.scenario.id}: best {number(s.phi)}, {ended} in {count(len(e.sets), 'run')}; {said}"
         )
     return (
         "Loss of every run before (grey) and after the polish (green: feasible, red: infeasible), "
@@ -139,8 +120,7 @@ def _losses_caption(study: Study) -> str:
 
 
 def _losses(study: Study) -> "Figure":
-    figure = new_figure(max(6.0, 1.5 + 1.5 * len(study.scenarios)), 4.6)
-    axes = styled(figure.subplots())
+    figure, axes = _columns(study)
     axes.set_yscale("log")
     for c, s in enumerate(study.scenarios):
         e = s.extraction
@@ -148,17 +128,15 @@ def _losses(study: Study) -> "Figure":
         axes.scatter(c - 0.2 + spread(len(before), 1, 0.1), before, s=10, color=GREY, linewidth=0)
         place = c + 0.15 + spread(len(after), 2, 0.12)
         _marks(axes, s, place, after)
-        least = phi_min(study, s)
+        least = facts.phi_min(study, s)
         if not math.isnan(least) and least < math.inf:
             axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
-    _columns(axes, study)
-    axes.set_ylabel("loss phi", fontsize=8, color=INK)
+    label(axes, y="loss phi")
     axes.scatter([], [], s=10, color=GREY, label="before the polish")
     _names(axes)
     axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
-    return finish(
-        figure, f"{study.robot.name}: losses of all runs against what is possible", axes, 5
-    )
+    title = f"{study.robot.name}: losses of all runs against what is possible"
+    return finish(figure, title, axes, columns=5)
 
 
 def _marks(axes: Any, s: ScenarioResult, place: np.ndarray, values: np.ndarray) -> None:
@@ -175,10 +153,13 @@ def _names(axes: Any) -> None:
     axes.scatter([], [], s=90, facecolors="none", edgecolors=INK, label="best set")
 
 
-def _columns(axes: Any, study: Study) -> None:
+def _columns(study: Study) -> "tuple[Figure, Any]":
+    """A panel with one column a scenario."""
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
+    figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
     axes.set_xticks(range(len(names)), names, fontsize=8)
     axes.set_xlim(-0.6, len(names) - 0.4)
+    return figure, axes
 
 
 def _degrees_caption(study: Study) -> str:
@@ -189,7 +170,7 @@ def _degrees_caption(study: Study) -> str:
             f"{s.scenario.id}: {int(s.feasibility.feasible.sum())} of {len(degree)} runs feasible, "
             f"degrees from {number(float(degree.min()), 2)} to {number(float(degree.max()), 2)}"
         )
-    good = by_feasibility(study, True)
+    good = facts.by_feasibility(study, True)
     firm = max(good, key=lambda s: s.degree) if good else None
     if firm is None:
         last = "No best set is feasible."
@@ -200,7 +181,7 @@ def _degrees_caption(study: Study) -> str:
             f"Of the feasible best sets ({listed(ids(good))}) {firm.scenario.id} is the firmest, "
             f"with {number(firm.degree, 2)}."
         )
-    degrees, feasible = all_degrees(study), int((all_degrees(study) > 0).sum())
+    degrees, feasible = facts.all_degrees(study), int((facts.all_degrees(study) > 0).sum())
     near = int(((degrees > 0) & (degrees < _NEAR)).sum())
     close = (
         f" {near} of {count(feasible, 'feasible run')} are within {_NEAR:g} of the boundary: "
@@ -216,8 +197,7 @@ def _degrees_caption(study: Study) -> str:
 
 
 def _degrees(study: Study) -> "Figure":
-    figure = new_figure(max(6.0, 1.5 + 1.5 * len(study.scenarios)), 4.6)
-    axes = styled(figure.subplots())
+    figure, axes = _columns(study)
     axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
     for c, s in enumerate(study.scenarios):
         degree = s.feasibility.degree.cpu().numpy()
@@ -227,7 +207,6 @@ def _degrees(study: Study) -> "Figure":
     axes.axhspan(0, high, color=KEEPS, alpha=0.08, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.9)
     axes.set_ylim(low, high)
-    _columns(axes, study)
-    axes.set_ylabel("degree [-]", fontsize=8, color=INK)
+    label(axes, y="degree [-]")
     _names(axes)
-    return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, 3)
+    return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, columns=3)

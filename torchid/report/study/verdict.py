@@ -2,30 +2,18 @@
 
 import math
 
-from torchid.report.study.facts import (
-    ROUNDING,
-    at_joint,
-    by_feasibility,
-    class_errors,
-    count,
-    different,
-    ids,
-    listed,
-    number,
-    rms,
-    torque_errors,
-    truth_reasons,
-    validation_torques,
-    with_conditions,
-)
-from torchid.report.study.wrench_tables import payload_numbers
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import nominal_set
+from torchid.report.study import facts
+from torchid.report.study.facts import at_joint, count, ids, number, rms
+from torchid.report.text import listed
 from torchid.study.result import Study
 from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
 
 
 def headline(study: Study) -> str:
     """Two sentences: how many sets are feasible, and what being infeasible costs inside."""
-    good = ids(by_feasibility(study, True))
+    good = ids(facts.by_feasibility(study, True))
     error = float((study.identification.values - study.truth).abs().max())
     medians = [
         f"{c.name} {number(c.median)}" for c in study.comparison.classes if c.median is not None
@@ -44,38 +32,52 @@ def headline(study: Study) -> str:
 
 def verdict(study: Study) -> list[str]:
     """One sentence or two for each part of the study."""
-    return [
-        _identification(study),
-        _truth(study),
-        *_possible(study),
-        _sets(study),
-        _torque(study),
-        *_classes(study),
-        _payload(study),
-        *(f"Noticed: {warning}" for warning in study.warnings),
-    ]
-
-
-def _identification(study: Study) -> str:
-    identified, _, true = validation_torques(study)
+    identified, _, true = facts.validation_torques(study)
     share = float((rms(identified - true) / rms(true)).max())
     error = float((study.identification.values - study.truth).abs().max())
-    quality = "exact to rounding" if share < ROUNDING else "not exact"
-    return (
+    quality = "exact to rounding" if share < facts.ROUNDING else "not exact"
+    said = [
         f"Identification: {len(study.truth)} coefficients, largest error {number(error, 2)}; on a "
         f"new motion the torque is wrong by at most {number(share, 2)} of its root mean square: "
         f"{quality}."
-    )
-
-
-def _truth(study: Study) -> str:
-    why = truth_reasons(study)
-    if not why:
-        return "Truth: the simulated arm's own parameters are feasible."
-    return (
+    ]
+    asked = study.scenarios[0].extraction.problem.conditions
+    why = feasibility(nominal_set(study.robot), asked).reasons(0)
+    said.append(
         f"Truth: the simulated arm's own parameters are not feasible ({listed(why)}), so near to "
         "the real arm and feasible are two different things here."
+        if why
+        else "Truth: the simulated arm's own parameters are feasible."
     )
+    said += _possible(study)
+    good, bad = facts.by_feasibility(study, True), facts.by_feasibility(study, False)
+    runs = sum(len(s.extraction.sets) for s in study.scenarios)
+    feasible = sum(int(s.feasibility.feasible.sum()) for s in study.scenarios)
+    failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
+    said.append(
+        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
+        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
+        f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
+    )
+    off, real = facts.torque_errors(study.sets_motion)
+    exact, others = [], []
+    for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
+        if float(row.max()) < facts.ROUNDING:
+            exact.append(name)
+        else:
+            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
+    largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
+    said.append(
+        "Torque on a new motion: equal to the real one to rounding with "
+        f"{listed(exact, nothing='no set')}{largest}."
+    )
+    effects = study.comparison.effects
+    said += [_class(study, e) for e in effects if not math.isnan(e.ratio.value)]
+    skipped = [f"{e.first} ({e.sets[0]})" for e in effects if math.isnan(e.ratio.value)]
+    if skipped:
+        said.append(f"Internal forces: not compared for lack of sets: {listed(skipped)}.")
+    said.append(_payload(study))
+    return said + [f"Noticed: {warning}" for warning in study.warnings]
 
 
 def _possible(study: Study) -> list[str]:
@@ -94,7 +96,7 @@ def _possible(study: Study) -> list[str]:
         if math.isnan(c.phi_min):
             out.append(f"Unknown: within the bounds {bounds} the solver failed.")
             continue
-        whose = "feasible" if with_conditions(study, bounds) else "physical"
+        whose = "feasible" if facts.with_conditions(study, bounds) else "physical"
         if c.phi_min > 0:
             why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
             out.append(
@@ -110,49 +112,9 @@ def _possible(study: Study) -> list[str]:
     return out
 
 
-def _sets(study: Study) -> str:
-    good, bad = by_feasibility(study, True), by_feasibility(study, False)
-    runs = sum(len(s.extraction.sets) for s in study.scenarios)
-    feasible = sum(int(s.feasibility.feasible.sum()) for s in study.scenarios)
-    why = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
-    return (
-        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
-        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
-        f"{count(runs, 'run')}.{f' Not feasible: {listed(why)}.' if why else ''}"
-    )
-
-
-def _torque(study: Study) -> str:
-    error, real = torque_errors(study.sets_motion)
-    share = error / real
-    exact, others = [], []
-    for name, row in zip(study.sets_motion.labels[1:], share, strict=True):
-        if float(row.max()) < ROUNDING:
-            exact.append(name)
-        else:
-            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
-    text = (
-        f"Torque on a new motion: equal to the real one to rounding with {listed(exact, 'no set')}"
-    )
-    if others:
-        text += f"; largest error relative to a joint's torque: {listed(others)}"
-    return text + "."
-
-
-def _classes(study: Study) -> list[str]:
-    out = [_class(study, e) for e in study.comparison.effects if not math.isnan(e.ratio.value)]
-    skipped = [e for e in study.comparison.effects if math.isnan(e.ratio.value)]
-    if skipped:
-        out.append(
-            "Internal forces: not compared for lack of sets: "
-            f"{listed(f'{e.first} ({e.sets[0]})' for e in skipped)}."
-        )
-    return out
-
-
 def _class(study: Study, e: EffectSize) -> str:
     low, high = e.ratio.low, e.ratio.high
-    distinct = {name: different(class_errors(study, name)) for name in (e.first, e.second)}
+    distinct = {name: facts.distinct_errors(study, name) for name in (e.first, e.second)}
     few = [f"{k} different among '{name}'" for name, k in distinct.items() if k < LEAST_CLUSTERS]
     if few:
         told = f"not judged: only {listed(few)}"
@@ -173,7 +135,7 @@ def _class(study: Study, e: EffectSize) -> str:
 
 
 def _payload(study: Study) -> str:
-    truth, value, low, high = payload_numbers(study)
+    truth, value, low, high = facts.payload_numbers(study)
     known = [k for k in range(len(truth)) if math.isfinite(value[k]) and math.isfinite(low[k])]
     held = sum(low[k] <= truth[k] <= high[k] for k in known)
     if 0 not in known:

@@ -1,38 +1,21 @@
-"""Internal wrenches of a study's sets: every combination, overviews, errors by degree and class."""
+"""Internal wrenches of a study's sets: every combination, overviews, errors by degree and class;
+and its payload: what was estimated against the truth, and what it does inside the arm."""
 
+import math
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from torchid.report.figures import GREY, INK, new_figure, styled
-from torchid.report.study.drawing import (
-    BREAKS,
-    KEEPS,
-    REAL,
-    STYLES,
-    Drawing,
-    colour_of,
-    decades,
-    finish,
-    joint_panels,
-    panel_size,
-    spread,
-    thin,
-)
-from torchid.report.study.facts import (
-    all_degrees,
-    at_joint,
-    best_rows,
-    by_feasibility,
-    ids,
-    listed,
-    number,
-    rms,
-    row_of,
-    run_classes,
-)
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.panels import finish, label, new_figure, panel, rows_of, styled
+from torchid.report.payload import QUANTITIES
+from torchid.report.study import drawing, facts
+from torchid.report.study.drawing import BREAKS, KEEPS, REAL, Drawing, joint_panels, spread, thin
+from torchid.report.study.facts import at_joint, count, ids, number, rms
+from torchid.report.text import listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import FEASIBLE, ordered_classes
@@ -48,31 +31,31 @@ _DECADES = 1e-3
 
 def wrench_drawings(study: Study) -> list[Drawing]:
     """Overviews, combinations, and errors of all runs."""
-    return [*_overviews(study), *_combinations(study), _errors(study)]
-
-
-def combination_names(study: Study) -> list[tuple[str | None, str | None]]:
-    """Pairs of a feasible and an infeasible best set; one of them is None where there is none."""
-    good: list[str | None] = [*ids(by_feasibility(study, True))] or [None]
-    bad: list[str | None] = [*ids(by_feasibility(study, False))] or [None]
-    return [(a, b) for a in good for b in bad]
-
-
-def _combinations(study: Study) -> list[Drawing]:
-    return [_combination(study, good, bad) for good, bad in combination_names(study)]
-
-
-def _combination(study: Study, good: str | None, bad: str | None) -> Drawing:
-    parts = (("F", good, KEEPS), ("UN", bad, BREAKS))
-    present = [(f"{kind} = {name}", name, colour) for kind, name, colour in parts if name]
-    file = "wrenches_" + "_".join(f"{kind}-{name}" for kind, name, _ in parts if name)
-    chosen = [("real", "real", REAL), *present]
-    title = f"{study.robot.name}: internal forces, {', '.join(x[0] for x in present)}, real"
-    return Drawing(
-        "wrenches", file, _combination_caption(study, good, bad),
-        lambda: _norms(study.wrench_motion, study.wrench_motion.force, chosen, title,
-                       "force norm [N]"),
-    )  # fmt: skip
+    wrench, name = study.wrench_motion, study.robot.name
+    chosen: list[tuple[Any, ...]] = [("real", "real", REAL)]
+    for feasible, colour in ((True, KEEPS), (False, BREAKS)):
+        for k, own in enumerate(ids(facts.by_feasibility(study, feasible))):
+            said = f"{own} ({'feasible' if feasible else 'infeasible'})"
+            chosen.append((said, own, colour, drawing.STYLES[k % len(drawing.STYLES)]))
+    out = []
+    for what, unit, values in (("force", "N", wrench.force), ("moment", "N m", wrench.moment)):
+        title = f"{name}: internal {what}s of all best sets"
+        draw = partial(_norms, wrench, values, chosen, title, f"{what} norm [{unit}]")
+        caption = _overview_caption(study, what, unit, values)
+        out.append(Drawing("wrenches", f"overview_{what}", caption, draw))
+    # Pairs of a feasible and an infeasible best set; one of them is None where there is none.
+    good: list[str | None] = [*ids(facts.by_feasibility(study, True))] or [None]
+    bad: list[str | None] = [*ids(facts.by_feasibility(study, False))] or [None]
+    for a, b in ((a, b) for a in good for b in bad):
+        parts = [x for x in (("F", a, KEEPS), ("UN", b, BREAKS)) if x[1]]
+        shown = [(f"{kind} = {own}", own, colour) for kind, own, colour in parts]
+        file = "wrenches_" + "_".join(f"{kind}-{own}" for kind, own, _ in parts)
+        title = f"{name}: internal forces, {', '.join(x[0] for x in shown)}, real"
+        draw = partial(
+            _norms, wrench, wrench.force, [("real", "real", REAL), *shown], title, "force norm [N]"
+        )
+        out.append(Drawing("wrenches", file, _combination_caption(study, a, b), draw))
+    return [*out, _errors(study)]
 
 
 def _combination_caption(study: Study, good: str | None, bad: str | None) -> str:
@@ -83,7 +66,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
     for name in (good, bad):
         if name is None:
             continue
-        row = error[row_of(wrench, name)]
+        row = error[facts.row_of(wrench, name)]
         s = next(s for s in study.scenarios if s.scenario.id == name)
         why = "feasible" if s.feasible else f"infeasible by {listed(s.reasons)}"
         worst = int((row / real).argmax())
@@ -96,7 +79,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
         f"differences of the norms from the real ones: {'; '.join(said)}."
     )
     if good is not None and bad is not None:
-        a, b = (error[row_of(wrench, name)] for name in (good, bad))
+        a, b = (error[facts.row_of(wrench, name)] for name in (good, bad))
         nearer = [str(j + 1) for j in range(study.robot.n) if b[j] < a[j]]
         where = f"{'joint' if len(nearer) == 1 else 'joints'} {listed(nearer)}"
         if len(nearer) == study.robot.n:
@@ -111,42 +94,21 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
     return caption
 
 
-def _overviews(study: Study) -> list[Drawing]:
-    wrench = study.wrench_motion
-    chosen: list[tuple[str, str, str, Any]] = []
-    for feasible, colour in ((True, KEEPS), (False, BREAKS)):
-        for k, name in enumerate(ids(by_feasibility(study, feasible))):
-            label = f"{name} ({'feasible' if feasible else 'infeasible'})"
-            chosen.append((label, name, colour, STYLES[k % len(STYLES)]))
-    out = []
-    for what, unit, values in (("force", "N", wrench.force), ("moment", "N m", wrench.moment)):
-        out.append(
-            Drawing(
-                "wrenches", f"overview_{what}", _overview_caption(study, what, unit, values),
-                lambda what=what, unit=unit, values=values: _norms(  # type: ignore[misc]
-                    wrench, values, [("real", "real", REAL), *chosen],
-                    f"{study.robot.name}: internal {what}s of all best sets",
-                    f"{what} norm [{unit}]",
-                ),
-            )
-        )  # fmt: skip
-    return out
-
-
 def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, "S T n"]) -> str:
     error = rms(values - values[0]) / rms(values[0])
     sentences = []
     for feasible, word in ((True, "feasible"), (False, "infeasible")):
-        chosen = by_feasibility(study, feasible)
+        chosen = facts.by_feasibility(study, feasible)
         if not chosen:
             sentences.append(f"no best set is {word}")
             continue
-        worst = {s.scenario.id: float(error[row_of(study.wrench_motion, s.scenario.id)].max())
+        worst = {s.scenario.id: float(error[facts.row_of(study.wrench_motion, s.scenario.id)].max())
                  for s in chosen}  # fmt: skip
         near, far = min(worst, key=worst.__getitem__), max(worst, key=worst.__getitem__)
-        text = f"of the {word} sets {near} comes nearest to the real arm ({_percent(worst[near])}"
+        text = f"of the {word} sets {near} comes nearest to the real arm"
+        text += f" ({number(100 * worst[near])} %"
         if far != near:
-            text += f") and {far} is farthest ({_percent(worst[far])}"
+            text += f") and {far} is farthest ({number(100 * worst[far])} %"
         sentences.append(text + ")")
     return (
         f"Norms of the internal {what}s [{unit}] of all best sets on the reference motion: real "
@@ -155,25 +117,20 @@ def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, 
     )
 
 
-def _percent(share: float) -> str:
-    return f"{number(100 * share)} %"
-
-
 def _norms(
     sets: SetsOnMotion,
     values: Float[Tensor, "S T n"],
     chosen: Sequence[tuple[Any, ...]],
     title: str,
-    label: str,
+    what: str,
 ) -> "Figure":
     """Norms of some sets, one panel a joint. Chosen: (label, id, colour[, line style])."""
     n = values.shape[-1]
-    rows = {name: row_of(sets, name) for _, name, *_ in chosen}
+    rows = {name: facts.row_of(sets, name) for _, name, *_ in chosen}
     shown = values[list(rows.values())]
     top, real = shown.amax((0, 1)), values[0].amax(0)
     far = bool((top > _FAR * real.clamp(min=1e-9)).any())
-    figure = new_figure(*panel_size(n))
-    panels = joint_panels(figure, n, label)
+    figure, panels = joint_panels(n, what)
     t = thin(sets.motion.t - sets.motion.t[0])
     for j, axes in enumerate(panels):
         for text, name, colour, *style in chosen:
@@ -186,7 +143,8 @@ def _norms(
         if far:
             axes.set_yscale("log")
             axes.set_ylim(bottom=max(_DECADES * float(real[j]), float(shown[..., j].min()) / 2))
-    return finish(figure, title + (" (logarithmic)" if far else ""), panels[0], len(chosen))
+    title += " (logarithmic)" if far else ""
+    return finish(figure, title, panels[0], columns=len(chosen))
 
 
 def _errors(study: Study) -> Drawing:
@@ -205,16 +163,12 @@ def _errors(study: Study) -> Drawing:
             "" if np.isnan(rho.low) else f" (95 % interval {number(rho.low)} to {number(rho.high)})"
         )
         sure = not np.isnan(rho.low) and (rho.low > 0) == (rho.high > 0)
+        meaning = f"the deeper outside, the {'larger' if rho.value < 0 else 'smaller'} the error."
         said = (
             "Over the infeasible sets the rank correlation of degree and error is "
             f"{number(rho.value)}{interval}: "
-            + (
-                ("the deeper outside, the larger the error."
-                 if rho.value < 0 else "the deeper outside, the smaller the error.")
-                if sure
-                else "that is not told from no relation."
-            )
-        )  # fmt: skip
+            f"{meaning if sure else 'that is not told from no relation.'}"
+        )
     caption = (
         "Force error of every run (root mean square of the vector difference from the real arm, "
         "largest joint) against its degree, by the kind of its reasons: feasible sets by how "
@@ -227,7 +181,7 @@ def _errors(study: Study) -> Drawing:
 
 def _error_figure(study: Study) -> "Figure":
     error = study.errors.force_rms.amax(-1)
-    degree, classes = all_degrees(study), run_classes(study)
+    degree, classes = facts.all_degrees(study), facts.run_classes(study)
     names = ordered_classes(classes)
     figure = new_figure(12, 4.8)
     inside, outside, beside = (
@@ -237,31 +191,111 @@ def _error_figure(study: Study) -> "Figure":
         axes.set_xscale("log")
         axes.set_yscale("log")
     best = torch.zeros_like(degree, dtype=torch.bool)
-    best[best_rows(study)] = True
+    best[facts.best_rows(study)] = True
     for c, name in enumerate(names):
         own = torch.tensor([x == name for x in classes])
         axes = inside if name == FEASIBLE else outside
+        colour = drawing.CLASS_COLOURS.get(name, GREY)
         depth = degree[own].abs().clamp(min=1e-12)
-        axes.scatter(depth, error[own], s=16, color=colour_of(name), alpha=0.7, linewidth=0)
+        axes.scatter(depth, error[own], s=16, color=colour, alpha=0.7, linewidth=0)
         axes.scatter(depth[best[own]], error[own & best], s=60, color=INK, marker="x", linewidth=1)
         place = c + spread(int(own.sum()), c)
-        beside.scatter(place, error[own], s=12, color=colour_of(name), alpha=0.6, linewidth=0)
+        beside.scatter(place, error[own], s=12, color=colour, alpha=0.6, linewidth=0)
         low, median, high = np.nanpercentile(error[own].numpy(), [25, 50, 75])
         beside.vlines(c, low, high, color=INK, linewidth=5, alpha=0.35)
         beside.hlines(median, c - 0.35, c + 0.35, color=INK, linewidth=1.6)
-        outside.scatter([], [], s=16, color=colour_of(name), label=name)
+        outside.scatter([], [], s=16, color=colour, label=name)
     for axes in (inside, outside):
-        decades(axes.xaxis)
-    decades(inside.yaxis)
+        drawing.decades(axes.xaxis)
+    drawing.decades(inside.yaxis)
     if FEASIBLE not in names:
         inside.text(0.5, 0.5, "no run is feasible", transform=inside.transAxes, ha="center",
                     fontsize=9, color=GREY)  # fmt: skip
     outside.scatter([], [], s=60, color=INK, marker="x", label="best sets")
-    inside.set_xlabel("degree (feasible)", fontsize=8, color=INK)
-    outside.set_xlabel("-degree (infeasible)", fontsize=8, color=INK)
-    inside.set_ylabel("force error, largest joint [N]", fontsize=8, color=INK)
+    label(inside, "degree (feasible)", "force error, largest joint [N]")
+    label(outside, "-degree (infeasible)")
     beside.set_xticks(range(len(names)), [x.replace(" ", "\n") for x in names], fontsize=8)
     beside.set_xlim(-0.6, len(names) - 0.4)
-    return finish(
-        figure, f"{study.robot.name}: force error by degree and by reason, all runs", outside, 7
+    title = f"{study.robot.name}: force error by degree and by reason, all runs"
+    return finish(figure, title, outside, columns=7)
+
+
+def payload_drawings(study: Study) -> list[Drawing]:
+    """Estimate against truth, and internal forces without and with the payload."""
+    return [
+        Drawing("payload", "payload_estimate", _estimate_caption(study), lambda: _estimate(study)),
+        Drawing("payload", "payload_force", _force_caption(study), lambda: _force(study)),
+    ]
+
+
+def _estimate_caption(study: Study) -> str:
+    truth, value, low, high = facts.payload_numbers(study)
+    rows = list(zip(QUANTITIES, truth, value, low, high, strict=True))
+    known = [row for row in rows if math.isfinite(row[3]) and math.isfinite(row[4])]
+    missed = [name for (name, _), t, _, a, b in known if not a <= t <= b]
+    unknown = [name for (name, _), _, v, _, _ in rows if not math.isfinite(v)]
+    text = (
+        "The payload estimated from two runs of the exciting motion with the noise of real "
+        "sensors (encoder steps, noisy torque), without and with it: error of each quantity in "
+        "half-widths of its 95 % interval, so that the true value is inside the green band where "
+        f"the interval holds it. It does for {len(known) - len(missed)} of "
+        f"{count(len(known), 'quantity', 'quantities')}"
     )
+    text += f" (not {listed(missed)})." if missed else "."
+    if unknown:
+        text += f" Not determined: {listed(unknown)}."
+    return text
+
+
+def _estimate(study: Study) -> "Figure":
+    truth, value, low, high = facts.payload_numbers(study)
+    figure, axes = panel(9, 4.2)
+    axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    labels, largest = [], 2.0
+    for k, (name, unit) in enumerate(QUANTITIES):
+        half = (high[k] - low[k]) / 2
+        error = (value[k] - truth[k]) / half if half > 0 else math.nan
+        if math.isfinite(error):
+            axes.errorbar(error, k, xerr=1, fmt="o", markersize=4, capsize=3, linewidth=1,
+                          color=BLUE if abs(error) <= 1 else RED)  # fmt: skip
+            largest = max(largest, 1.15 * abs(error) + 1)
+            shown = f"{number(value[k], 4)} ± {number(half, 2)}"
+        else:
+            shown = "not known"
+        labels.append(f"{name} [{unit}]\n{shown}, true {number(truth[k], 4)}")
+    rows_of(axes, labels, 6.5)
+    axes.set_xlim(-largest, largest)
+    label(axes, "(estimated - true) / half-width of the 95 % interval")
+    return finish(figure, f"{study.robot.name}: payload, estimated against true")
+
+
+def _force_caption(study: Study) -> str:
+    force = study.payload.force
+    before, after = rms(force[0]), rms(force[1])
+    rise = ((after - before) / before).tolist()
+    joint = max(range(len(rise)), key=lambda j: abs(rise[j]))
+    wrong = rms(force[2] - force[1])
+    return (
+        "Norms of the internal forces on the reference motion without the payload, with the true "
+        f"one of {number(study.settings.payload.mass)} kg, and with the estimated one. The payload "
+        f"changes the force most at joint {joint + 1}, from a root mean square of "
+        f"{number(float(before[joint]))} to {number(float(after[joint]))} N; with the estimated "
+        f"one the force is wrong by at most {at_joint(wrong.tolist(), 'N')}."
+    )
+
+
+def _force(study: Study) -> "Figure":
+    figure, panels = joint_panels(study.robot.n, "force norm [N]")
+    motion = study.wrench_motion.motion
+    t = thin(motion.t - motion.t[0])
+    lines = (
+        ("without payload", GREY, "-", 1.2),
+        ("with the true payload", INK, "-", 2.4),
+        ("with the estimated payload", ORANGE, "--", 1.3),
+    )
+    for j, axes in enumerate(panels):
+        for values, (name, colour, style, width) in zip(study.payload.force, lines, strict=True):
+            axes.plot(t, thin(values[:, j]), style, color=colour, linewidth=width, label=name)
+    title = f"{study.robot.name}: internal forces with a payload"
+    return finish(figure, title, panels[0], columns=3)

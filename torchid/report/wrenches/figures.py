@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, styled
+from torchid.report import panels
+from torchid.report.colours import BLUE, BROWN, GREEN, GREY, GRID, INK, ORANGE, PURPLE, RED
+from torchid.report.panels import legend_below, new_figure, panel, styled
 from torchid.report.wrenches.tables import label
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
@@ -14,7 +16,6 @@ from torchid.wrenches.regressor import wrench_norms
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PURPLE, BROWN = "#8250df", "#7d4e00"
 COLOURS = {
     "feasible": GREEN,
     "inertia": BLUE,
@@ -40,8 +41,7 @@ def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
 
 def degree_figure(study: EqualTorqueStudy) -> "Figure":
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
-    figure = new_figure(10.5, 5.4)
-    axes = styled(figure.subplots())
+    figure, axes = panel(10.5, 5.4)
     degree, worst = study.degree.numpy(), study.worst.numpy()
     for kind in study.kinds:
         rows = study.rows(kind)
@@ -49,14 +49,18 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
             degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
             label=f"{label(kind)} ({len(rows)})",
         )  # fmt: skip
-        _running_median(axes, degree[rows], worst[rows], _colour(kind))
+        # Running median of six groups of neighbours.
+        order = np.argsort(degree[rows])
+        groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
+        x, y = ([float(np.median(v[rows][g])) for g in groups] for v in (degree, worst))
+        axes.plot(x, y, color="white", linewidth=3.6)
+        axes.plot(x, y, color=_colour(kind), linewidth=2.0)
     axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
     axes.set_yscale("log")
     axes.axvline(0, color=INK, linewidth=0.9)
-    top = 1.04
-    for x, text, side in ((0.0, " feasible", "left"), (0.0, "infeasible ", "right")):
+    for text, side in ((" feasible", "left"), ("infeasible ", "right")):
         axes.text(
-            x, top, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
+            0.0, 1.04, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
             fontsize=_SMALL, color=INK,
         )  # fmt: skip
     greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
@@ -67,7 +71,8 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
             xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
             fontsize=_SMALL, color=GREEN, va="bottom", ha="right",
         )  # fmt: skip
-    _label(axes, "degree (smallest margin over its scale; 0 is the boundary)", _ERROR)
+    what = "degree (smallest margin over its scale; 0 is the boundary)"
+    panels.label(axes, what, _ERROR, size=_SMALL + 1)
     _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return _titled(figure, study, "the degree of a violation and the error of the internal forces")
 
@@ -89,7 +94,14 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
         styled(axes)
         for place, kind in enumerate(kinds):
             values = study.errors.force_rms[study.rows(kind), j].clamp(min=floor).numpy()
-            _box(axes, place, values, _colour(kind))
+            colour = _colour(kind)
+            axes.boxplot(
+                values, positions=[place], widths=0.62, whis=(5, 95), showfliers=False,
+                patch_artist=True, manage_ticks=False,
+                boxprops={"facecolor": colour, "alpha": 0.45, "edgecolor": colour},
+                medianprops={"color": INK, "linewidth": 1.4},
+                whiskerprops={"color": colour}, capprops={"color": colour},
+            )  # fmt: skip
             if kind in reach:
                 axes.plot(place, max(reach[kind][j], floor), marker="_", color=INK, markersize=13)
         axes.axhline(max(own[j], floor), color=GREY, linewidth=1.2, linestyle=(0, (4, 2)))
@@ -98,15 +110,18 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
         shown = [label(k) for k in kinds]
         axes.set_xticks(range(len(kinds)), shown, rotation=40, ha="right", fontsize=7)
         if j % columns == 0:
-            axes.set_ylabel("force error [N], RMS", fontsize=_SMALL, color=INK)
-    _boxes_legend(figure)
+            panels.label(axes, y="force error [N], RMS")
+    meanings = {
+        "the force itself (RMS)": _line(GREY, 1.2, linestyle=(0, (4, 2))),
+        "greatest of any set of the kind": _line(INK, 0, marker="_", markersize=12),
+    }
+    legend_below(figure, meanings, 2)
     return _titled(figure, study, "force error per joint and kind of violation")
 
 
 def mass_figure(study: EqualTorqueStudy) -> "Figure":
     """Force error against the weight of the carried mass's error: what it comes from."""
-    figure = new_figure(6.2, 5.2)
-    axes = styled(figure.subplots())
+    figure, axes = panel(6.2, 5.2)
     weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
     for kind in study.kinds:
         rows = study.rows(kind)
@@ -118,7 +133,8 @@ def mass_figure(study: EqualTorqueStudy) -> "Figure":
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    _label(axes, "weight of the carried mass's error, largest joint [N]", _ERROR)
+    what = "weight of the carried mass's error, largest joint [N]"
+    panels.label(axes, what, _ERROR, size=_SMALL + 1)
     _legend(axes)
     return _titled(figure, study, "the error is the weight of wrongly placed mass")
 
@@ -126,7 +142,10 @@ def mass_figure(study: EqualTorqueStudy) -> "Figure":
 def time_figure(study: EqualTorqueStudy) -> "Figure":
     """Norms of the internal forces over time: the reference and each kind's median set."""
     n, kinds = study.setting.robot.n, study.kinds
-    chosen = [_median_set(study, kind) for kind in kinds]
+    chosen = []
+    for kind in kinds:
+        rows = study.rows(kind)
+        chosen.append(rows[int(study.worst[rows].argsort()[len(rows) // 2])])
     pi = torch.cat([study.setting.reference.parameters.pi, study.family.sets.parameters.pi[chosen]])
     motion = study.motion.state
     force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
@@ -143,15 +162,12 @@ def time_figure(study: EqualTorqueStudy) -> "Figure":
         for k, kind in enumerate(kinds, start=1):
             axes.plot(t, force[k, :, j].numpy(), color=_colour(kind), linewidth=1.1)
         axes.plot(t, force[0, :, j].numpy(), color=INK, linewidth=1.8)
-        axes.set_ylabel(f"joint {j + 1} [N]", fontsize=_SMALL, color=INK)
+        panels.label(axes, y=f"joint {j + 1} [N]")
     for axes in grid[-1]:
-        axes.set_xlabel("sample" if study.rate is None else "time [s]", fontsize=_SMALL, color=INK)
+        panels.label(axes, "sample" if study.rate is None else "time [s]")
         axes.tick_params(labelbottom=True)
-    handles = [_line(INK, 1.8), *(_line(_colour(k), 1.1) for k in kinds)]
-    names = ["reference", *(f"{label(k)}, median set" for k in kinds)]
-    figure.legend(
-        handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=_SMALL
-    )
+    sets = {f"{label(k)}, median set": _line(_colour(k), 1.1) for k in kinds}
+    legend_below(figure, {"reference": _line(INK, 1.8), **sets}, 4)
     return _titled(figure, study, "norms of the internal forces, all with the same torque")
 
 
@@ -162,60 +178,19 @@ def _colour(kind: str) -> str:
     return COLOURS.get(kind, GREY)
 
 
-def _label(axes: Any, x: str, y: str) -> None:
-    axes.set_xlabel(x, fontsize=_SMALL + 1, color=INK)
-    axes.set_ylabel(y, fontsize=_SMALL + 1, color=INK)
-
-
 def _legend(axes: Any, **where: Any) -> None:
     place = where or {"loc": "lower right"}
     legend = axes.legend(**place, frameon=True, fontsize=_SMALL, framealpha=0.9)
-    legend.get_frame().set_edgecolor("#eaeef2")
+    legend.get_frame().set_edgecolor(GRID)
     for handle in legend.legend_handles:
         handle.set_alpha(1.0)
 
 
 def _titled(figure: "Figure", study: EqualTorqueStudy, text: str) -> "Figure":
-    title = f"{study.setting.robot.name}: {text}"
-    figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
-
-
-def _running_median(axes: Any, degree: np.ndarray, worst: np.ndarray, colour: str) -> None:
-    order = np.argsort(degree)
-    groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
-    x = [float(np.median(degree[g])) for g in groups]
-    y = [float(np.median(worst[g])) for g in groups]
-    axes.plot(x, y, color="white", linewidth=3.6)
-    axes.plot(x, y, color=colour, linewidth=2.0)
-
-
-def _box(axes: Any, place: int, values: np.ndarray, colour: str) -> None:
-    axes.boxplot(
-        values, positions=[place], widths=0.62, whis=(5, 95), showfliers=False, patch_artist=True,
-        boxprops={"facecolor": colour, "alpha": 0.45, "edgecolor": colour},
-        medianprops={"color": INK, "linewidth": 1.4},
-        whiskerprops={"color": colour}, capprops={"color": colour},
-        manage_ticks=False,
-    )  # fmt: skip
+    return panels.finish(figure, f"{study.setting.robot.name}: {text}")
 
 
 def _line(colour: str, width: float, **style: Any) -> Any:
     from matplotlib.lines import Line2D
 
     return Line2D([], [], color=colour, linewidth=width, **style)
-
-
-def _boxes_legend(figure: "Figure") -> None:
-    dash = _line(GREY, 1.2, linestyle=(0, (4, 2)))
-    mark = _line(INK, 0, marker="_", markersize=12)
-    texts = ("the force itself (RMS)", "greatest of any set of the kind")
-    figure.legend(
-        [dash, mark], texts, loc="outside lower center", ncols=2, frameon=False, fontsize=_SMALL
-    )
-
-
-def _median_set(study: EqualTorqueStudy, kind: str) -> int:
-    rows = study.rows(kind)
-    order = study.worst[rows].argsort()
-    return rows[int(order[len(rows) // 2])]

@@ -2,16 +2,17 @@
 
 import math
 
-import torch
-
 from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
-from torchid.wrenches.compare import Comparison, EffectSize
+from torchid.wrenches.compare import EffectSize
 from torchid.wrenches.resampling import Estimate
 
 _NEARLY_ALL = 0.1
 """Share of the force error that may be missing where it is called the carried mass's weight."""
-_AGAINST_EACH_OTHER = ("CoM only", "inertia only")
+_COMPARED = (
+    ("inertia only", "feasible"), ("CoM only", "feasible"), ("CoM only", "inertia only"),
+)  # fmt: skip
+"""Classes whose difference is told."""
 _WORDS = {"inertia": "inertia", "com": "centres of mass"}
 
 
@@ -22,14 +23,32 @@ def findings(study: EqualTorqueStudy) -> list[str]:
         f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
         weight_sentence(study.static_share),
     ]
-    told += [_effect_sentence(e) for e in study.comparison.effects if _of_interest(e)]
+    effects = study.comparison.effects
+    told += [_effect_sentence(e) for e in effects if (e.first, e.second) in _COMPARED]
     for c in study.statistics.correlations:
         if c.kind in ("feasible", "inertia", "com"):
             told.append(_degree_sentence(c.kind, c.degree))
     told += [_across_sentence(a) for a in study.statistics.across if a.kind in ("inertia", "com")]
-    told += _reach_sentences(study)
+    # What any set can do, feasible ones first.
+    reach = {r.kind: r for r in study.reach}
+    if "feasible" in reach:
+        greatest = float(reach["feasible"].reached.max())
+        told.append(f"Even feasible sets can be off by {greatest:.3g} N.")
+        for kind in (kind for kind in ("inertia", "com") if kind in reach):
+            times = (reach[kind].reached / reach["feasible"].bound).clamp(min=1.0).tolist()
+            told.append(
+                f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least "
+                f"{', '.join(f'{t:.2f}' for t in times)} times that of feasible ones (joint by "
+                "joint)."
+            )
     if study.to_nominal is not None:
-        told.append(_nominal_sentence(study, study.to_nominal))
+        classes = [c for c in study.to_nominal.classes if c.median is not None]
+        medians = ", ".join(f"{c.name} {c.median:.3g}" for c in classes)
+        told.append(
+            "Against the nominal parameters, which have another torque and are not feasible, the "
+            f"medians are {medians} N; the reference itself is {study.reference_to_nominal:.3g} N "
+            "away."
+        )
     return told
 
 
@@ -50,11 +69,6 @@ def weight_sentence(share: tuple[float, float, float]) -> str:
         f"of all sets: {100 * low:.3g} to {100 * high:.3g} %): in this motion first moments and "
         "accelerations count as well."
     )
-
-
-def _of_interest(effect: EffectSize) -> bool:
-    pair = (effect.first, effect.second)
-    return pair in (("inertia only", "feasible"), ("CoM only", "feasible"), _AGAINST_EACH_OTHER)
 
 
 def _effect_sentence(effect: EffectSize) -> str:
@@ -95,32 +109,3 @@ def _across_sentence(across: Across) -> str:
     if low <= 1 <= high:
         return f"{what} no jump of the error can be told: {how}."
     return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
-
-
-def _reach_sentences(study: EqualTorqueStudy) -> list[str]:
-    found = {r.kind: r for r in study.reach}
-    if "feasible" not in found:
-        return []
-    feasible = found["feasible"].bound
-    told = [f"Even feasible sets can be off by {_newton(found['feasible'].reached.max())}."]
-    for kind in ("inertia", "com"):
-        if kind in found:
-            times = (found[kind].reached / feasible).clamp(min=1.0).tolist()
-            listed = ", ".join(f"{t:.2f}" for t in times)
-            told.append(
-                f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least "
-                f"{listed} times that of feasible ones (joint by joint)."
-            )
-    return told
-
-
-def _nominal_sentence(study: EqualTorqueStudy, found: Comparison) -> str:
-    medians = ", ".join(f"{c.name} {c.median:.3g}" for c in found.classes if c.median is not None)
-    return (
-        "Against the nominal parameters, which have another torque and are not feasible, the "
-        f"medians are {medians} N; the reference itself is {study.reference_to_nominal:.3g} N away."
-    )
-
-
-def _newton(value: torch.Tensor) -> str:
-    return f"{float(value):.3g} N"

@@ -1,13 +1,12 @@
 """Internal wrenches of given sets: tables and figures."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
-from torchid.report.figures import GREY, INK, new_figure, styled
-from torchid.report.identification import compact
+from torchid.report.colours import GREY, INK
+from torchid.report.panels import finish, label, panel
+from torchid.report.table import Table
 from torchid.report.wrenches.figures import COLOURS
 from torchid.report.wrenches.tables import interval
 from torchid.study.equal_torque.given_sets import GivenSets
@@ -63,50 +62,46 @@ def headline(found: GivenSets) -> str:
 
 def set_table(found: GivenSets) -> Table:
     """Reasons, degree and force error per joint; the sets with the largest errors if many."""
-    worst = found.errors.force_rms.amax(-1)
-    rows = list(range(len(found.sets)))
-    title = f"force error against {escape(_reference(found))} [N], RMS over the motion"
-    if len(rows) > _MOST_ROWS:
-        rows = sorted(worst.argsort(descending=True)[:_MOST_ROWS].tolist())
+    own, worst = found.errors, found.errors.force_rms.amax(-1)
+    shown = list(range(len(found.sets)))
+    title = f"force error against {_reference(found)} [N], RMS over the motion"
+    if len(shown) > _MOST_ROWS:
+        shown = sorted(worst.argsort(descending=True)[:_MOST_ROWS].tolist())
         title += f" (the {_MOST_ROWS} of {len(worst)} sets with the largest)"
-    table = compact(title)
-    for heading in ("set", "degree", "torque [%]", "moment [N m]"):
-        table.add_column(heading, justify="left" if heading == "set" else "right", no_wrap=True)
-    for joint in range(found.robot.n):
-        table.add_column(f"j{joint + 1}", justify="right", no_wrap=True)
-    table.add_column("reasons", overflow="fold")
-    for k in rows:
-        table.add_row(
-            escape(found.sets.ids[k]), f"{float(found.checked.degree[k]):.2g}",
+    rows = [
+        (
+            found.sets.ids[k], f"{float(found.checked.degree[k]):.2g}",
             f"{100 * float(found.torque_relative[k].max()):.2g}",
-            f"{float(found.errors.moment_rms[k].max()):.3g}",
-            *(f"{v:.3g}" for v in found.errors.force_rms[k].tolist()),
+            f"{float(own.moment_rms[k].max()):.3g}",
+            *(f"{v:.3g}" for v in own.force_rms[k].tolist()),
             " ".join(found.checked.reasons(k)) or "feasible",
-        )  # fmt: skip
-    own = found.errors
-    table.add_row(
-        "itself", "", "", f"{float(own.reference_moment_rms.max()):.3g}",
-        *(f"{v:.3g}" for v in own.reference_force_rms.tolist()), "",
-    )  # fmt: skip
-    return table
+        )
+        for k in shown
+    ]  # fmt: skip
+    itself = (f"{v:.3g}" for v in own.reference_force_rms.tolist())
+    rows.append(("itself", "", "", f"{float(own.reference_moment_rms.max()):.3g}", *itself, ""))
+    joints = (f"j{joint + 1}" for joint in range(found.robot.n))
+    columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
+    return Table(title, columns, rows, names=columns[:1], words=columns[-1:])
 
 
 def class_table(found: GivenSets) -> Table:
     """By class and reason, with the rank correlation of error and degree."""
     rho = found.comparison.correlation
     value = interval(rho.rho) if rho.sets else "-"
-    table = compact(
-        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}"
-    )
-    for heading in ("sets that violate", "sets", "median", "quartiles"):
-        table.add_column(heading, justify="left" if heading[-1] == "e" else "right", no_wrap=True)
+    rows = []
     for summary in (*found.comparison.classes, *found.comparison.per_reason):
-        if summary.median is None:
-            table.add_row(summary.name, str(summary.sets), "-", "too few")
-            continue
-        quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
-        table.add_row(summary.name, str(summary.sets), f"{summary.median:.3g}", quartiles)
-    return table
+        cells = ("-", "too few")
+        if summary.median is not None:
+            quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
+            cells = (f"{summary.median:.3g}", quartiles)
+        rows.append((summary.name, str(summary.sets), *cells))
+    return Table(
+        f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}",
+        ("sets that violate", "sets", "median", "quartiles"),
+        rows,
+        names=("sets that violate",),
+    )
 
 
 def figures(found: GivenSets) -> dict[str, "Figure"]:
@@ -116,40 +111,31 @@ def figures(found: GivenSets) -> dict[str, "Figure"]:
 
 def error_figure(found: GivenSets) -> "Figure":
     """Force error per joint, a mark a set."""
-    figure = new_figure(8.0, 4.6)
-    axes = styled(figure.subplots())
-    n, errors = found.robot.n, found.errors.force_rms.numpy()
+    figure, axes = panel(8.0, 4.6)
+    joints, errors = np.arange(1, found.robot.n + 1), found.errors.force_rms.numpy()
     floor = max(1e-6 * float(errors.max()), 1e-12)
-    names = [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+    names = _classes(found)
     spread = np.linspace(-0.28, 0.28, len(names)) if len(names) > 1 else np.zeros(1)
     for k, name in enumerate(names):
         axes.scatter(
-            np.arange(1, n + 1) + spread[k], np.maximum(errors[k], floor), s=22, marker="o",
+            joints + spread[k], np.maximum(errors[k], floor), s=22, marker="o",
             color=_colour(name), alpha=0.8, linewidths=0,
             label=name if name not in names[:k] else None,
         )  # fmt: skip
     own = np.maximum(found.errors.reference_force_rms.numpy(), floor)
-    axes.scatter(
-        np.arange(1, n + 1), own, marker="_", s=900, color=GREY, label="the force itself", zorder=0
-    )
-    axes.set_yscale("log")
-    axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    axes.set_xticks(range(1, n + 1))
-    axes.set_xlabel("joint", fontsize=9, color=INK)
-    axes.set_ylabel("force error [N], RMS over the motion", fontsize=9, color=INK)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8, markerscale=0.7)
+    axes.scatter(joints, own, marker="_", s=900, color=GREY, label="the force itself", zorder=0)
+    axes.set_xticks(range(1, found.robot.n + 1))
+    label(axes, "joint", "force error [N], RMS over the motion", size=9)
     title = f"{found.robot.name}: force error per joint against {_reference(found)}"
-    figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
+    return _finish(figure, axes, title, markerscale=0.7)
 
 
 def degree_figure(found: GivenSets) -> "Figure":
     """Largest force error against the degree; ids beside the marks where there are few."""
-    figure = new_figure(8.0, 4.6)
-    axes = styled(figure.subplots())
+    figure, axes = panel(8.0, 4.6)
     degree = found.checked.degree.numpy()
     worst = found.errors.force_rms.amax(-1).clamp(min=1e-12).numpy()
-    names = [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+    names = _classes(found)
     for k, name in enumerate(names):
         axes.scatter(
             degree[k], worst[k], s=22, color=_colour(name), alpha=0.8, linewidths=0,
@@ -163,14 +149,20 @@ def degree_figure(found: GivenSets) -> "Figure":
     axes.axvline(0, color=INK, linewidth=0.9)
     axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
     axes.margins(x=0.08)
+    y = "force error, largest joint [N], RMS"
+    label(axes, "degree (0 is the boundary, negative infeasible)", y, size=9)
+    return _finish(figure, axes, f"{found.robot.name}: degree and force error")
+
+
+def _classes(found: GivenSets) -> list[str]:
+    return [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+
+
+def _finish(figure: "Figure", axes: Any, title: str, **legend: Any) -> "Figure":
     axes.set_yscale("log")
     axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    axes.set_xlabel("degree (0 is the boundary, negative infeasible)", fontsize=9, color=INK)
-    axes.set_ylabel("force error, largest joint [N], RMS", fontsize=9, color=INK)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
-    title = f"{found.robot.name}: degree and force error"
-    figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
-    return figure
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8, **legend)
+    return finish(figure, title)
 
 
 def _reference(found: GivenSets) -> str:

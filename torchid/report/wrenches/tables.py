@@ -2,9 +2,7 @@
 
 import math
 
-from rich.table import Table
-
-from torchid.report.identification import compact
+from torchid.report.table import Table
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.resampling import Estimate
@@ -24,151 +22,143 @@ def tables(study: EqualTorqueStudy) -> list[Table]:
 
 def kind_table(study: EqualTorqueStudy) -> Table:
     """Quartiles of the largest force error over the joints by kind, and the moments' median."""
-    table = compact(
-        f"{study.setting.robot.name}: errors of the internal wrenches against the "
-        f"{_reference(study)}, RMS over the motion, largest joint"
-    )
-    headings = ("kind", "sets", "chains", "degree", "force [N]: median (quartiles)", "moment [N m]")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "kind" else "right", no_wrap=True)
+    rows: list[tuple[str, ...]] = []
     moment = study.errors.moment_rms.amax(-1)
     for kind in study.kinds:
-        rows = study.rows(kind)
-        low, middle, high = (float(study.worst[rows].quantile(p)) for p in (0.25, 0.5, 0.75))
-        degree = study.degree[rows]
-        chains = len(set(study.family.cluster[rows].tolist()))
-        table.add_row(
-            label(kind), str(len(rows)), str(chains),
-            f"{float(degree.min()):.2g} .. {float(degree.max()):.2g}",
-            f"{middle:.3g} ({low:.3g} - {high:.3g})", f"{float(moment[rows].quantile(0.5)):.3g}",
+        own = study.rows(kind)
+        low, middle, high = (float(study.worst[own].quantile(p)) for p in (0.25, 0.5, 0.75))
+        degree = study.degree[own]
+        rows.append(
+            (
+                label(kind), str(len(own)), str(len(set(study.family.cluster[own].tolist()))),
+                f"{float(degree.min()):.2g} .. {float(degree.max()):.2g}",
+                f"{middle:.3g} ({low:.3g} - {high:.3g})",
+                f"{float(moment[own].quantile(0.5)):.3g}",
+            )
         )  # fmt: skip
-    own = study.errors
-    table.add_row(
-        "the wrench itself", "", "", "", f"{float(own.reference_force_rms.max()):.3g}",
-        f"{float(own.reference_moment_rms.max()):.3g}",
-    )  # fmt: skip
-    return table
+    e = study.errors
+    itself = [f"{float(x.max()):.3g}" for x in (e.reference_force_rms, e.reference_moment_rms)]
+    rows.append(("the wrench itself", "", "", "", *itself))
+    nominal = study.setting.origin == "nominal"
+    return Table(
+        f"{study.setting.robot.name}: errors of the internal wrenches against the "
+        f"{'nominal parameters' if nominal else 'nearest feasible set'}, RMS over the motion, "
+        "largest joint",
+        ("kind", "sets", "chains", "degree", "force [N]: median (quartiles)", "moment [N m]"),
+        rows,
+        names=("kind",),
+    )
 
 
 def joint_table(study: EqualTorqueStudy) -> Table:
     """Medians of the force error per joint."""
-    table = compact("median force error per joint [N]")
-    table.add_column("kind", no_wrap=True)
-    for joint in range(study.setting.robot.n):
-        table.add_column(f"j{joint + 1}", justify="right", no_wrap=True)
-    for kind in study.kinds:
-        middle = study.errors.force_rms[study.rows(kind)].median(0).values.tolist()
-        table.add_row(label(kind), *(f"{v:.3g}" for v in middle))
-    own = study.errors.reference_force_rms.tolist()
-    table.add_row("the force itself", *(f"{v:.3g}" for v in own))
-    return table
+    errors = study.errors
+    rows = {label(k): errors.force_rms[study.rows(k)].median(0).values for k in study.kinds}
+    rows["the force itself"] = errors.reference_force_rms
+    cells = [(name, *(f"{v:.3g}" for v in row.tolist())) for name, row in rows.items()]
+    columns = ("kind", *_joints(study))
+    return Table("median force error per joint [N]", columns, cells, names=("kind",))
 
 
 def effect_table(study: EqualTorqueStudy) -> Table:
     """Differences of the classes, with 95 % intervals."""
-    table = compact("differences of the classes (95 % intervals from whole chains)")
-    for heading in (
-        "class",
-        "against",
-        "times the error",
-        "Cliff's delta",
-        "at equal carried mass",
-    ):
-        table.add_column(heading, no_wrap=heading != "against")
-    matched = {_class(m.kind): m for m in study.statistics.matched}
+    matched = {CLASS_NAMES.get(m.kind, "mixed"): m for m in study.statistics.matched}
+    rows = []
     for e in study.comparison.effects:
         own = matched.get(e.first) if e.second == "feasible" else None
         same = "" if own is None else f"{interval(own.delta)}, {100 * own.share:.0f} % matched"
-        table.add_row(e.first, e.second, interval(e.ratio), interval(e.delta), same)
-    return table
+        rows.append((e.first, e.second, interval(e.ratio), interval(e.delta), same))
+    columns = ("class", "against", "times the error", "Cliff's delta", "at equal carried mass")
+    title = "differences of the classes (95 % intervals from whole chains)"
+    return Table(title, columns, rows, names=(columns[0], *columns[2:]), words=columns[1:2])
 
 
 def degree_table(study: EqualTorqueStudy) -> Table:
     """Rank correlations of the error."""
-    table = compact("Spearman's rho of the force error with ... (95 % intervals)")
-    for heading in ("sets", "degree", "coordinates out of box", "carried mass's error"):
-        table.add_column(heading, no_wrap=True)
-    for c in study.statistics.correlations:
-        table.add_row(
-            label(c.kind), interval(c.degree), interval(c.coordinates), f"{c.carried.value:.4f}"
-        )
-    return table
+    rows = [
+        (label(c.kind), interval(c.degree), interval(c.coordinates), f"{c.carried.value:.4f}")
+        for c in study.statistics.correlations
+    ]
+    columns = ("sets", "degree", "coordinates out of box", "carried mass's error")
+    title = "Spearman's rho of the force error with ... (95 % intervals)"
+    return Table(title, columns, rows, names=columns)
 
 
 def third_table(study: EqualTorqueStudy) -> Table:
     """Slight and gross violations, barely and firmly feasible sets."""
-    table = compact("by thirds of the degree, against the feasible sets nearest the boundary")
-    for heading in ("sets", "third", "degree", "median [N]", "times the error"):
-        table.add_column(heading, no_wrap=True)
+    rows = []
     for t in study.statistics.thirds:
         low, high = t.degree
         ratio = "1" if (t.kind, t.third[0]) == ("feasible", "n") else interval(t.ratio)
-        table.add_row(label(t.kind), t.third, f"{low:.2g} .. {high:.2g}", f"{t.median:.3g}", ratio)
+        median = f"{t.median:.3g}"
+        rows.append((label(t.kind), t.third, f"{low:.2g} .. {high:.2g}", median, ratio))
     for a in study.statistics.across:
         if min(a.sets) > 0:
-            table.add_row(
-                f"just {label(a.kind)}", "vs just feasible", f"{a.sets[0]} and {a.sets[1]} sets",
-                f"{a.medians[0]:.3g}, {a.medians[1]:.3g}", interval(a.ratio),
-            )  # fmt: skip
-    return table
+            sets = f"{a.sets[0]} and {a.sets[1]} sets"
+            medians = f"{a.medians[0]:.3g}, {a.medians[1]:.3g}"
+            who = f"just {label(a.kind)}"
+            rows.append((who, "vs just feasible", sets, medians, interval(a.ratio)))
+    columns = ("sets", "third", "degree", "median [N]", "times the error")
+    title = "by thirds of the degree, against the feasible sets nearest the boundary"
+    return Table(title, columns, rows, names=columns)
 
 
 def reach_table(study: EqualTorqueStudy) -> Table:
     """The greatest force error of any set, per joint."""
-    table = compact("greatest force error of any set with this torque [N] (reached - bound)")
-    table.add_column("what may be violated", no_wrap=True)
-    for joint in range(study.setting.robot.n):
-        table.add_column(f"j{joint + 1}", justify="right")
+    rows = []
     for r in study.reach:
-        both = zip(r.reached.tolist(), r.bound.tolist(), strict=True)
-        name = "nothing (feasible)" if r.kind == "feasible" else label(r.kind)
-        table.add_row(name, *(_bracket(low, high) for low, high in both))
-    return table
+        cells = []
+        for low, high in zip(r.reached.tolist(), r.bound.tolist(), strict=True):
+            close = math.isclose(low, high, rel_tol=0.01, abs_tol=0.05)
+            cells.append(f"{low:.3g}" if close else f"{low:.3g} - {high:.3g}")
+        rows.append(("nothing (feasible)" if r.kind == "feasible" else label(r.kind), *cells))
+    title = "greatest force error of any set with this torque [N] (reached - bound)"
+    what = "what may be violated"
+    return Table(title, (what, *_joints(study)), rows, names=(what,))
 
 
 def truth_table(study: EqualTorqueStudy) -> Table:
     """If another feasible set were the arm."""
-    table = compact("each feasible set as the true arm (median and 95 % range over them)")
-    for heading in ("kind", "times the feasible sets' error", "nearer to it than a feasible set"):
-        table.add_column(heading, no_wrap=True)
+    rows = []
     for t in study.truths:
         ratio = f"{t.ratio[0]:.2f} ({t.ratio[1]:.2f} - {t.ratio[2]:.2f})"
         better, low, high = (100 * b for b in t.better)
-        table.add_row(label(t.kind), ratio, f"{better:.0f} % ({low:.0f} - {high:.0f})")
-    return table
+        rows.append((label(t.kind), ratio, f"{better:.0f} % ({low:.0f} - {high:.0f})"))
+    columns = ("kind", "times the feasible sets' error", "nearer to it than a feasible set")
+    title = "each feasible set as the true arm (median and 95 % range over them)"
+    return Table(title, columns, rows, names=columns)
 
 
 def firm_table(study: EqualTorqueStudy) -> Table:
     """Are firmer sets better? That depends on how firm the truth is."""
-    table = compact("rho of degree and error among feasible sets, by how firm the true one is")
-    for heading in ("the true set's degree", "rho: median and 95 % range"):
-        table.add_column(heading, no_wrap=True)
-    for f in study.firm_truths:
-        table.add_row(f"third {f.third}", f"{f.rho[0]:.2f} ({f.rho[1]:.2f} .. {f.rho[2]:.2f})")
-    return table
+    rows = [
+        (f"third {f.third}", f"{f.rho[0]:.2f} ({f.rho[1]:.2f} .. {f.rho[2]:.2f})")
+        for f in study.firm_truths
+    ]
+    columns = ("the true set's degree", "rho: median and 95 % range")
+    title = "rho of degree and error among feasible sets, by how firm the true one is"
+    return Table(title, columns, rows, names=columns)
 
 
 def variant_table(study: EqualTorqueStudy) -> Table:
     """Medians and greatest errors under other assumptions."""
-    table = compact("other outer bounds: median of the largest force error [N] (greatest of any)")
-    table.add_column("assumption")
     shown = [k for k in study.kinds if k != "total_mass"]
-    for kind in shown:
-        table.add_column(label(kind), justify="right", no_wrap=True)
-    table.add_column("rho with degree", no_wrap=True)
     rho = study.comparison.correlation.rho
     medians = {k: float(study.worst[study.rows(k)].median()) for k in study.kinds}
     lines = [("as above", medians, study.reach, (rho.value, rho.low, rho.high))]
     lines += [(v.name, v.medians, v.reach, v.rho) for v in study.variants]
+    rows = []
     for name, own, reach, (value, low, high) in lines:
-        greatest = {r.kind: float(r.reached.max()) for r in reach}
-        cells = [
-            (f"{own[k]:.3g}" if k in own else "-")
-            + (f" ({greatest[k]:.3g})" if k in greatest else "")
-            for k in shown
-        ]
-        table.add_row(name, *cells, f"{value:.2f} [{low:.2f}, {high:.2f}]".replace("[", "\\["))
-    return table
+        greatest = {r.kind: f" ({float(r.reached.max()):.3g})" for r in reach}
+        cells = ((f"{own[k]:.3g}" if k in own else "-") + greatest.get(k, "") for k in shown)
+        rows.append((name, *cells, f"{value:.2f} [{low:.2f}, {high:.2f}]"))
+    return Table(
+        "other outer bounds: median of the largest force error [N] (greatest of any)",
+        ("assumption", *(label(kind) for kind in shown), "rho with degree"),
+        rows,
+        names=("rho with degree",),
+        words=("assumption",),
+    )
 
 
 def label(kind: str) -> str:
@@ -178,24 +168,13 @@ def label(kind: str) -> str:
 
 
 def interval(found: Estimate) -> str:
-    """Value and interval, escaped for rich."""
+    """Value and interval."""
     if math.isnan(found.value):
         return "-"
     if math.isnan(found.low):
         return f"{found.value:.2f} (too few chains)"
-    return f"{found.value:.2f} \\[{found.low:.2f}, {found.high:.2f}]"
+    return f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
 
 
-def _class(kind: str) -> str:
-    return CLASS_NAMES.get(kind, "mixed")
-
-
-def _reference(study: EqualTorqueStudy) -> str:
-    if study.setting.origin == "nominal":
-        return "nominal parameters"
-    return "nearest feasible set"
-
-
-def _bracket(low: float, high: float) -> str:
-    close = math.isclose(low, high, rel_tol=0.01, abs_tol=0.05)
-    return f"{low:.3g}" if close else f"{low:.3g} - {high:.3g}"
+def _joints(study: EqualTorqueStudy) -> list[str]:
+    return [f"j{joint + 1}" for joint in range(study.setting.robot.n)]
