@@ -122,9 +122,9 @@ def test_what_the_other_samples_hardly_hold_keeps_its_size():
     few = torch.zeros(len(data.samples), dtype=torch.bool)
     few[:20] = True
     spoilt = replace(found, left=found.left + 3.0)
-    kept = dict((e.name, v) for e, v in spoilt.without(few).effects)
+    kept = {e.name: v for e, v in spoilt.without(few).effects}
     assert kept == {"viscous_friction": pytest.approx([1.0]), "torque_offset": pytest.approx([0.5])}
-    again = dict((e.name, v) for e, v in spoilt.without(torch.ones_like(few)).effects)
+    again = {e.name: v for e, v in spoilt.without(torch.ones_like(few)).effects}
     assert again["torque_offset"][0] > 1.0
 
 
