@@ -36,7 +36,8 @@ def motions(count: int = 2, duration: float = 10.0) -> tuple[Motion, ...]:
     for k in range(count):
         m = motion_at(times(duration), seed=k)
         m = m._replace(t=m.t + k * (duration + 1))
-        out.append(m._replace(direction=sharp_direction(segment_of(m), torch.zeros(3))))
+        still = torch.zeros(m.q.shape[1], dtype=torch.float64)
+        out.append(m._replace(direction=sharp_direction(segment_of(m), still)))
     return tuple(out)
 
 

@@ -1,5 +1,7 @@
 """Nonlinear effects are recovered at their true size, and the corrected model has each once."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -104,23 +106,26 @@ def test_a_fold_is_not_fitted():
     held = two_folds(data) == 1
     question = question_of(data)
     found = solution_of(data, question, [term(question, "viscous_friction", 1)])
-    spoilt = Solution(
-        found.start, found.wanted, found.terms, found.values, found.std, found.model, found.a,
-        found.left + 3.0 * held,
-    )  # fmt: skip
+    spoilt = replace(found, left=found.left + 3.0 * held)
     ((_, clean),) = spoilt.without(~held).effects
     assert clean == pytest.approx([1.0], rel=1e-6)
     ((_, both),) = spoilt.without(torch.ones_like(held)).effects
     assert abs(both[0] - 1.0) > 0.01
 
 
-def test_what_the_other_samples_do_not_determine_is_zero():
-    data = measured([(ViscousFriction(1), [1.0])], noise=0.0)
+def test_what_the_other_samples_hardly_hold_keeps_its_size():
+    """What happened in one fold cannot be foretold by the others; what is always there can."""
+    data = measured([(ViscousFriction(1), [1.0]), (TorqueOffset(0), [0.5])], noise=0.0)
     question = question_of(data)
-    found = solution_of(data, question, [term(question, "viscous_friction", 1)])
-    nothing = torch.zeros(len(data.samples), dtype=torch.bool)
-    ((_, values),) = found.without(nothing).effects
-    assert values == [0.0]
+    terms = [term(question, "viscous_friction", 1), term(question, "torque_offset", 0)]
+    found = solution_of(data, question, terms)
+    few = torch.zeros(len(data.samples), dtype=torch.bool)
+    few[:20] = True
+    spoilt = replace(found, left=found.left + 3.0)
+    kept = {e.name: v for e, v in spoilt.without(few).effects}
+    assert kept == {"viscous_friction": pytest.approx([1.0]), "torque_offset": pytest.approx([0.5])}
+    again = {e.name: v for e, v in spoilt.without(torch.ones_like(few)).effects}
+    assert again["torque_offset"][0] > 1.0
 
 
 def fitted(terms: list[Term], values: list[float], given=()) -> Model:
