@@ -10,8 +10,8 @@ from torchid.compare.scatter import typical_birge
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.instants import shifted
 from torchid.effects.registry import KINDS
-from torchid.effects.transient import tool_jacobian_transposed
 from torchid.export.dynamics import states
+from torchid.robot.chain import tool_jacobian
 
 ROBOT = torchid.load_robot("3r")
 SHAPED = [n for n, kind in KINDS.items() if issubclass(kind, JointEffect) and kind.shapes]
@@ -49,9 +49,9 @@ def columns_of(name: str) -> torch.Tensor:
 
 CASES: dict[str, Callable[[], torch.Tensor]] = {
     "delay": lambda: shifted(motion().q, motion().require("t", "a test"), 0.0123),
-    "tool": lambda: tool_jacobian_transposed(torchid.load_robot("panda"), torch.ones(7).double()),
+    "tool": lambda: tool_jacobian(torchid.load_robot("panda"), torch.ones(7).double()),
     "birge": lambda: torch.tensor(
-        typical_birge(torch.tensor([1.1, 1.3]).double(), torch.tensor([3.0, 4.0]).double()),
+        typical_birge(*torch.tensor([[1.1, 1.3], [3.0, 4.0]], dtype=torch.float64)),
         dtype=torch.float64,
     ),
     "random states": lambda: torch.cat(states(ROBOT, 0, 20).state),
@@ -61,6 +61,7 @@ CASES: dict[str, Callable[[], torch.Tensor]] = {
 }
 
 
+@pytest.mark.usefixtures("types_unchecked")
 @pytest.mark.parametrize("name", CASES)
 def test_the_default_dtype_changes_no_digit(name) -> None:
     single, double = both(CASES[name])

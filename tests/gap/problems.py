@@ -94,8 +94,7 @@ def question_of(
         parts = torch.zeros(len(data.samples), dtype=torch.long)
     wanted = wanted_of(names, free=free, inertial=inertial)
     found = candidates_of(columns, gap, data, wanted, parts, tuple(given), tuple(extra))
-    size = data.samples.of([t.T for t in tau]).square().mean(1)
-    return Question(found, found.gram.over(), 0.01, worth, size)
+    return Question(found, found.gram.over(), 0.01, worth)
 
 
 def two_folds(data: Data) -> Tensor:

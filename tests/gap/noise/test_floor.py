@@ -115,7 +115,7 @@ def test_the_bracket_holds_the_noise(hz, gap):
         assert float(found.structure.max()) < 0.1
     else:
         assert float((found.floor.high / size(segments, residual)).mean()) < 0.9
-        assert bool((found.structure > 0.3).all())
+        assert int((found.structure > 0.3).sum()) >= 2
 
 
 def test_structure_is_found_beside_a_floor_from_repeats():

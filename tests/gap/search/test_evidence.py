@@ -86,7 +86,7 @@ def test_gains_on_all_joints_are_so_to_first_order(question: Question) -> None:
     for offer in offered:
         more = fit_terms(question, [*planted, offer.term], rows, beside.weight)
         fall = float((rows * (beside.losses / more.losses).log()).sum())
-        assert offer.gain == pytest.approx(fall, rel=0.05, abs=0.1)
+        assert offer.gain == pytest.approx(fall, rel=0.1, abs=0.1)
 
 
 def _planted(t) -> bool:
@@ -106,7 +106,7 @@ def offered(effects: tuple, names: tuple[str, ...]) -> dict[tuple[str, int], flo
     question = question_of(measured(effects), names)
     empty = fit_terms(question, (), question.normal.rows)
     found = offers(question, empty)
-    return {(o.term.name, o.term.effects[0].joints[0]): o.gain for o in found}
+    return {(o.term.name, o.term.effects[0].joints[0]): o.gain for o in found if o.term.effects}
 
 
 def test_a_sign_that_physics_forbids_is_refused() -> None:

@@ -32,6 +32,9 @@ UNEVEN = 1.5
 """Mean over median of the blocks' variance from which the noise is not the same everywhere [1]; the
 median is then the noise, and the difference is said. Chance alone makes 1.2 of twenty blocks."""
 
+CLIPPED = 4.5
+"""Times the median of absolute values: 3 standard deviations of a normal variable."""
+
 FEWEST = 100
 """Samples of repeats below which they say less than the bracket."""
 
@@ -163,10 +166,12 @@ def _from_repeats(
     variance = variance.where(counts > 0.2 * length, torch.nan)
     # Degrees of freedom of a sum of squares of correlated samples; the median of chi^2 lies below
     # its mean (Wilson and Hilferty 1931).
-    freedom = total / integrated_time(x, own.bounds).clamp(min=1.0)
+    # What happens once must not make the noise look as slow as itself: of the usual samples.
+    top = CLIPPED * x.abs().median(-1, keepdim=True).values
+    freedom = total / integrated_time(x.clamp(-top, top), own.bounds).clamp(min=1.0)
     each = (freedom * length / total).clamp(min=1.0)
     median = variance.nanmedian(-1).values / (1 - 2 / (9 * each)) ** 3
-    chance = 1 + 3 * ((math.pi / freedom).sqrt() + (2 / freedom).sqrt())
+    chance = 1 + 2 * ((math.pi / freedom).sqrt() + (2 / freedom).sqrt())
     uneven = (mean > UNEVEN * median) & (mean > chance * median)
     rms = torch.where(uneven, median, mean).sqrt()
     half = NORMAL / (2 * freedom).sqrt()
