@@ -337,6 +337,8 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
     excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
     odd = (excess > EXCESS) & (noise.structure > 0)
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
+    if noise.floor.source != "repeats":
+        odd = clear = torch.zeros_like(odd)  # of the noise there is an upper bound only
     unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.findings or said.parametric):
         if unexplained:

@@ -60,7 +60,7 @@ class Noise:
     floor: NoiseFloor
     structure: Float[Tensor, " n"]
     unpredicted: Float[Tensor, " n"]
-    reach: Float[Tensor, " n"]
+    reach: Float[Tensor, " n"] | None
     uneven: Bool[Tensor, " n"]
 
 
@@ -90,12 +90,15 @@ def noise_of(
     size = left.square().mean(1).sqrt() if floor is None else floor.high
     reach = stuck(columns, size)
     telling = keep & moving_samples(samples, reach)
-    looked = left * telling
-    share = telling.double().mean(1).clamp(min=0.05)
+    # Where repeats tell the noise, only those samples count; else all do: presliding shows there.
+    counting = keep if floor is None else telling
+    looked = left * counting
+    share = counting.double().mean(1).clamp(min=0.05)
     # Between the fit's cut-off and the report's nothing is predicted: all counts as noise.
     within = looked.square().mean(1) / share
+    moving = None if floor is None else reach
     shown, own = (
-        (x.of([r.T for r in residual]).square() * moving_samples(x, reach)).mean(1)
+        (x.of([r.T for r in residual]).square() * moving_samples(x, moving)).mean(1)
         for x in (report, samples)
     )
     beyond = (shown - own).clamp(min=0) / share
@@ -108,14 +111,15 @@ def noise_of(
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
-
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
-    # The noise in the fit's band, in which the structure was found.
+    # The noise in the fit's band, in which structure is looked for where joints surely slide.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
-    structure = found.r2 * within / noise.clamp(min=1e-300)
-    structure = torch.where(found.interval[:, 0] > 0, structure, torch.zeros_like(structure))
-    return Noise(floor, structure, unpredicted, reach, uneven)
+    foretold = (looked.square() - found.left(looked).square()) * telling
+    structure = foretold.sum(1) / telling.sum(1).clamp(min=1) / noise.clamp(min=1e-300)
+    sure = (found.interval[:, 0] > 0) & (structure > 0)
+    structure = torch.where(sure, structure, torch.zeros_like(structure))
+    return Noise(floor, structure, unpredicted, moving, uneven)
 
 
 def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
