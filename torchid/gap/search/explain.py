@@ -125,6 +125,9 @@ def explained(
         fit, left = worthy(question, folds, fit)
         fit = with_bodies(question, folds, fit)
         latest = corrected(model, fit.terms, fit.values(), wanted)
+        # What scales with the torque must not see the friction that it is to be told from.
+        kept = (p for p in latest.effects if p in model.effects or p[0].linearised)
+        latest = Model(latest.robot, tuple(kept))
         if attempt + 1 == PASSES or not _changed(at, latest, data):
             break
         at = latest
