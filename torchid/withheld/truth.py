@@ -13,11 +13,10 @@ from typing import Any
 
 import torch
 
-from torchid.design.columns import Columns, Model
+from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.data.prepare import prepare
-from torchid.gap.noise.floor import stuck
 from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
@@ -104,8 +103,7 @@ def closed_share(
     after = Model(better, tuple(effects))
     losses = torch.zeros(2, dtype=torch.float64)
     # At a reversal the arm may stick, whatever its model: no effect closes that.
-    reach = stuck(Columns(after, given.samples), noise)
-    for t in traces(given.samples, None, [before], [after], band, reach=reach):
+    for t in traces(given.samples, None, [before], [after], band):
         for k, predicted in enumerate((t.before, t.after)):
             left = (t.measured - predicted) * t.counting / noise
             losses[k] += left.square().sum()
