@@ -82,7 +82,8 @@ def test_every_line_has_a_value_and_targets_can_be_missed(cases, keys, answers):
     assert met["outside: wrong family for sure"] == (False, False)
     assert met["gap closed, of the oracle's"] == (None, None)
     for line in LINES:
-        assert line.label and line.path
+        assert line.label
+        assert line.path
         assert line.target or line.met(good) is None
 
 
