@@ -21,7 +21,7 @@ from gap_plant import on_clock
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, Valued, effect_from_record, nominal_effects
-from torchid.gap.data.prepare import prepare
+from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.noise.floor import stuck

@@ -119,6 +119,34 @@ def test_identify_writes_everything(command, folder, tmp_path):
     assert not list(out.glob("*.tmp*"))
 
 
+def test_identify_takes_effects_with_places_and_shapes(command, folder, tmp_path):
+    target = tmp_path / "result.json"
+    effects = "viscous_friction,joint_spring:joint=2,curvature=0,stribeck_friction:joint=3"
+    shown = command(
+        "identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--effects", effects,
+        "--json", target,
+    )  # fmt: skip
+    assert shown.code == 0, shown.err
+    data = json.loads(target.read_text())
+    assert data["settings"]["effects"] == [
+        "viscous_friction", "joint_spring:joint=2,curvature=0", "stribeck_friction:joint=3"
+    ]  # fmt: skip
+    friction, spring, stribeck = data["effects"]
+    assert "places" not in friction
+    assert spring["places"] == [{"joint": 2, "curvature": 0.0}]
+    assert stribeck["places"][0]["vs"] > 0
+    assert any("was searched on the training data" in w for w in data["warnings"])
+    for row in ("joint_spring 2 curvature 0", "joint_spring 2 c0", "stribeck_friction 3 Fs"):
+        assert row in " ".join(shown.out.split())
+
+
+def test_identify_refuses_effects_that_need_a_trusted_model(command, folder):
+    shown = command("identify", "3r_friction", folder / "check.csv", "--effects", "base_tilt")
+    assert shown.code != 0
+    assert "trusted parameters" in shown.err
+    assert "gear_coupling" in shown.err
+
+
 def test_identify_is_repeatable(command, folder, tmp_path):
     """To rounding: BLAS adds in another order when memory is aligned differently."""
     found = []

@@ -24,7 +24,7 @@ from torchid.dynamics.scalars import (
 
 NUMBERS = (0.0, 1.0, -1.0, 2.5)
 scalars = st.sampled_from(NUMBERS) | st.floats(-10, 10)
-forms = st.sampled_from([float, torch.tensor])
+forms = st.sampled_from([float, lambda value: torch.tensor(value, dtype=torch.float64)])
 mixed = st.builds(lambda value, form: form(value), scalars, forms)
 vectors = st.builds(Vec3, mixed, mixed, mixed)
 

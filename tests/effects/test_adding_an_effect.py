@@ -94,7 +94,8 @@ def test_a_robot_file_names_it_and_its_columns_are_fitted(registered):
     columns = torch.stack([e.torque_columns(motion) for e in on_every_joint(["air_drag"], 3)], -1)
     a = columns.reshape(-1, 3)
     found = torch.linalg.lstsq(a, gap.reshape(-1, 1)).solution.flatten()
-    torch.testing.assert_close(found, torch.tensor([0.0, 0.7, 0.0]), rtol=1e-9, atol=1e-9)
+    expected = torch.tensor([0.0, 0.7, 0.0], dtype=torch.float64)
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_simulated_arm_feels_it(registered):

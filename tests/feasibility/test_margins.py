@@ -43,8 +43,8 @@ def one_link(
     return sets_of(
         InertialParameters.from_com(
             torch.tensor([[mass]], dtype=torch.float64),
-            torch.tensor([[com]]).double(),
-            torch.tensor([[inertia]]).double(),
+            torch.tensor([[com]], dtype=torch.float64),
+            torch.tensor([[inertia]], dtype=torch.float64),
         )
     )
 

@@ -11,7 +11,7 @@ from torchid.design.columns import Columns, Model
 from torchid.design.segments import Samples, Segment, moving_samples
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, model_torque
-from torchid.gap.data.prepare import Data, sharp_direction
+from torchid.gap.data import Data, sharp_direction
 from torchid.gap.search.evidence import Question, Worth
 from torchid.gap.search.terms import Term, Wanted, candidates_of
 from torchid.identification.base_parameters import BaseParameters, base_parameters

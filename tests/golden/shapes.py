@@ -12,7 +12,7 @@ FREE = (
     "]effects[].parameters", "]effects[].std", "sets[].effects[]", "sets[].degrees",
     "sets[].margins", "links[].degrees", "phi_min_without", "named[].shapes", "named[].std",
     "named[].units", "named[].values", "confusion", "confusion.*", "confusion_outside",
-    "confusion_outside.*", "by_cause", "by_cause.*", "verdicts", "detection",
+    "confusion_outside.*", "code", "by_cause", "by_cause.*", "verdicts", "detection",
 )  # fmt: skip
 """Ends of the paths of objects whose keys are data (effects, coefficients, reasons, causes): any
 key, and only the types of their values count. A leading `]` stands for the document itself."""

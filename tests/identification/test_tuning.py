@@ -210,7 +210,7 @@ def test_long_logs_are_shortened_by_whole_trajectories(monkeypatch, sizes, longe
     t = torch.cat([torch.arange(float(s)) for s in sizes])
     index = torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(sizes))
     log = Log(t=t, q=torch.zeros(total, 1, dtype=torch.float64), trajectory=index)
-    assert lengths(tuning._shortened(log)) == expected
+    assert lengths(tuning.shortened(log)) == expected
 
 
 def test_a_shortened_log_still_gives_a_choice(monkeypatch):

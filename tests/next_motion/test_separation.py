@@ -35,6 +35,9 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.record import robot_record
 
+EDGE = round(3 * RATE / 8.0)
+"""Samples left out at both ends: three periods of the cut-off."""
+
 NOISE = torch.tensor([0.5, 0.4, 0.2], dtype=torch.float64)
 
 
@@ -56,7 +59,7 @@ def fitted_difference(setting, truth, others, trajectory, *, base=True):
     low = ZeroPhaseFilter(RATE, 8.0)
 
     def rows(columns):
-        x = low.apply(columns.permute(2, 1, 0).contiguous())[..., ::2]
+        x = low.apply(columns.permute(2, 1, 0).contiguous())[..., EDGE : len(s.t) - EDGE : 2]
         return (x / NOISE.unsqueeze(-1)).flatten(1).T
 
     z = rows(regressor(setting.robot, *motion.state))

@@ -86,7 +86,7 @@ def test_predict_takes_arrays(result):
     assert result.predict([0, 0, 0], [0, 0, 0], [0, 0, 0]).dtype == torch.float64
     with pytest.raises(TorchidError, match="one column a joint"):
         result.predict(q[:, :2].numpy(), dq.numpy(), ddq.numpy())
-    with pytest.raises(TorchidError, match="tables of numbers"):
+    with pytest.raises(TorchidError, match="table of numbers"):
         result.predict(["a"], dq, ddq)
 
 

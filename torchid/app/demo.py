@@ -74,7 +74,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     from torchid.log.model import Log
     from torchid.report.excitation import trajectory_figure
     from torchid.report.figures import torque_figure, truth_figure
-    from torchid.report.identification import effect_table, error_table, headline
+    from torchid.report.identification import effect_tables, error_table, headline
     from torchid.robot.library import load_robot
 
     robot = load_robot("kuka_lwr4_friction")
@@ -104,7 +104,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         f"{design.start_condition:.0f} -> {design.condition_after:.0f}; encoder of 18 bits, torque "
         "noise of 1 %\n"
     )
-    output.say(effect_table(result), error_table(result))
+    output.say(*effect_tables(result), error_table(result))
     output.warn(result.warnings)
     output.say(f"\n{headline(result)}")
     output.say(

@@ -1,10 +1,10 @@
 """Effects as they are written on the command line: name:key=value,key=value."""
 
 from dataclasses import MISSING, fields
-from typing import Any
 
 from torchid.effects.base import PLACES, Coefficient, Shape
 from torchid.effects.registry import Valued, effect_from_record, effect_kind
+from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError
 from torchid.robot.model import JointType, Robot
 
@@ -19,22 +19,8 @@ def effect_from_text(text: str, robot: Robot) -> Valued:
         TorchidError: an unknown effect or key, a value that is no number, a missing coefficient.
         RobotError: a joint that the robot does not have.
     """
-    name, _, rest = text.partition(":")
-    kind = effect_kind(name.strip())
-    given: dict[str, Any] = {}
-    for item in filter(None, (part.strip() for part in rest.split(","))):
-        key, equals, value = (part.strip() for part in item.partition("="))
-        if not equals or key in given:
-            raise TorchidError(
-                f"--effect {text}: cannot be read at '{item}'.",
-                expected="name:key=value,key=value, each key once",
-            )
-        try:
-            number = float(value)
-        except ValueError:
-            raise TorchidError(f"--effect {text}: {key} is not a number.", got=value) from None
-        whole = key in (*PLACES, "seed") and number.is_integer()
-        given[key] = int(number) if whole else number
+    name, given = name_and_pairs(text, "--effect")
+    kind = effect_kind(name)
     # Where it is, what its coefficients are, then shapes and other settings.
     own = [f for f in fields(kind) if f.name not in PLACES]
     first = [f.name for f in fields(kind) if f.name in PLACES]

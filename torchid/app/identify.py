@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 def identify_command(
     robot: opt.RobotArgument,
     logs: opt.LogArguments,
-    effects: opt.FittedEffects = opt.FITTED,
+    effects: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[:joint=J,SHAPE=V],..",
+            help="Effects, comma-separated: on every joint, or at one place; shapes that are not "
+            "given are searched. `none` for the rigid body.",
+        ),
+    ] = opt.FITTED,
     held_out: opt.HeldOut = None,
     held_out_fraction: opt.HeldOutFraction = 0.0,
     cutoff: Annotated[
@@ -93,7 +100,7 @@ def identify_command(
                 "--reversal is a fraction of the 99 % speed.", got=reversal, expected="0..1"
             )
     settings = Settings(
-        effects=opt.effect_names(effects),
+        effects=_effects(effects),
         cutoff=opt.cutoff_hz(cutoff),
         reversal=fraction,
         rows=rows,
@@ -133,6 +140,17 @@ def identify_command(
         seeds={"seed": seed},
         settings=data["settings"] | {"cut-off used [Hz]": result.cutoff},
     )
+
+
+def _effects(text: str) -> tuple[str, ...]:
+    """Effects as written; an unknown or unfit one is refused before any file is read."""
+    from torchid.effects.registry import fitted_kind
+    from torchid.effects.written import name_and_pairs, split_list
+
+    written = split_list(text)
+    for one in written:
+        fitted_kind(name_and_pairs(one, "--effects")[0])
+    return written
 
 
 def _figures(result: "Identification") -> "dict[str, Figure]":

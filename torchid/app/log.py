@@ -50,7 +50,7 @@ def show_command(
     output = open_output(json_file, None, quiet)
     from rich.markup import escape
 
-    from torchid.gap.data.repeated import repeated_motion
+    from torchid.design.repeats import repeated_motion
     from torchid.log.mapping import read_mapping
     from torchid.log.overview import look_at, overview_record
     from torchid.log.readers import write_log

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from torchid.effects.base import JointEffect
-from torchid.effects.registry import on_every_joint
+from torchid.effects.registry import COLUMN_KINDS, on_every_joint
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SCHEMA as SETS
 from torchid.identification.base_parameters import BaseParameters
@@ -186,6 +186,14 @@ def _structure(
     """Base parameters from the recorded grouping. Columns were taken from left to right, so the
     first column of each row that is in no other row, with factor 1, is the independent one. (A
     column further left may lean on it by some 1e-6, where a file's angles are rounded.)"""
+    shaped = [str(e["effect"]) for e in data.get("effects") or [] if "places" in e]
+    if shaped:
+        raise TorchidError(
+            "a comparison takes identifications whose effects have no shapes, memory or load, and "
+            "are on every joint.",
+            got=", ".join(shaped),
+            available=list(COLUMN_KINDS),
+        )
     names = [str(name) for name in data["grouping"]["parameters"]]
     kinds = on_every_joint([str(name) for name in data["settings"]["effects"]], 1)
     n = len(names) // (PARAMETERS_PER_LINK + sum(len(e.coefficients) for e in kinds))

@@ -1,5 +1,6 @@
 """From a resampled log to motion that can be put into a regressor, trajectory by trajectory."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,10 +9,10 @@ from torchid.effects.base import Motion
 from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
 from torchid.log.columns import column_names
-from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.filtering import ZeroPhaseFilter, central_difference, low_passed
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
-from torchid.typing import Bool, Float, Int, Signals, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 MOVING = RESTING
 """A joint moves when its own |dq| exceeds this [rad/s or m/s]; slower, static friction can hold
@@ -104,6 +105,28 @@ def measurements(
     return out
 
 
+def timed(
+    measured: Sequence[Measurement], origin: float | None = None, clock: float = 0.0
+) -> list[Measurement]:
+    """Trajectories whose motion has t, seconds since the first of them began.
+
+    The clock runs on from one trajectory to the next where the log's own does not.
+
+    Args:
+        measured: in the order in which they were driven.
+        origin: instant of the log from which t counts [s]; the first of these if None.
+        clock: t at which they begin [s], at the earliest.
+    """
+    out = []
+    for m in measured:
+        t = m.t - (measured[0].t[0] if origin is None else origin)
+        # Files whose clocks all start at zero follow one another, as far as anyone knows.
+        t = t + max(0.0, clock - float(t[0]))
+        clock = float(t[-1]) + 1 / m.rate
+        out.append(replace(m, motion=m.motion._replace(t=t)))
+    return out
+
+
 def no_torque(log: Log) -> LogError:
     """The error of a log without torque, which may have currents."""
     gains = "give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
@@ -166,18 +189,13 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     dq, ddq, own, warnings = _derivatives(log, rate, cutoff)
     sharp = dq
     if cutoff is not None:
-        sharp = _low_passed(dq, rate, WIDE * cutoff)
-        q, dq, ddq = (_low_passed(x, rate, cutoff) for x in (q, dq, ddq))
+        sharp = low_passed(dq, rate, WIDE * cutoff)
+        q, dq, ddq = (low_passed(x, rate, cutoff) for x in (q, dq, ddq))
     q, dq, ddq = (x.T.contiguous() for x in (q, dq, ddq))
     # Without a filter and a reversal speed the log is taken at its word, rest included.
     literal = cutoff is None and not bool(threshold.any())
     motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
     return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, own, tuple(warnings))
-
-
-def _low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
-    """Unfiltered where the cut-off is beyond the log's band."""
-    return ZeroPhaseFilter(rate, cutoff).apply(x) if cutoff < 0.45 * rate else x
 
 
 def _derivatives(

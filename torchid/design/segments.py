@@ -14,9 +14,9 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import MOVING, Measurement
+from torchid.design.motion import MOVING, Measurement, timed
 from torchid.effects.base import Motion
-from torchid.log.filtering import ZeroPhaseFilter, extended
+from torchid.log.filtering import ZeroPhaseFilter, extended, low_pass
 from torchid.typing import Bool, Float, Signals, Tensor
 
 GRID = 6.0
@@ -95,17 +95,13 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
         clock: time at which they begin [s], at the earliest.
     """
     out = []
-    for m in measured:
+    for m in timed(measured, clock=clock):
         step = max(1, int(m.rate / (GRID * band)))
         tau = m.tau
         if step > 1:
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
-        t = m.t - measured[0].t[0]
-        # Files whose clocks all start at zero follow one another, as far as anyone knows.
-        t = t + max(0.0, clock - float(t[0]))
-        clock = float(t[-1]) + 1 / m.rate
         sensed = tau[::step].contiguous()
-        motion = m.motion._replace(t=t).every(step)._replace(sensed=sensed)
+        motion = m.motion.every(step)._replace(sensed=sensed)
         out.append(Segment(m.name, m.rate / step, band, motion, sensed, m.own_velocity))
     return out
 
@@ -134,7 +130,7 @@ class Samples:
         self.step = max(1, int(self.rate / (DENSITY * cutoff)))
         if self.step > 2:
             self.step -= self.step % 2
-        self._filter = ZeroPhaseFilter(self.rate, cutoff) if cutoff < 0.45 * self.rate else None
+        self._filter = low_pass(self.rate, cutoff)
         self.edge = round(EDGE * self.rate / cutoff)
 
     @property

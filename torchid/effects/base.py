@@ -162,6 +162,11 @@ class Effect(ABC):
         other shapes or options perhaps."""
         return self.name, tuple(getattr(self, p) for p in PLACES if hasattr(self, p))
 
+    def coefficient_names(self) -> list[str]:
+        """Names with the joint's number, e.g. `Fv3`; `C2_4` on joint 2 from joint 4."""
+        place = "_".join(str(j + 1) for j in self.identity[1])
+        return [f"{c.name}{place}" for c in self.coefficients]
+
     def at_estimate(self, values: Sequence[float]) -> "Effect":
         """The effect with its secant taken at the estimated coefficient; itself where it is not
         `linearised`, or the estimate is zero."""
@@ -317,10 +322,6 @@ class JointEffect(Effect):
         """Torque on the joint (...) [N m; N] for the given coefficients."""
         columns = self.columns(motion)
         return columns @ torch.as_tensor(values, dtype=columns.dtype, device=columns.device)
-
-    def coefficient_names(self) -> list[str]:
-        """Names with the joint's number, e.g. `Fv3`."""
-        return [f"{c.name}{self.joint + 1}" for c in self.coefficients]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from torchid.effects.variation import (
     secant_at,
     with_joint,
 )
-from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.filtering import low_passed
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
@@ -208,7 +208,4 @@ class JointElasticity(OneJointEffect):
 
 def _low_passed(x: Float[Tensor, " T"], t: Float[Tensor, " T"], cutoff: float) -> Tensor:
     """The signal below a cut-off, without a phase; all of it where the grid is coarser."""
-    rate = 1 / interval(t)
-    if x.shape[0] < 2 or not cutoff < 0.45 * rate:
-        return x
-    return ZeroPhaseFilter(rate, cutoff).apply(x)
+    return x if x.shape[0] < 2 else low_passed(x, 1 / interval(t), cutoff)

@@ -105,6 +105,35 @@ def column_kind(name: str) -> type[JointEffect]:
     return COLUMN_KINDS[name]
 
 
+def not_fitted(kind: type[Effect]) -> str | None:
+    """Why an identification, whose base parameters are free, cannot fit an effect beside them; None
+    where it can: where its columns are of joints' motion, time, and the torque of the fit itself.
+    """
+    if kind.inertial:
+        return "it is a body, and bodies are what base parameters say already"
+    if kind.event or kind.windowed:
+        return "it happened once in one log, and is no property of the arm"
+    beside = kind.needs & {"robot", "age", "velocity"} or kind.smooth or kind.linearised
+    return "its torque is a change of a model with trusted parameters" if beside else None
+
+
+def fitted_kind(name: str) -> type[Effect]:
+    """The class of an effect that `identify` can fit.
+
+    Raises:
+        TorchidError: an unknown name, or an effect that cannot be fitted beside base parameters.
+    """
+    kind = effect_kind(name)
+    reason = not_fitted(kind)
+    if reason is not None:
+        raise TorchidError(
+            f"effect '{name}' cannot be identified beside base parameters: {reason}.",
+            available=[other for other, k in KINDS.items() if not_fitted(k) is None],
+            hint="`torchid gap` searches over all effects",
+        )
+    return kind
+
+
 def experiment(one: str, two: str) -> str:
     """What to do on the arm to tell two effects apart, in one sentence: each shows itself in its
     own experiment. A name that is no effect's (all base parameters) has none."""

@@ -13,7 +13,7 @@ from torchid.feasibility.bounds import bounds_groups, read_bounds
 from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.derived_bounds import NAME, bounds_notes, named_bounds
 from torchid.identification.result import Identification
-from torchid.identification.values import BaseValues, identified_base
+from torchid.identification.values import BaseValues, identified_base, plain_effects
 from torchid.robot.model import Robot
 
 
@@ -52,15 +52,16 @@ def problem_of(
     30
     """
     found = identified_base(result) if isinstance(result, Identification) else result
+    effects = plain_effects(found.effects, "an extraction")
     has_normal = "normal" in bounds_groups(robot)
     group = bounds or ("normal" if has_normal else NAME)
     limits = named_bounds(robot, group)
     notes = list(bounds_notes(robot, limits)) if group == NAME else []
-    limits, added = with_coefficient_bounds(limits, found.base, found.effects, found.values)
+    limits, added = with_coefficient_bounds(limits, found.base, effects, found.values)
     if added:
         notes.append(f"bounds of {', '.join(added)}: within twice the identified sizes")
     if loss == "two-step":
-        target = two_step(found.base, found.effects, found.values, found.known)
+        target = two_step(found.base, effects, found.values, found.known)
     elif found.factor is None:
         raise TorchidError(
             "the one-step loss needs a log.",
@@ -68,7 +69,7 @@ def problem_of(
             expected="an identification: the JSON of `torchid identify`",
         )
     else:
-        target = one_step(found.base, found.effects, found.values, found.factor)
+        target = one_step(found.base, effects, found.values, found.factor)
     if geometry is None:
         # The robot's own boxes where it has some: `conditions` finds them.
         box = None if has_normal else limits.com

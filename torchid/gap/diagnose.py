@@ -12,11 +12,12 @@ from dataclasses import asdict, dataclass, replace
 
 import torch
 
+from torchid.design.bands import SAME_RATE, report_band
 from torchid.design.columns import Columns, Model
+from torchid.design.repeats import Repeats, find_repeats
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
-from torchid.gap.data.prepare import SAME_RATE, Data, prepare, report_band
-from torchid.gap.data.repeats import Repeats, find_repeats
+from torchid.gap.data import Data, prepare
 from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import Noise, noise_of, sliding_only
@@ -305,16 +306,17 @@ def check(
 
 
 def harmful(found: Explanation, checked: Checked) -> list[Term]:
-    """Terms that do no good on data that was not fitted: those of joints that get worse, and all
-    that belong to the whole arm where the gap does not shrink at all. What happened once is not
-    asked."""
+    """Terms that do no good on data that was not fitted: those located at a joint that gets worse,
+    and all that belong to the whole arm where the gap does not shrink at all. What happened once is
+    not asked."""
     far = checked.far
-    worse = far.rms_after > far.rms_before
+    worse = set((far.rms_after > far.rms_before).nonzero().flatten().tolist())
     out = []
     for term in found.terms:
         if any(e.event for e in term.effects):
             continue
-        if bool(worse[term.place]) if term.place is not None else not far.improves:
+        at = term.effects[0].joints if len(term.effects) == 1 else ()
+        if worse.intersection(at) if at else not far.improves:
             out.append(term)
     return out
 
@@ -458,7 +460,7 @@ def needs_trust(found: Explanation) -> list[str]:
 
 def with_rollout(found: Diagnosis, data: Data, fitted_here: bool) -> Diagnosis:
     """With short simulations of both models."""
-    from torchid.gap.validate.rollout import rollouts
+    from torchid.simulation.two_models import rollouts
 
     result = rollouts(found.robot, found.corrected, data.segments, seed=found.settings["seed"])
     result["fitted_on_these_data"] = fitted_here

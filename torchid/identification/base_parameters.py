@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.regressor import regressor
-from torchid.effects.base import JointEffect, Motion
+from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import nominal_columns
 from torchid.errors import IdentificationError
 from torchid.identification.rank import independent_columns
@@ -88,7 +88,7 @@ def visible(grouping: Float[Tensor, "*rows P"]) -> Bool[Tensor, "*rows P"]:
 
 
 def base_parameters(
-    robot: Robot, effects: Sequence[JointEffect] = (), *, seed: int = 0, samples: int | None = None
+    robot: Robot, effects: Sequence[Effect] = (), *, seed: int = 0, samples: int | None = None
 ) -> BaseParameters:
     """The robot's base parameters, by QR of the regressor at random states.
 
@@ -103,9 +103,9 @@ def base_parameters(
     """
     motion = random_states(robot, seed, samples)
     y = stacked_regressor(robot, effects, motion)
-    names = parameter_names(robot.n) + [c for e in effects for c in e.coefficient_names()]
+    names = parameter_names(robot.n) + coefficient_names(effects)
     units = parameter_units(robot.n) + [
-        c.unit_for(robot.joint_types[e.joint] is JointType.PRISMATIC)
+        c.unit_for(robot.joint_types[e.joints[0]] is JointType.PRISMATIC)
         for e in effects
         for c in e.coefficients
     ]
@@ -119,39 +119,50 @@ def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
     Raises:
         RobotError: the robot has no nominal parameters.
     """
-    known = {
-        name: value
-        for effect, values in nominal_columns(robot)
-        for name, value in zip(effect.coefficient_names(), values, strict=True)
-    }
+    pairs = nominal_columns(robot)
+    own = [value for _, values in pairs for value in values]
+    known = dict(zip(coefficient_names([e for e, _ in pairs]), own, strict=True))
     names = base.parameter_names[base.n_rigid_parameters :]
     coefficients = torch.tensor([known.get(name, 0.0) for name in names], dtype=torch.float64)
     rigid = robot.require_parameters("its base parameters").to_paper_order().double()
     return base.project(torch.cat([rigid, coefficients]))
 
 
+def coefficient_names(effects: Sequence[Effect]) -> list[str]:
+    """Names of the coefficients, e.g. `Fv3`; with the effect's where effects of two kinds have the
+    same, e.g. `cogging.a_s3`."""
+    kinds: dict[str, set[str]] = {}
+    for effect in effects:
+        for name in effect.coefficient_names():
+            kinds.setdefault(name, set()).add(effect.name)
+    return [
+        name if len(kinds[name]) == 1 else f"{effect.name}.{name}"
+        for effect in effects
+        for name in effect.coefficient_names()
+    ]
+
+
 def random_states(robot: Robot, seed: int = 0, samples: int | None = None) -> Motion:
-    """Random q in +-pi, dq in +-2, ddq in +-5 (m, s): (samples, n) each, on the CPU."""
+    """Random q in +-pi, dq in +-2, ddq in +-5 (m, s): (samples, n) each, on the CPU; with t up to
+    10 000 s, and torques of all sizes from 0.1 to 1000 that belong to no model."""
     generator = torch.Generator().manual_seed(seed)
     shape = (samples or 60 * robot.n + 60, robot.n)
     q, dq, ddq = (
         (2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1) * scale
         for scale in (torch.pi, 2.0, 5.0)
     )
-    return Motion(q, dq, ddq)
+    drawn = torch.rand((*shape, 2), generator=generator, dtype=torch.float64)
+    torque = torch.sign(drawn[..., 0] - 0.5) * 10 ** (4 * drawn[..., 1] - 1)
+    t = 10 ** (4 * torch.rand(shape[0], generator=generator, dtype=torch.float64))
+    return Motion(q, dq, ddq, t=t, torque=torque)
 
 
 def stacked_regressor(
-    robot: Robot, effects: Sequence[JointEffect], motion: Motion
+    robot: Robot, effects: Sequence[Effect], motion: Motion
 ) -> Float[Tensor, "R P"]:
     """Regressor and effect columns of M states, stacked to (M n, P) (eq. 2.19)."""
     rigid = regressor(robot, *motion.state)
-    columns = []
-    for effect in effects:
-        own = effect.columns(motion)
-        wide = own.new_zeros(*rigid.shape[:2], own.shape[-1])
-        wide[:, effect.joint] = own
-        columns.append(wide)
+    columns = [effect.torque_columns(motion, robot) for effect in effects]
     return torch.cat([rigid, *columns], -1).flatten(0, 1)
 
 

@@ -1,32 +1,35 @@
 """From a robot and its logs to base parameters: the whole job as one call."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.design.motion import Measurement, fast_speed, measurements, no_torque
-from torchid.effects.registry import on_every_joint
+from torchid.design.motion import Measurement, fast_speed, measurements, no_torque, timed
+from torchid.effects.base import Effect
 from torchid.errors import IdentificationError, LogError
+from torchid.identification.asked import Asked, asked_effects
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.result import FittedRows, Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
+from torchid.identification.shapes import search_shapes
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
     CutoffChoice,
     Training,
     choose_cutoff,
     choose_reversal,
+    shortened,
 )
-from torchid.identification.validation import errors, predict
+from torchid.identification.validation import errors, load, predict
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Bool, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 FEWEST_DIGITS = 1e-4
 """Relative error at which a number is no result: four digits, as many as a good torque log has.
@@ -35,6 +38,9 @@ without noise; so a fit is refused from a condition number of 4.5e11 on."""
 
 BEYOND_LIMIT = 5.0
 """Times the torque limit from which a torque is taken for one in another unit."""
+
+LOAD_FITS = 2
+"""Fits from which effects of the torque take their torque, before the last one."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -83,31 +89,42 @@ def identify(
         kept_back, more = prepared(kept_back, robot)
         noticed = (*noticed, *more)
     refuse_repeated(log, kept_back)
-    effects = on_every_joint(settings.effects, robot.n)
-    base = base_parameters(robot, effects)
-    columns = layout(robot, base, effects)
-    physical = _non_negative(columns)
-    bounded = physical & (settings.signs == "bounded")
-    training = Training(_on(log, device), columns, settings.rows == "moving", bounded)
+    asked = asked_effects(settings.effects, robot)
+    # The filter is chosen with the effects whose columns are known beforehand.
+    training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
     cutoff, choice = _cutoff(training, settings, progress)
     reversal = _reversal(training, cutoff, settings, progress)
-    measured = measurements(training.log, cutoff, reversal)
+    measured = timed(measurements(training.log, cutoff, reversal))
+    said: tuple[str, ...] = ()
+    if not all(a.plain for a in asked):
+        found, said = _with_shapes(asked, training, cutoff, reversal, settings)
+        training = _training(robot, training.log, found, settings)
+        measured = _loaded(training, measured, settings)
+    columns = training.layout
+    base, effects = columns.base, columns.effects
+    physical = _non_negative(columns)
     estimate = _estimate(training, measured, settings, progress)
     _refuse_hopeless(estimate.fit, training.log)
     values, order = _in_base_order(estimate.fit.x, columns)
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
+    apart: list[Measurement] = []
+    if kept_back is not None:
+        # The end of the same log follows its beginning; another log follows the whole of it.
+        clock = 0.0 if held_out is None else _end(measured)
+        apart = measurements(_on(kept_back, device), shown, reversal)
+        apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
     fitted, checked = (
         [predict(m, robot, base, effects, values) for m in part]
         for part in (
-            measured if shown == cutoff else measurements(training.log, shown, reversal),
-            [] if kept_back is None else measurements(_on(kept_back, device), shown, reversal),
+            measured if shown == cutoff else timed(measurements(training.log, shown, reversal)),
+            apart,
         )
     )
     named = _Names(base.names, order)
     result = Identification(
         robot=robot,
         base=base,
-        effects=tuple(effects),
+        effects=effects,
         values=values,
         covariance=estimate.uncertainty.covariance[order][:, order],
         factor=estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])],
@@ -132,12 +149,115 @@ def identify(
             *robot.warnings,
             *noticed,
             *base.warnings,
+            *said,
             *(w for m in measured for w in m.warnings),
             *estimate.uncertainty.warnings,
             *_one_stretch(named.where(estimate.uncertainty.by_one_block)),
         ),
     )
     return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
+
+
+def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings) -> Training:
+    """The log with the columns of base parameters and effects."""
+    columns = layout(robot, base_parameters(robot, effects), effects)
+    bounded = _non_negative(columns) & (settings.signs == "bounded")
+    return Training(log, columns, settings.rows == "moving", bounded)
+
+
+def _with_shapes(
+    asked: Sequence[Asked],
+    training: Training,
+    cutoff: float | None,
+    reversal: Tensor,
+    settings: Settings,
+) -> tuple[list[Effect], tuple[str, ...]]:
+    """All effects asked for, those shapes that were not given as the training data have them, and
+    what is to be said about it."""
+    unknown = [a for a in asked if a.searched]
+    if not unknown:
+        return [a.effect for a in asked], ()
+    part = replace(training, log=shortened(training.log))
+    measured = timed(measurements(part.log, cutoff, reversal))
+    # What searched effects of the torque see, and what their shapes are relative to.
+    measured = _with_load(part, measured, _plain_fit(part, measured, settings))
+    robot = training.layout.robot
+    known = _training(robot, part.log, [a.effect for a in asked if not a.searched], settings)
+    source = RowSource(measured, known.layout, moving_only=known.moving_only)
+    found = fit(source, non_negative=known.non_negative)
+    best = search_shapes(unknown, source, found, measured, cutoff)
+    chosen = {a.effect: effect for a, effect in zip(unknown, best, strict=True)}
+    effects, said = [], []
+    for a in asked:
+        effect = chosen.get(a.effect, a.effect)
+        if effect is None:
+            said.append(f"left out, for these motions do not show it: {_named(a.effect)}")
+            continue
+        effects.append(effect)
+        if a.searched:
+            shapes = {s.name: s.unit for s in a.effect.shapes}
+            units = {k: "" if shapes[k] == "1" else f" {shapes[k]}" for k in a.searched}
+            values = ", ".join(f"{k} = {getattr(effect, k):.4g}{units[k]}" for k in a.searched)
+            said.append(
+                f"{_named(effect)}: {values} was searched on the training data; the standard "
+                "deviations hold for this value"
+            )
+    return effects, tuple(said)
+
+
+def _named(effect: Effect) -> str:
+    joints = [str(j + 1) for j in effect.identity[1]]
+    return f"{effect.name} of joint {joints[0]}" + "".join(f" with joint {j}" for j in joints[1:])
+
+
+def _plain_fit(
+    training: Training, measured: list[Measurement], settings: Settings
+) -> Float[Tensor, " B"]:
+    """Base parameters by a fit without standard deviations."""
+    source = RowSource(
+        measured, training.layout, moving_only=training.moving_only, compiled=settings.compiled
+    )
+    found = fit(
+        source,
+        method=settings.method,
+        covariance=settings.covariance,
+        non_negative=training.non_negative,
+    )
+    return _in_base_order(found.x, training.layout)[0]
+
+
+def _with_load(
+    training: Training, measured: list[Measurement], values: Float[Tensor, " B"]
+) -> list[Measurement]:
+    """Trajectories with the torque of a fit, as effects of the torque see it."""
+    c = training.layout
+    out = []
+    for m in measured:
+        torque = load(c.robot, c.base, c.effects, values.to(m.tau), m.motion)
+        out.append(replace(m, motion=m.motion._replace(torque=torque)))
+    return out
+
+
+def _loaded(
+    training: Training, measured: list[Measurement], settings: Settings
+) -> list[Measurement]:
+    """Trajectories with the torque of the model, where an effect needs it: of a fit without those
+    effects first, then of fits with them. What is left wrong shrinks each time by about the share
+    of the torque that they are."""
+    c = training.layout
+    without = [e for e in c.effects if "torque" not in e.needs]
+    if len(without) == len(c.effects):
+        return measured
+    first = _training(c.robot, training.log, without, settings)
+    measured = _with_load(first, measured, _plain_fit(first, measured, settings))
+    for _ in range(LOAD_FITS):
+        measured = _with_load(training, measured, _plain_fit(training, measured, settings))
+    return measured
+
+
+def _end(measured: Sequence[Measurement]) -> float:
+    last = measured[-1]
+    return float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
 
 
 def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:

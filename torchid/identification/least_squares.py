@@ -21,16 +21,13 @@ from torchid.errors import IdentificationError
 from torchid.identification.factor import TriangularFactor, combined_factor
 from torchid.identification.rank import independent_columns
 from torchid.identification.rows import RowBlock, RowSource
+from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Tensor
 
 Method = Literal["ols", "wls", "huber"]
 METHODS: tuple[Method, ...] = ("ols", "wls", "huber")
 Covariance = Literal["diagonal", "full"]
 COVARIANCES: tuple[Covariance, ...] = ("diagonal", "full")
-
-HUBER = 1.345
-"""95 % efficiency for Gaussian residuals (Huber 1964)."""
-MAD_TO_SIGMA = 1.4826
 
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.05

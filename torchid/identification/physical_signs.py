@@ -10,7 +10,7 @@ and J2xx - J2yy - J2zz, minus twice the second moment along x, never positive.
 
 import torch
 
-from torchid.effects.base import JointEffect
+from torchid.effects.base import Effect
 from torchid.identification.base_parameters import BaseParameters, visible
 from torchid.robot.inertia import InertialParameters, symmetric
 from torchid.typing import Float, Int, Tensor
@@ -18,7 +18,7 @@ from torchid.typing import Float, Int, Tensor
 _ROUNDING = 1e-6
 
 
-def physical_signs(base: BaseParameters, effects: tuple[JointEffect, ...]) -> Int[Tensor, " B"]:
+def physical_signs(base: BaseParameters, effects: tuple[Effect, ...]) -> Int[Tensor, " B"]:
     """(B,) 1 for base parameters that are never negative, -1 for those that are never positive, 0
     where bodies with either sign exist. Entries of the grouping that its names do not show do not
     count.

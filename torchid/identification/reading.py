@@ -7,12 +7,12 @@ from typing import Any
 
 import torch
 
-from torchid.effects.base import JointEffect
-from torchid.effects.registry import on_every_joint
+from torchid.effects.base import Effect, JointEffect
+from torchid.effects.registry import effect_from_record, effect_kind, on_every_joint
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.identification.record import SCHEMA
-from torchid.identification.values import BaseValues
+from torchid.identification.values import BaseValues, plain_effects
 from torchid.json_data import read_json
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -28,7 +28,9 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
 
 
 def _base(data: Mapping[str, Any], path: Path, robot: Robot) -> BaseValues:
-    effects = tuple(on_every_joint(_names(data["settings"], "effects", path), robot.n))
+    placed = placed_effects(data, robot)
+    plain = _names(data["settings"], "effects", path)
+    effects = placed or tuple(on_every_joint(plain, robot.n))
     base = base_parameters(robot, effects)
     names = _names(data, "base_names", path)
     if list(base.names) != names:
@@ -57,6 +59,28 @@ def _base(data: Mapping[str, Any], path: Path, robot: Robot) -> BaseValues:
         _tensor(data, "covariance", (b, b), path),
         _tensor(data, "factor", (b + 1, b + 1), path),
     )
+
+
+def placed_effects(data: Mapping[str, Any], robot: Robot) -> tuple[Effect, ...] | None:
+    """The effects of an identification's record, in the order of their coefficients; None where all
+    are of the kinds in its settings, on every joint.
+
+    Raises:
+        TorchidError: an unknown effect, or a place that the robot does not have.
+    """
+    entries = data.get("effects") or []
+    if not any("places" in entry for entry in entries):
+        return None
+    out: list[Effect] = []
+    for entry in entries:
+        name = str(entry["effect"])
+        if "places" not in entry:
+            out += on_every_joint([name], robot.n)
+            continue
+        zeros = {c.name: 0.0 for c in effect_kind(name).coefficients}
+        for place in entry["places"]:
+            out.append(effect_from_record({"effect": name, **zeros, **place}, robot)[0])
+    return tuple(out)
 
 
 def _load(path: Path) -> Mapping[str, Any]:
@@ -147,7 +171,7 @@ def read_prior(path: Path, robot: Robot) -> Prior:
     inflation[free] = ratio
     return Prior(
         found.base,
-        found.effects,
+        plain_effects(found.effects, "the design of the next motion"),
         found.values,
         found.known,
         std,

@@ -6,6 +6,8 @@ standard deviation, say) is null.
 
 from typing import Any
 
+from torchid.effects.base import Effect
+from torchid.effects.registry import COLUMN_KINDS
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Errors
 from torchid.json_data import plain
@@ -91,8 +93,9 @@ def _parameter(result: Identification, k: int) -> dict[str, Any]:
 
 
 def _effects(result: Identification) -> list[dict[str, Any]]:
-    """One entry a kind of effect, over the joints on which its coefficients are base parameters of
-    their own; those that are part of a sum are in `combined` or `absorbed`."""
+    """One entry a kind of effect, over the joints on which a coefficient is a base parameter of its
+    own; one that is part of a sum is null here, and in `combined` or `absorbed`. Effects that are
+    not on every joint, or have shapes, also list their `places`: joints, from 1, and shapes."""
     position = _positions(result)
     start = result.base.n_rigid_parameters
     found: dict[str, dict[str, Any]] = {}
@@ -109,14 +112,27 @@ def _effects(result: Identification) -> list[dict[str, Any]]:
         width = len(effect.coefficients)
         own = [position.get(start + c) for c in range(width)]
         start += width
-        if not all(b is not None and result.base.is_single(b) for b in own):
+        single = [b if b is not None and result.base.is_single(b) else None for b in own]
+        if all(b is None for b in single):
             continue
-        entry["joints"].append(effect.joint + 1)
-        for c, b in zip(effect.coefficients, own, strict=True):
-            assert b is not None
-            entry["parameters"][c.name].append(float(result.values[b]))
-            entry["std"][c.name].append(float(result.std[b]) if bool(result.free[b]) else None)
+        entry["joints"].append(effect.identity[1][0] + 1)
+        for c, b in zip(effect.coefficients, single, strict=True):
+            known = b is not None and bool(result.free[b])
+            value = None if b is None else float(result.values[b])
+            entry["parameters"][c.name].append(value)
+            entry["std"][c.name].append(float(result.std[b]) if known else None)
+    for name, entry in found.items():
+        members = [e for e in result.effects if e.name == name]
+        if name not in COLUMN_KINDS or len(members) < result.robot.n:
+            entry["places"] = [_place(e) for e in members]
     return list(found.values())
+
+
+def _place(effect: Effect) -> dict[str, Any]:
+    """An effect without its coefficients, as `effect_from_record` takes it."""
+    names = [c.name for c in effect.coefficients]
+    record = effect.record([0.0] * len(names))
+    return {k: v for k, v in record.items() if k != "effect" and k not in names}
 
 
 def _combined(result: Identification) -> list[dict[str, Any]]:

@@ -1,10 +1,12 @@
 """What an identification found, and what its user must know about it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from torchid.effects.base import JointEffect, Motion
+from torchid.effects.base import Effect, Motion
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.physical_signs import physical_signs
@@ -67,7 +69,7 @@ class Identification:
 
     robot: Robot
     base: BaseParameters
-    effects: tuple[JointEffect, ...]
+    effects: tuple[Effect, ...]
     values: Float[Tensor, " B"]
     covariance: Float[Tensor, "B B"]
     factor: Float[Tensor, "C C"]
@@ -121,18 +123,41 @@ class Identification:
         half = self.uncertainty.quantile(level) * self.std
         return torch.stack([self.values - half, self.values + half], -1)
 
-    def predict(self, q: Numbers, dq: Numbers, ddq: Numbers) -> Joints:
+    def predict(
+        self,
+        q: Numbers,
+        dq: Numbers,
+        ddq: Numbers,
+        t: Sequence[float] | np.ndarray | Tensor | None = None,
+    ) -> Joints:
         """Joint torques (..., n) [N m; N] of the identified model, from tensors or arrays.
 
         The direction of motion is the sign of dq here; on logs, `validation.predict` uses the
         direction with hysteresis, as the fit does.
 
+        Args:
+            q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; (T, n) along a
+                trajectory where an effect remembers its past (presliding_hysteresis).
+            t: (...,) [s] since the log began, which friction that warms up needs.
+
         Raises:
-            TorchidError: not numbers of all joints.
+            TorchidError: not numbers of all joints, or no time or trajectory where an effect needs
+                one.
         """
         state = joint_signals(self.robot.n, q=q, dq=dq, ddq=ddq)
         values = self.values.to(state[0])
-        return model_torque(self.robot, self.base, self.effects, values, Motion(*state))
+        for effect in self.effects:
+            if "t" in effect.needs and t is None:
+                raise TorchidError(f"{effect.name} needs the time.", expected="predict(.., t=..)")
+            if getattr(effect, "memory", False) and state[0].ndim < 2:
+                raise TorchidError(
+                    f"{effect.name} depends on the past.",
+                    got=tuple(state[0].shape),
+                    expected=f"a trajectory (T, {self.robot.n})",
+                )
+        when = None if t is None else torch.as_tensor(t).to(state[0])
+        motion = Motion(state[0], state[1], state[2], t=when)
+        return model_torque(self.robot, self.base, self.effects, values, motion)
 
     def residual(self, q: Numbers, dq: Numbers, ddq: Numbers, tau: Numbers) -> Joints:
         """Measured minus predicted torque (..., n)."""

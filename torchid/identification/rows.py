@@ -7,15 +7,16 @@ grow with the log.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TypeGuard
 
 import torch
 
 from torchid.design.motion import Measurement
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
-from torchid.effects.base import JointEffect
+from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -36,8 +37,9 @@ Chunks = Callable[[Tensor, Tensor, Tensor], Iterator[RegressorChunk]]
 class Layout:
     """Which columns each torque row has.
 
-    Columns are ordered by link here, each link's effects behind it, so that torque row i has
-    non-zeros only from link i on; `order` leads back to the order of the base parameters.
+    Columns are ordered by link here, each link's effects behind it (those of two joints behind the
+    later link), so that torque row i has non-zeros only from link i on; `order` leads back to the
+    order of the base parameters.
 
     Attributes:
         robot, base, effects: what is identified.
@@ -49,7 +51,7 @@ class Layout:
 
     robot: Robot
     base: BaseParameters
-    effects: tuple[JointEffect, ...]
+    effects: tuple[Effect, ...]
     order: tuple[int, ...]
     rigid: tuple[tuple[tuple[int, int], ...], ...]
     own: tuple[tuple[tuple[int, int], ...], ...]
@@ -61,10 +63,12 @@ class Layout:
         return len(self.order)
 
 
-def layout(robot: Robot, base: BaseParameters, effects: Sequence[JointEffect]) -> Layout:
+def layout(robot: Robot, base: BaseParameters, effects: Sequence[Effect]) -> Layout:
     """The columns of each torque row, for the base parameters of a robot with effects."""
     flat = paper_order(robot.n).tolist()
-    coefficients = [(e, c) for e, effect in enumerate(effects) for c in range(_width(effect))]
+    coefficients = [
+        (e, c) for e, effect in enumerate(effects) for c in range(len(effect.coefficients))
+    ]
     described = []
     for position, k in enumerate(base.independent):
         if k < len(flat):
@@ -72,12 +76,13 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[JointEffect]) -
             described.append((link, 0, position, (link, parameter)))
         else:
             e, c = coefficients[k - len(flat)]
-            described.append((effects[e].joint, 1, position, (e, c)))
+            described.append((max(effects[e].joints), 1, position, (e, c)))
     described.sort()
     rigid, own, columns = [], [], []
+    of_effects = [(j, d[3]) for j, d in enumerate(described) if d[1] == 1]
     for i in range(robot.n):
         r = [(j, d[3]) for j, d in enumerate(described) if d[1] == 0 and d[0] >= i]
-        o = [(j, d[3]) for j, d in enumerate(described) if d[1] == 1 and d[0] == i]
+        o = [(j, pair) for j, pair in of_effects if i in effects[pair[0]].joints]
         rigid.append(tuple(pair for _, pair in r))
         own.append(tuple(pair for _, pair in o))
         columns.append(tuple(j for j, _ in r + o))
@@ -90,10 +95,6 @@ def layout(robot: Robot, base: BaseParameters, effects: Sequence[JointEffect]) -
         tuple(own),
         tuple(columns),
     )
-
-
-def _width(effect: JointEffect) -> int:
-    return len(effect.coefficients)
 
 
 @dataclass(frozen=True)
@@ -227,10 +228,12 @@ def _blocks(
 ) -> Iterator[RowBlock]:
     low_pass, step = _filter(m), _step(m)
     moving = m.moving
+    # What remembers the past is evaluated from the trajectory's beginning, once a pass.
+    whole: dict[Effect, Tensor] = {e: e.columns(m.motion) for e in layout.effects if _remembers(e)}
     for start, stop in _pieces(m):
         tail = 0 if low_pass is None else low_pass.tail
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
-        signals = _columns(m, layout, chunks, lo, hi)
+        signals = _columns(m, layout, chunks, whole, lo, hi)
         if low_pass is not None:
             before, after = tail - (start - lo), tail - (hi - stop)
             signals = extended(signals, before, after)
@@ -245,12 +248,49 @@ def _blocks(
         yield RowBlock(tuple(a.T for a in augmented), keep, instant)
 
 
+def sampled(
+    measured: Sequence[Measurement], signals: Sequence[Float[Tensor, "C _"]]
+) -> Float[Tensor, "C I"]:
+    """Signals along whole trajectories at the instants of the rows, filtered like them."""
+    out = []
+    for m, x in zip(measured, signals, strict=True):
+        low_pass, first, last = _filter(m), m.edge, m.samples - m.edge
+        if low_pass is None:
+            out.append(x[:, first:last])
+            continue
+        tail = low_pass.tail
+        before, after = max(0, tail - first), max(0, tail - first)
+        padded = extended(x, before, after)
+        start = before + first
+        out.append(low_pass.decimated(padded, _step(m), start, start + last - first))
+    return torch.cat(out, -1)
+
+
+def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
+    """Columns of an effect in the torque of each of its joints, in the order of `joints`."""
+    if isinstance(effect, JointEffect):
+        return [effect.columns(motion)]
+    columns = effect.torque_columns(motion)
+    return [columns[:, j] for j in effect.joints]
+
+
+def _remembers(effect: Effect) -> TypeGuard[JointEffect]:
+    return isinstance(effect, JointEffect) and effect.memory
+
+
 def _columns(
-    m: Measurement, layout: Layout, chunks: Chunks, lo: int, hi: int
+    m: Measurement,
+    layout: Layout,
+    chunks: Chunks,
+    whole: Mapping[Effect, Tensor],
+    lo: int,
+    hi: int,
 ) -> Float[Tensor, "C M"]:
     """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
     motion = m.motion.part(slice(lo, hi))
-    effect_columns = [e.columns(motion) for e in layout.effects]
+    effect_columns = [
+        [whole[e][lo:hi]] if e in whole else own_columns(e, motion) for e in layout.effects
+    ]
     rows: list[list[Tensor]] = [[] for _ in range(layout.robot.n)]
     for chunk in chunks(*motion.state):
         for i, pairs in enumerate(layout.rigid):
@@ -261,6 +301,7 @@ def _columns(
         if rows[i]:
             parts.append(torch.cat(rows[i], -1))
         if own:
-            parts.append(torch.stack([effect_columns[e][:, c] for e, c in own]))
+            on_joint = [effect_columns[e][layout.effects[e].joints.index(i)][:, c] for e, c in own]
+            parts.append(torch.stack(on_joint))
         parts.append(m.tau[lo:hi, i : i + 1].T)
     return torch.cat(parts)

@@ -18,7 +18,8 @@ class Settings:
     """How to identify.
 
     Attributes:
-        effects: names of the effects, on every joint.
+        effects: names of the effects, on every joint; or at one place and with its shape, e.g.
+            `joint_spring:joint=2,curvature=0`. Shapes that are not given are searched.
         cutoff: [Hz]; "auto"; or None for no filter.
         reversal: speed at which a joint's direction counts as reversed, as a fraction of its 99 %
             speed; or "auto".

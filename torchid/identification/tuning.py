@@ -87,7 +87,7 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
     Candidates lie between 20 over the longest trajectory's length and a fifth of the sampling
     rate; no filter is one of them where the log has accelerations.
     """
-    log = _shortened(training.log)
+    log = shortened(training.log)
     rate, seconds = min(sampling_rate(log)), max(log.duration)
     tried: list[float | None] = [f for f in CUTOFFS if 20 / seconds <= f <= rate / 5]
     if log.ddq is not None:
@@ -126,7 +126,7 @@ def choose_reversal(
     torque is within 1 % of the best. Zero where no effect jumps."""
     if not any(effect.jumps for effect in training.layout.effects):
         return torch.zeros(training.log.n, dtype=torch.float64)
-    log = _shortened(training.log)
+    log = shortened(training.log)
     speed = fast_speed(measurements(log, cutoff))
     errors = []
     for k, fraction in enumerate(REVERSALS):
@@ -139,7 +139,7 @@ def choose_reversal(
     return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed.cpu()
 
 
-def _shortened(log: Log) -> Log:
+def shortened(log: Log) -> Log:
     """Whole trajectories, evenly spread, `LONGEST` samples in all; the first part of a single one
     that is longer."""
     if log.samples <= LONGEST:

@@ -9,7 +9,8 @@ import torch
 
 from torchid.design.motion import Measurement
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import JointEffect, Motion
+from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.registry import Valued, in_rounds
 from torchid.identification.base_parameters import BaseParameters
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -87,22 +88,52 @@ class Prediction:
 def model_torque(
     robot: Robot,
     base: BaseParameters,
-    effects: Sequence[JointEffect],
+    effects: Sequence[Effect],
     values: Float[Tensor, " B"],
     motion: Motion,
 ) -> Float[Tensor, "*batch n"]:
-    """Torque (..., n) of base parameters: the independent parameters carry the base values and the
-    dependent ones are zero, which is one of the full sets with these base parameters."""
+    """Torque (..., n) of base parameters and effects; those of the torque see the `load`."""
+    first, later = in_rounds(_valued(base, effects, values))
+    tau = _of_motion(robot, base, first, values, motion)
+    if not later:
+        return tau
+    loaded = motion._replace(torque=tau)
+    return tau + sum(effect.all_torques(loaded, own, robot) for effect, own in later)
+
+
+def load(
+    robot: Robot,
+    base: BaseParameters,
+    effects: Sequence[Effect],
+    values: Float[Tensor, " B"],
+    motion: Motion,
+) -> Float[Tensor, "*batch n"]:
+    """Torque (..., n) that effects of the torque see: of all that needs no torque itself."""
+    return _of_motion(robot, base, in_rounds(_valued(base, effects, values))[0], values, motion)
+
+
+def _valued(base: BaseParameters, effects: Sequence[Effect], values: Tensor) -> list[Valued]:
+    """Effects with their coefficients; those that are part of another base parameter are zero."""
     full = values.new_zeros(len(base.parameter_names))
     full[list(base.independent)] = values
-    rigid = PARAMETERS_PER_LINK * robot.n
-    pi = InertialParameters.from_paper_order(full[:rigid])
+    own = full[base.n_rigid_parameters :].split([len(e.coefficients) for e in effects])
+    return [(e, x.tolist()) for e, x in zip(effects, own, strict=True)]
+
+
+def _of_motion(
+    robot: Robot, base: BaseParameters, effects: Sequence[Valued], values: Tensor, motion: Motion
+) -> Float[Tensor, "*batch n"]:
+    """Torque of base parameters with effects of the motion: the independent parameters carry the
+    base values and the dependent ones are zero, which is one of the full sets with these."""
+    full = values.new_zeros(len(base.parameter_names))
+    full[list(base.independent)] = values
+    pi = InertialParameters.from_paper_order(full[: PARAMETERS_PER_LINK * robot.n])
     tau = inverse_dynamics(robot, *motion.state, pi)
-    start = rigid
-    for effect in effects:
-        stop = start + len(effect.coefficients)
-        tau[..., effect.joint] += effect.torque(motion, full[start:stop].tolist())
-        start = stop
+    for effect, own in effects:
+        if isinstance(effect, JointEffect):
+            tau[..., effect.joint] += effect.torque(motion, own)
+        else:
+            tau = tau + effect.all_torques(motion, own, robot)
     return tau
 
 
@@ -110,7 +141,7 @@ def predict(
     measurement: Measurement,
     robot: Robot,
     base: BaseParameters,
-    effects: Sequence[JointEffect],
+    effects: Sequence[Effect],
     values: Float[Tensor, " B"],
 ) -> Prediction:
     """Measured and predicted torque, both through the measurement's filter."""

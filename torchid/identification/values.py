@@ -1,11 +1,13 @@
 """Values of base parameters, wherever they are from, and what is known of their accuracy."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 
-from torchid.effects.base import JointEffect
-from torchid.effects.registry import nominal_columns
+from torchid.effects.base import Effect, JointEffect
+from torchid.effects.registry import COLUMN_KINDS, nominal_columns
+from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, base_parameters, nominal_values
 from torchid.identification.result import Identification
 from torchid.robot.model import Robot
@@ -25,11 +27,30 @@ class BaseValues:
     """
 
     base: BaseParameters
-    effects: tuple[JointEffect, ...]
+    effects: tuple[Effect, ...]
     values: Float[Tensor, " B"]
     known: Bool[Tensor, " B"]
     covariance: Float[Tensor, "B B"] | None
     factor: Float[Tensor, "C C"] | None
+
+
+def plain_effects(effects: Sequence[Effect], what: str) -> tuple[JointEffect, ...]:
+    """The effects of an identification, for what knows no others than those of a joint's own motion
+    without shapes.
+
+    Raises:
+        TorchidError: it has others.
+    """
+    plain = tuple(e for e in effects if isinstance(e, JointEffect) and e.name in COLUMN_KINDS)
+    if len(plain) < len(effects):
+        others = dict.fromkeys(e.name for e in effects if e.name not in COLUMN_KINDS)
+        raise TorchidError(
+            f"{what} takes no identification with effects that have shapes, a memory or a load.",
+            got=", ".join(others),
+            available=list(COLUMN_KINDS),
+            hint="identify again without them; `torchid export` takes all effects",
+        )
+    return plain
 
 
 def nominal_base(robot: Robot) -> BaseValues:

@@ -23,6 +23,10 @@ SETTLING_PERIODS = 8.0
 Butterworth decays as exp(-0.38 wc t), to 1e-8 after eight periods."""
 
 
+ALL_PASSES = 0.45
+"""Cut-off, as a share of the sampling rate, from which a low-pass would take nothing away."""
+
+
 @dataclass(frozen=True)
 class ZeroPhaseFilter:
     """Forward-backward Butterworth low-pass of order 4.
@@ -89,6 +93,17 @@ class ZeroPhaseFilter:
         """Decimation that keeps the sampling rate at ten times the cut-off or above, where the
         amplitude has fallen below 3e-6; the same for rates that differ by rounding."""
         return max(1, int(self.rate / (10 * self.cutoff) * (1 + 1e-6)))
+
+
+def low_pass(rate: float, cutoff: float) -> ZeroPhaseFilter | None:
+    """The filter of a cut-off [Hz]; None where it would take nothing away."""
+    return ZeroPhaseFilter(rate, cutoff) if cutoff < ALL_PASSES * rate else None
+
+
+def low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
+    """Signals (..., T) below a cut-off [Hz], ends extended by odd reflection."""
+    chosen = low_pass(rate, cutoff)
+    return x if chosen is None else chosen.apply(x).contiguous()
 
 
 def extended(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{before}+{after}"]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect
+from torchid.effects.base import Effect, ModelEffect
 from torchid.effects.registry import COLUMN_KINDS, KINDS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import base_parameters
@@ -157,38 +157,28 @@ def _truth(entry: Mapping[str, Any], data: Mapping[str, Any], robot: Robot) -> E
 def _group(entry: Mapping[str, Any], effect: Effect, robot: Robot) -> Group:
     """The effect, or the same one on every joint where it is common to all."""
     if entry.get("common") and isinstance(effect, ModelEffect):
-        return tuple(replace(e, **_shapes(effect)) for e in type(effect).candidates(robot))
+        return tuple(type(effect).candidates(robot))
     return (effect,)
 
 
-def _shapes(effect: Effect) -> dict[str, Any]:
-    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name not in PLACES}
-
-
 def _untestable(data: Mapping[str, Any], robot: Robot) -> list[Question]:
-    """Effects that the log could not have shown, shapes in the middle of their grids."""
+    """Effects that the log could not have shown, of usual shapes."""
     out: list[Question] = []
     for entry in data["not_testable"]:
         kind, joint = KINDS[str(entry["effect"])], entry["joint"]
         if not kind.by_motion or kind.inertial or kind.needs & {"age", "velocity"}:
             continue
-        for effect in _places(kind, None if joint is None else int(joint) - 1, robot):
+        effects: Sequence[Effect]
+        if issubclass(kind, ModelEffect):
+            places = kind.candidates(robot)
+            effects = [e for e in places if joint is None or e.joints[:1] == (int(joint) - 1,)]
+        else:
+            effects = [] if joint is None else [kind.exemplar(int(joint) - 1)]
+        for effect in effects:
             question = Question(Explanation((effect,), (1.0,) * len(effect.coefficients)), "")
             if question not in out:
                 out.append(question)
     return out
-
-
-def _places(kind: type[Effect], joint: int | None, robot: Robot) -> Sequence[Effect]:
-    """Effects of a kind at a joint, or where it belongs to the whole arm."""
-    if issubclass(kind, ModelEffect):
-        every = kind.candidates(robot)
-        return [e for e in every if joint is None or e.joints[:1] == (joint,)]
-    if joint is None or not issubclass(kind, JointEffect):
-        return []
-    return [
-        kind(joint, **{s.name: s.grid[len(s.grid) // 2] if s.grid else 10.0 for s in kind.shapes})
-    ]
 
 
 def _setting(data: Mapping[str, Any], robot: Robot) -> Setting:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import product
 
-from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.base import JointEffect, ModelEffect
 from torchid.effects.registry import KINDS
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.next_motion.ambiguity import INERTIAL, LINK, Open, Question
@@ -72,26 +72,15 @@ def _among(
 def instances(name: str, like: Group, robot: Robot, rows: Rows) -> tuple[Group, ...]:
     """Places and shapes of an effect that act where another does; all of them where that acts on
     several joints."""
-    kind, place = KINDS[name], _place(rows, like)
+    kind, place = KINDS[name], rows.place(like)
     if issubclass(kind, ModelEffect):
         every = tuple(kind.candidates(robot))
-        near = [(e,) for e in every if place is None or _place(rows, (e,)) in (None, place)]
+        near = [(e,) for e in every if place is None or rows.place((e,)) in (None, place)]
         return (*near, every) if kind.shared else tuple(near)
     assert issubclass(kind, JointEffect)
-    joints = range(robot.n) if place is None else (place,)
-    return tuple((e,) for j in joints for e in _shapes(kind, j, rows))
-
-
-def _place(rows: Rows, group: Group) -> int | None:
-    """The joint whose rows alone the columns fill, if there is one."""
-    columns = rows.columns(group).T.reshape(-1, *rows.torque.shape)
-    size = columns.abs().amax((0, 2))
-    hit = (size > 1e-9 * size.max()).nonzero().flatten().tolist()
-    return hit[0] if len(hit) == 1 else None
-
-
-def _shapes(kind: type[JointEffect], joint: int, rows: Rows) -> Sequence[Effect]:
-    motion = rows.motion()
-    grids = [[v * s.size([motion], joint) for v in s.grid] for s in kind.shapes]
     names = [s.name for s in kind.shapes]
-    return [kind(joint, **dict(zip(names, v, strict=True))) for v in product(*grids)]
+    return tuple(
+        (kind(j, **dict(zip(names, shapes, strict=True))),)
+        for j in (range(robot.n) if place is None else (place,))
+        for shapes in kind.grid(rows.motions, j, rows.cutoff).tolist()
+    )

@@ -6,12 +6,13 @@ from functools import cached_property
 
 import torch
 
+from torchid.design.columns import Columns, Model
+from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor
-from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.effects.base import Effect, Motion
+from torchid.effects.registry import Valued
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.identification.base_parameters import BaseParameters
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -51,65 +52,61 @@ class Setting:
 
 
 class Rows:
-    """Whitened rows along a trajectory.
-
-    Columns are evaluated at 40 Hz, filtered as the fit does, and decimated by two.
-    """
+    """Whitened samples along a trajectory, of what a diagnosis would fit there."""
 
     def __init__(self, setting: Setting, trajectory: FourierTrajectory):
         self._setting = setting
         sampled = trajectory.sample(RATE)
-        self._bare = Motion(*sampled.motion.state, t=sampled.t)
-        # What 2 band independent values a second of this noise are worth, at RATE / 2 rows.
-        per_row = 2 * setting.band / (RATE / 2)
-        self._weight = per_row**0.5 / setting.noise.clamp(min=1e-12)
-        self._filter = ZeroPhaseFilter(RATE, min(setting.cutoff, 0.22 * RATE))
-        self._motions: dict[Group, Motion] = {}
-        self._columns: dict[tuple[Effect, Group], Tensor] = {}
+        motion = Motion(*sampled.motion.state, t=sampled.t)
+        tau = torch.zeros_like(motion.q)
+        segment = Segment("", RATE, RATE / 2, motion, tau, own_velocity=True)
+        self._samples = Samples([segment], min(setting.cutoff, 0.22 * RATE))
+        # What 2 band independent values a second of this noise are worth, at so many samples.
+        per_sample = 2 * setting.band * self._samples.interval
+        self._weight = per_sample**0.5 / setting.noise.clamp(min=1e-12)
+        self._models: dict[Group, Columns] = {}
         self._fitted: dict[tuple[bool, Group], Tensor | None] = {}
 
-    def motion(self, leaving: Group = ()) -> Motion:
-        """With the torque of the model without the effects `leaving`: what scales with the torque
-        must not contain what it stands for."""
-        if leaving not in self._motions:
-            first, _ = in_rounds(self._setting.given)
-            gone = {(e.name, e.joints) for e in leaving}
-            kept = [p for p in first if (p[0].name, p[0].joints) not in gone]
-            load = model_torque(self._setting.robot, kept, self._bare)
-            self._motions[leaving] = self._bare._replace(torque=load)
-        return self._motions[leaving]
+    @property
+    def cutoff(self) -> float:
+        """Of the samples' filter [Hz]."""
+        return self._samples.cutoff
+
+    @property
+    def motions(self) -> list[Motion]:
+        """With the torque of the model."""
+        return self._at(()).motions
 
     @cached_property
     def torque(self) -> Float[Tensor, "n R"]:
         """The model's own torque, joint by joint."""
-        return self._low(self.motion().require("torque", "a comparison").unsqueeze(-1))[0]
+        loads = [m.require("torque", "a comparison").T for m in self.motions]
+        return self._samples.of(loads) * self._weight.unsqueeze(-1)
 
     def columns(self, group: Sequence[Effect], leaving: Group = ()) -> Float[Tensor, "R C"]:
-        """Of effects that share their coefficients (rows, C), joints and instants stacked."""
-        total = self._of(group[0], leaving)
-        for effect in group[1:]:
-            total = total + self._of(effect, leaving)
-        return total
+        """Of effects that share their coefficients (rows, C), joints and samples stacked.
 
-    def _of(self, effect: Effect, leaving: Group) -> Tensor:
-        key = effect, leaving if "torque" in effect.needs else ()
-        if key not in self._columns:
-            self._columns[key] = self._evaluated(effect, self.motion(key[1])).flatten(1).T
-        return self._columns[key]
+        Args:
+            group: the effects.
+            leaving: accepted effects that the model is without: what scales with its torque must
+                not contain what it stands for.
+        """
+        models = (self._at(leaving if "torque" in effect.needs else ()) for effect in group)
+        columns = [at.on_all_joints(effect) for at, effect in zip(models, group, strict=True)]
+        total = torch.stack(columns).sum(0)
+        return (total * self._weight.unsqueeze(-1)).flatten(1).T
 
-    def _evaluated(self, effect: Effect, motion: Motion) -> Float[Tensor, "C n R"]:
-        if not isinstance(effect, JointEffect):
-            return self._low(effect.torque_columns(motion, self._setting.robot))
-        own = self._low(effect.columns(motion).unsqueeze(1), effect.joint)
-        out = own.new_zeros(own.shape[0], self._setting.robot.n, own.shape[-1])
-        out[:, effect.joint] = own[:, 0]
-        return out
+    def place(self, group: Group) -> int | None:
+        """The joint whose torque alone effects change, if there is one."""
+        places = {self._at(()).of(effect)[0] for effect in group}
+        return places.pop() if len(places) == 1 else None
 
-    def _low(self, x: Float[Tensor, "T m C"], joint: int | None = None) -> Float[Tensor, "C m R"]:
-        """Filtered, decimated and whitened signals of all joints, or of one."""
-        low = self._filter.apply(x.permute(2, 1, 0).contiguous())[..., ::2]
-        weight = self._weight if joint is None else self._weight[joint : joint + 1]
-        return low * weight.unsqueeze(-1)
+    def _at(self, leaving: Group) -> Columns:
+        if leaving not in self._models:
+            gone = {e.identity for e in leaving}
+            kept = tuple(p for p in self._setting.given if p[0].identity not in gone)
+            self._models[leaving] = Columns(Model(self._setting.robot, kept), self._samples)
+        return self._models[leaving]
 
     def beside(self, x: Tensor, leaving: Group = (), *, base: bool = False) -> Tensor:
         """What all that is fitted cannot explain of a column (R,), or of several (R, C).
@@ -136,8 +133,9 @@ class Rows:
     @cached_property
     def _base(self) -> Tensor:
         base = self._setting.base
-        y = regressor(self._setting.robot, *self._bare.state)
-        y = self._low(y[..., list(base.independent[: base.n_rigid])]).flatten(1).T
+        y = regressor(self._setting.robot, *self.motions[0].state)
+        y = y[..., list(base.independent[: base.n_rigid])].permute(2, 1, 0)
+        y = (self._samples.of([y]) * self._weight.unsqueeze(-1)).flatten(1).T
         size = torch.linalg.vector_norm(y, dim=0)
         q, r = torch.linalg.qr(y[:, size > 0] / size[size > 0])
         return q[:, r.diagonal().abs() > 1e-9]

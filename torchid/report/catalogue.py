@@ -10,7 +10,7 @@ from rich.table import Table
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, Family, ModelEffect, Motion
 from torchid.effects.parameters import Scale, Shape
-from torchid.effects.registry import COLUMN_KINDS, KINDS
+from torchid.effects.registry import KINDS, not_fitted
 from torchid.effects.rivals import ALIKE, Rival, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
@@ -50,7 +50,8 @@ What besides the rigid body can make an arm's torque differ from a simulator's: 
 
 Every effect is linear in its *coefficients*; *shape* parameters are searched. Units are those of a
 revolute joint (a prismatic one has N for N m and m for rad). `torchid identify --effects a,b` fits
-those that need nothing but the joint's own motion, `torchid gap` searches over all of them, and
+those that need no trusted model, `NAME:joint=2,SHAPE=0.1` at one place and with a given shape (else
+on every joint, shapes searched), `torchid gap` searches over all of them, and
 `torchid simulate --effect NAME:joint=2,COEFFICIENT=0.5` adds them to a simulated arm. Members of
 one family look alike in a log: believe the family first, and the member where the diagnosis names
 no alternative. The pictures show the torque on the second joint of a KUKA LWR IV+ along one motion.
@@ -214,4 +215,4 @@ def _place(kind: type[Effect]) -> str:
 
 
 def _fitted(kind: type[Effect]) -> str:
-    return "`identify` and `gap`" if kind.name in COLUMN_KINDS else "`gap`"
+    return "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"

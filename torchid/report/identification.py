@@ -1,10 +1,11 @@
 """An identification as tables for people."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 
 from torchid.design.motion import MOVING
-from torchid.effects.base import JointEffect
+from torchid.effects.base import Effect
 from torchid.identification.identify import Identification
 from torchid.identification.validation import Errors
 from torchid.report.table import Table
@@ -18,7 +19,7 @@ _ZERO = 100.0
 
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
-    effects = [effect_table(result)] if result.effects else []
+    effects = effect_tables(result)
     return [parameter_table(result), *effects, error_table(result)]
 
 
@@ -75,36 +76,61 @@ def percent_words(relative: float) -> str:
     return f"{relative:.1f}" if relative < 1e4 else "> 10⁴"
 
 
-def effect_table(result: Identification) -> Table:
-    """Coefficients with standard deviations, joints as rows."""
+def effect_tables(result: Identification) -> list[Table]:
+    """Coefficients with standard deviations: of effects on every joint with joints as rows, of
+    those at some places one a row, with the shapes."""
     base, robot = result.base, result.robot
     mixed = len(set(robot.joint_types)) > 1
-    position = {base.parameter_names[k]: b for b, k in enumerate(base.independent)}
-    cells = {}
-    for name in base.parameter_names[base.n_rigid_parameters :]:
-        b = position.get(name)
-        if b is None or not base.is_single(b):
-            cells[name] = "in a sum"
-        elif not bool(result.free[b]):
-            cells[name] = "0 (held)"
-        else:
-            unit = f" {base.units[b]}" if mixed else ""
-            cells[name] = f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}{unit}"
-    kinds: dict[str, JointEffect] = {}
-    for effect in result.effects:
-        kinds.setdefault(effect.name, effect)
-    coefficients = [c for kind in kinds.values() for c in kind.coefficients]
     prismatic = robot.joint_types[0] is JointType.PRISMATIC
-    headings = [
-        f"{c.meaning}\n{c.name}" + ("" if mixed else f" [{c.unit_for(prismatic)}]")
-        for c in coefficients
-    ]
-    rows = [
-        (str(joint), *(cells[f"{c.name}{joint}"] for c in coefficients))
-        for joint in range(1, robot.n + 1)
-    ]
-    title = "effects on the joints (value ± std)"
-    return Table(title, ("joint", *headings), rows, words=("joint",))
+    position = {k: b for b, k in enumerate(base.independent)}
+
+    def value(k: int) -> str:
+        """The coefficient in column k of all parameters."""
+        b = position.get(k)
+        if b is None or not base.is_single(b):
+            return "in a sum"
+        if not bool(result.free[b]):
+            return "0 (held)"
+        return f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
+
+    # Each effect with the texts of its coefficients.
+    found: list[tuple[Effect, list[str]]] = []
+    k = base.n_rigid_parameters
+    for effect in result.effects:
+        found.append((effect, [value(k + i) for i in range(len(effect.coefficients))]))
+        k += len(effect.coefficients)
+    counts = Counter(type(effect) for effect in result.effects)
+    everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
+    if mixed:
+        everywhere = []  # their units are not those of the column
+    out = []
+    if everywhere:
+        columns = [
+            f"{c.meaning}\n{c.name} [{c.unit_for(prismatic)}]"
+            for kind in everywhere
+            for c in kind.coefficients
+        ]
+        rows = []
+        for j in range(robot.n):
+            own = {type(e): texts for e, texts in found if e.joints == (j,)}
+            rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
+        title = "effects on the joints (value ± std)"
+        out.append(Table(title, ("joint", *columns), rows, words=("joint",)))
+    lines: list[tuple[str, ...]] = []
+    for effect, texts in found:
+        if type(effect) in everywhere:
+            continue
+        place = ", ".join(str(j + 1) for j in effect.joints)
+        for c, text in zip(effect.coefficients, texts, strict=True):
+            slides = robot.joint_types[effect.joints[0]] is JointType.PRISMATIC
+            lines.append((effect.name, place, c.name, text, c.unit_for(slides)))
+        for s, number in zip(effect.shapes, effect.shape_values, strict=True):
+            lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
+    if lines:
+        columns = ["effect", "joint", "", "value ± std", "unit"]
+        title = "effects at their joints (shapes without a std are given, or were searched)"
+        out.append(Table(title, columns, lines, names=("effect", "joint", "", "unit")))
+    return out
 
 
 def error_table(result: Identification) -> Table:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from torchid.gap.data.repeated import Repeat
+from torchid.design.repeats import Repeat
 from torchid.log.model import JOINT_SIGNALS
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic

@@ -23,6 +23,7 @@ from torchid.feasibility.sets import ParameterSets, joined, nominal_set
 from torchid.identification.base_parameters import nominal_values
 from torchid.identification.identify import Settings, identify
 from torchid.identification.payload import estimate_payload, with_payload
+from torchid.identification.values import plain_effects
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -75,7 +76,8 @@ def run_study(
         effects=settings.effects, cutoff=None, reversal=0.0, method="ols", signs="free"
     )
     result = identify(robot, log, held_out=validation, settings=paper, device=device)
-    target = two_step(result.base, result.effects, result.values)
+    effects = plain_effects(result.effects, "a study")
+    target = two_step(result.base, effects, result.values)
     clock.start("certificates")
     problems, certificates, warnings = _problems(robot, target, settings)
     scenarios = []

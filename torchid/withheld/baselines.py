@@ -19,10 +19,10 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.design.gram import Normal
+from torchid.design.repeats import find_repeats
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS, nominal_effects
-from torchid.gap.data.prepare import prepare
-from torchid.gap.data.repeats import find_repeats
+from torchid.gap.data import prepare
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of

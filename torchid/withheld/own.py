@@ -17,7 +17,7 @@ from torchid import __version__
 from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, nominal_effects
 from torchid.errors import LogError, TorchidError
-from torchid.gap.data.prepare import prepare
+from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.noise.floor import stuck

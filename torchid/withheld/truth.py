@@ -16,7 +16,7 @@ import torch
 from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS, effect_from_record, nominal_effects
 from torchid.errors import TorchidError
-from torchid.gap.data.prepare import prepare
+from torchid.gap.data import prepare
 from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns

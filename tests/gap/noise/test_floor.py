@@ -7,9 +7,9 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from torchid.design.columns import Columns, Model
+from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples
 from torchid.effects.registry import model_torque
-from torchid.gap.data.repeats import Repeats, find_repeats
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.typing import Tensor
 

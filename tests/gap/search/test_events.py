@@ -10,7 +10,7 @@ from tests.gap.problems import NOISE, SIMPLE, measured, question_of
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction import CoulombFriction
 from torchid.effects.transient import Contact
-from torchid.gap.data.prepare import Data
+from torchid.gap.data import Data
 from torchid.gap.search.events import contacts
 from torchid.robot.library import load_robot
 

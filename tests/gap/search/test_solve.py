@@ -13,7 +13,7 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.friction_laws import LoadDependentFriction, StribeckFriction
 from torchid.effects.gravity import EncoderOffset
 from torchid.effects.phase import TimeDelay
-from torchid.gap.data.prepare import Data
+from torchid.gap.data import Data
 from torchid.gap.search.evidence import Question
 from torchid.gap.search.solve import Solution, corrected, huber, least_squares, solved
 from torchid.gap.search.terms import Term

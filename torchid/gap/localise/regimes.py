@@ -23,7 +23,7 @@ from torchid.gap.localise.resampling import (
     quadratic,
 )
 from torchid.identification.statistics import CORRELATION_TIMES, correlation_instants
-from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.filtering import low_passed
 from torchid.typing import Float, Tensor
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 80
@@ -140,9 +140,7 @@ def _signals(trace: Trace, band: float, clock: float) -> dict[str, Tensor]:
     error = bridged(error, valid)
     sign = direction(motion.dq if motion.direction is None else motion.direction, motion.dq)
     since, jump = reversals(sign, error, rate, band)
-    upper = error
-    if 0.5 * band < 0.45 * rate and len(error) > 3:
-        upper = error - ZeroPhaseFilter(rate, 0.5 * band).apply(error.T).T
+    upper = error if len(error) < 4 else error - low_passed(error.T, rate, 0.5 * band).T
     signals = {
         "t": t if motion.t is None else motion.t, "error": error, "upper": upper,
         "q": motion.q, "dq": motion.dq, "ddq": motion.ddq, "load": trace.before[::step].cpu(),

@@ -20,7 +20,6 @@ import torch
 from torchid.typing import Float, Int, Tensor
 
 DRAWS = 499
-BOOTSTRAP = 999
 
 Energy = Callable[[Float[Tensor, "R K"]], Float[Tensor, "R n"]]
 """Squared gap of a regime [(N m)^2 samples] from how often each block counts."""
@@ -105,14 +104,6 @@ def corrected(looks: Sequence[Look]) -> Float[Tensor, "R n"]:
     p = (1 + len(largest) - below) / (1 + len(largest))
     possible = torch.stack([look.possible for look in scaled])
     return torch.where(possible, p, torch.ones_like(p)).to(torch.float64)
-
-
-def bootstrap(blocks: int, seed: int) -> Float[Tensor, "R K"]:
-    """How often each of K blocks is in a sample of K drawn with replacement."""
-    g = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(0, blocks, (BOOTSTRAP, blocks), generator=g)
-    out = torch.zeros(BOOTSTRAP, blocks, dtype=torch.float64)
-    return out.scatter_add_(1, chosen, torch.ones_like(out))
 
 
 def linear(parts: Float[Tensor, "K n"]) -> Energy:

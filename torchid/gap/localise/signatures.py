@@ -13,7 +13,7 @@ import torch
 from torchid.gap.diagnosis import Interval
 from torchid.gap.localise.regimes import STILL, Pool, masks
 from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, quadratic
-from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.filtering import ALL_PASSES, low_pass
 from torchid.typing import Float, Tensor
 
 LOWEST_WAVE = 3.0
@@ -122,19 +122,18 @@ def high_frequency_look(pool: Pool, draws: Draws, band: float) -> Look:
     """More of the squared gap above half the band than a white one would have there."""
     parts = (pool.upper.square() - white_share(pool.rate, band) * pool.error.square()).sum(1)
     observed, null = flipped(parts, draws, two_sided=False)
-    possible = torch.full_like(observed, 0.5 * band < 0.45 * pool.rate, dtype=torch.bool)
+    possible = torch.full_like(observed, 0.5 * band < ALL_PASSES * pool.rate, dtype=torch.bool)
     return Look(observed, null, linear(parts), possible)
 
 
 def white_share(rate: float, band: float) -> float:
     """Share above half the band of the energy of white noise that was filtered to the band."""
     f = torch.linspace(0, rate / 2 * (1 - 1e-9), 4001, dtype=torch.float64)
-    whole = torch.ones_like(f)
-    if band < 0.45 * rate:
-        whole = ZeroPhaseFilter(rate, band).response(f).square()
-    if not 0.5 * band < 0.45 * rate:
+    within, half = low_pass(rate, band), low_pass(rate, 0.5 * band)
+    if half is None:
         return 1.0
-    upper = (1 - ZeroPhaseFilter(rate, 0.5 * band).response(f)).square() * whole
+    whole = torch.ones_like(f) if within is None else within.response(f).square()
+    upper = (1 - half.response(f)).square() * whole
     return float(upper.sum() / whole.sum())
 
 

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from typing import get_args
 
+import numpy as np
 import torch
 
 from torchid.gap.diagnosis import Interval, JointGap, NoiseFloor, Regime, RegimeGap, Trace
 from torchid.gap.localise.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
-from torchid.gap.localise.resampling import Draws, Look, bootstrap, corrected
+from torchid.gap.localise.resampling import Draws, Look, corrected
 from torchid.gap.localise.signatures import (
     drift_look,
     high_frequency_look,
@@ -15,6 +16,7 @@ from torchid.gap.localise.signatures import (
     remainder,
     transient_look,
 )
+from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Float, Tensor
 
 BAND = 20.0
@@ -132,6 +134,7 @@ def _excess(
         above = (weights @ (whole - noise)).maximum(LEAST_ABOVE * total).clamp(min=1e-300)
         return torch.where(look.possible, look.energy(weights) / above, 0.0).clamp(-1.0, 1.0)
 
-    spread = share(bootstrap(pool.blocks, seed))
-    low, high = spread.quantile(0.025, 0), spread.quantile(0.975, 0)
+    weights = bootstrap_weights(pool.blocks, DRAWS, np.random.default_rng(seed))
+    spread = share(torch.from_numpy(weights))
+    low, high = (spread.quantile(end, 0) for end in tails())
     return share(torch.ones(1, pool.blocks, dtype=torch.float64))[0], low, high

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import torch
 
 from torchid.design.columns import Columns
+from torchid.design.repeats import Repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
 from torchid.effects.registry import effect_torque
-from torchid.gap.data.repeats import Repeats
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.noise.flexible import predict_out_of_fold
 from torchid.gap.noise.spectrum import bandwidth, white_level

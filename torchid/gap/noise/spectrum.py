@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.segments import Samples, Segment
-from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.filtering import ALL_PASSES, low_pass
 from torchid.typing import Float, Tensor
 
 _HANN = 2.0  # tapered, neighbouring frequencies are not independent
@@ -38,7 +38,7 @@ def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
     spectrum = torch.fft.rfft((straight * window.unsqueeze(-1)).T)
     density = 2 * spectrum.abs().square() / (p.rate * window.square().sum())
     frequency = torch.arange(density.shape[-1]).to(x) * p.rate / count
-    last = min(p.band, 0.45 * p.rate)
+    last = min(p.band, ALL_PASSES * p.rate)
     first = min(1.25 * cutoff, 0.7 * last)
     return density[:, (frequency >= first) & (frequency <= last)]
 
@@ -46,8 +46,9 @@ def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
 def bandwidth(samples: Samples) -> float:
     """Integral of the filter's squared amplitude [Hz]: variance of noise of density 1."""
     nyquist = samples.rate / 2
-    if samples.cutoff >= 0.45 * samples.rate:
+    chosen = low_pass(samples.rate, samples.cutoff)
+    if chosen is None:
         return nyquist
     frequency = torch.linspace(0, nyquist * (1 - 1e-9), 4001, dtype=torch.float64)
-    amplitude = ZeroPhaseFilter(samples.rate, samples.cutoff).response(frequency)
+    amplitude = chosen.response(frequency)
     return float(torch.trapezoid(amplitude.square(), frequency))

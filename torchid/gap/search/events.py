@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import Question, fit_terms, residual
 from torchid.gap.search.terms import BASE
+from torchid.statistics.robust import robust_std
 from torchid.typing import Float, Tensor
 
 LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
@@ -39,8 +40,7 @@ def contacts(question: Question, alpha: float) -> list[Contact]:
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
     left = residual(question, fit.terms, fit.x)
-    size = 1.4826 * torch.where(left == 0, torch.nan, left.abs()).nanmedian(1).values
-    unit = torch.nan_to_num(size, nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
+    unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
     r = left / unit
     pull = columns.on_all_joints(Contact()) * candidates.keep / unit
     found = _windows(pull, r, samples.bounds, alpha)

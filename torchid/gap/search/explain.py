@@ -10,7 +10,7 @@ from torchid.design.columns import Columns, Model
 from torchid.design.gram import Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
-from torchid.gap.data.prepare import Data
+from torchid.gap.data import Data
 from torchid.gap.search.climb import allowed, climbed, empty_fit, held_out_losses, worthy
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (

@@ -14,11 +14,12 @@ import torch
 from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
-from torchid.gap.data.prepare import Data
+from torchid.gap.data import Data
 from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
+from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
 STEPS = 4
@@ -28,9 +29,6 @@ another."""
 
 DETERMINED = 1e-7
 """Eigenvalue of normal equations with a unit diagonal below which a direction is left at zero."""
-
-HUBER = 1.345
-"""Robust standard deviations beyond which a sample counts less (Huber 1981, section 7.8)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +110,9 @@ def solved(
         left = at.gap() * data.keep
         # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
         if step < 2:
-            weight = huber(left) / left.square().mean(1, keepdim=True).clamp(min=1e-300).sqrt()
+            weight = (
+                huber_weights(left) / left.square().mean(1, keepdim=True).clamp(min=1e-300).sqrt()
+            )
         loss = float((weight * left).square().sum())
         if best is not None and not loss < last:
             break
@@ -153,13 +153,6 @@ def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tens
     kept = values > DETERMINED * values[-1:]
     inner = vectors[:, kept] / values[kept] @ vectors[:, kept].T
     return inner @ (right / size) / size
-
-
-def huber(r: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
-    """Square roots of Huber's weights."""
-    size = torch.where(r == 0, torch.nan, r.abs()).nanmedian(1, keepdim=True).values
-    limit = HUBER * 1.4826 * torch.nan_to_num(size, nan=1.0).clamp(min=1e-12)
-    return (limit / r.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:

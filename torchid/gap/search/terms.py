@@ -10,7 +10,7 @@ from torchid.design.columns import Columns, Place
 from torchid.design.gram import Gram
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
 from torchid.effects.registry import KINDS, Valued
-from torchid.gap.data.prepare import Data
+from torchid.gap.data import Data
 from torchid.identification.base_parameters import BaseParameters
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
 from torchid.typing import Bool, Float, Int, Tensor

@@ -12,16 +12,12 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
-from torchid.statistics.resampling import bootstrap_weights, percentile_interval
+from torchid.gap.noise.floor import NORMAL
+from torchid.statistics.resampling import DRAWS, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
 
 BLOCK_SECONDS = 2.0
 """Length of the blocks that are resampled [s]: several times the correlation of a gap at 8 Hz."""
-
-DRAWS = 1000
-
-FLOOR_WIDTH = 1.645
-"""Standard deviations of log RMS from the middle to an end of a floor's 90 % interval."""
 
 SURELY_NOISE = 0.9
 """Share of what is left that is noise at most, at one end of the interval: as much may be the
@@ -85,7 +81,7 @@ def closing(
     if floor.source == "repeats":
         low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
         z = torch.from_numpy(rng.standard_normal(tuple(rows.shape)))
-        ends = [(rows * torch.exp((high - low) / FLOOR_WIDTH * z)).sum(1)]
+        ends = [(rows * torch.exp((high - low) / NORMAL * z)).sum(1)]
         if unpredicted is not None:
             largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
             ends.append((rows * (largest / unit).clamp(min=1.0)).sum(1))

@@ -2,14 +2,14 @@
 torque of models that were fitted without them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
 from torchid.design.columns import Model
 from torchid.design.segments import Samples, moving_instants, widened
 from torchid.gap.diagnosis import Trace
-from torchid.log.filtering import ZeroPhaseFilter
+from torchid.log.filtering import low_passed
 from torchid.typing import Bool, Float, Int, Tensor
 
 GAP = 4.0
@@ -113,13 +113,13 @@ def traces(
                 if id(model) not in shared:
                     shared[id(model)] = model.torque(segment, samples)
                 tau = torch.where((owner == f).unsqueeze(-1), shared[id(model)], tau)
-            torques.append(_low(tau, segment.rate, band))
+            torques.append(low_passed(tau.T, segment.rate, band).T)
         out.append(
             Trace(
                 segment.name,
                 segment.rate,
                 segment.motion,
-                _low(segment.tau, segment.rate, band),
+                low_passed(segment.tau.T, segment.rate, band).T,
                 torques[0],
                 torques[1],
                 valid,
@@ -127,12 +127,3 @@ def traces(
             )
         )
     return out
-
-
-def with_after(shown: Sequence[Trace], other: Sequence[Trace]) -> list[Trace]:
-    """The same traces before, others after."""
-    return [replace(a, after=b.after) for a, b in zip(shown, other, strict=True)]
-
-
-def _low(x: Float[Tensor, "T n"], rate: float, band: float) -> Float[Tensor, "T n"]:
-    return x if band >= 0.45 * rate else ZeroPhaseFilter(rate, band).apply(x.T).T.contiguous()

@@ -7,7 +7,7 @@ from torchid.identification.identify import Identification
 from torchid.identification.result import UNEXPLAINED
 from torchid.report.figures import parameter_figure, torque_figure
 from torchid.report.identification import (
-    effect_table,
+    effect_tables,
     error_table,
     percent_words,
     poor_names,
@@ -26,9 +26,7 @@ _MOST_NAMED = 3
 def identification_page(result: Identification, origin: Origin) -> Page:
     """The page of an identification."""
     n, every = result.base.n_rigid, len(result.base)
-    tables = [error_table(result).on_page()]
-    if result.effects:
-        tables.append(effect_table(result).on_page())
+    tables = [t.on_page() for t in (error_table(result), *effect_tables(result))]
     tables.append(coefficient_table(result, range(n), "Base parameters"))
     if every > n:
         tables.append(coefficient_table(result, range(n, every), "Coefficients of the effects"))

@@ -12,15 +12,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.design.segments import Segment
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.gap.localise.resampling import bootstrap
-from torchid.gap.validate.shooting import Windows, edge_of, starts_of, windows_of
 from torchid.json_data import plain
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
+from torchid.simulation.shooting import Windows, edge_of, starts_of, windows_of
+from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Float, Int, Tensor
 
 HORIZONS = (0.1, 0.5, 2.0)
@@ -167,7 +168,7 @@ def _ratio(
     quantiles over resampled blocks."""
     blocks = int(block.max()) + 1
     sums = [x.new_zeros(blocks, x.shape[1]).index_add_(0, block, x) for x in squares]
-    many = bootstrap(blocks, seed)
+    many = torch.from_numpy(bootstrap_weights(blocks, DRAWS, np.random.default_rng(seed)))
     first, second = (torch.cat([x.sum(0, keepdim=True), many @ x]) for x in sums)
     ratios = (second / first).sqrt()
     same = (first == 0) & (second == 0)
@@ -176,7 +177,7 @@ def _ratio(
     for column in ratios.T:
         value = plain(column[0])
         known = blocks >= _FEWEST_BLOCKS and bool(column.isfinite().all())
-        ends = column[1:].quantile(column.new_tensor([0.025, 0.975])).tolist() if known else None
+        ends = column[1:].quantile(column.new_tensor(tails())).tolist() if known else None
         out.append((value, ends))
     return out
 

@@ -5,9 +5,9 @@ import torch
 
 from tests.gap.motions import RATE, motion_at, noise, times
 from tests.real_logs import FOLDER, NO_LOGS
+from torchid.design.held import held_ages, held_ages_of
 from torchid.design.motion import measurements
 from torchid.design.segments import segments_of
-from torchid.gap.data.held import held_ages, held_ages_of
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.log.sampling import resample

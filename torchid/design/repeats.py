@@ -14,7 +14,11 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.design.segments import Segment
+from torchid.design.motion import measurements
+from torchid.design.segments import Segment, segments_of
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.log.sampling import resample, sampling_rate
 from torchid.typing import Bool, Float, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
@@ -39,6 +43,7 @@ _FINE = 50.0  # rate at which agreement is judged [Hz]
 _WINDOW = 1.0  # over which agreement is judged [s]
 _MARGIN = 0.25  # shifted by a fraction of a sample, the ends of a signal are off [s]
 _REFINEMENTS = 3
+_BAND = 10.0  # in which motions of a log as it is are compared [Hz]
 
 
 @dataclass(frozen=True)
@@ -312,3 +317,48 @@ def _moves(q: Samples, rows: slice) -> bool:
     """Whether some joint moves in these rows as it does in the trajectory."""
     part = q[rows][:: max(1, (rows.stop - rows.start) // 20_000)]
     return bool((part.std(0) > MOVES * _spread(q)).any())
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Two stretches of the same motion; equal names for two periods of one trajectory.
+
+    Attributes:
+        first, second: trajectories.
+        start_first, start_second: where the stretches begin in them [s].
+        duration: [s].
+    """
+
+    first: str
+    second: str
+    start_first: float
+    start_second: float
+    duration: float
+
+
+def repeated_motion(log: Log) -> tuple[Repeat, ...]:
+    """Motions that the arm made more than once; none where the log is too short or too slow.
+
+    Args:
+        log: with or without torque; it must have passed `check_log`.
+    """
+    still = torch.zeros_like(log.q)
+    try:
+        even = resample(log.replace(tau=still))
+        band = min(_BAND, 0.2 * min(sampling_rate(even)))
+        segments = segments_of(measurements(even, band), band)
+    except LogError:
+        return ()
+    found = []
+    for pair in find_repeats(segments).pairs:
+        one, two = segments[pair.a], segments[pair.b]
+        found.append(
+            Repeat(
+                one.name,
+                two.name,
+                pair.rows_a.start / one.rate,
+                pair.rows_b.start / two.rate,
+                (pair.rows_a.stop - pair.rows_a.start) / one.rate,
+            )
+        )
+    return tuple(found)

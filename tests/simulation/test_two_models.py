@@ -13,10 +13,10 @@ from torchid.design.segments import Segment
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.gap.validate.rollout import DIVERGED, rollouts
-from torchid.gap.validate.shooting import starts_of
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.simulation.shooting import starts_of
+from torchid.simulation.two_models import DIVERGED, rollouts
 
 RATE, BAND = 250.0, 40.0
 FIELDS = {"rms_before", "rms_after", "joint_ratio", "joint_ratio_ci95", "ratio", "ratio_ci95"}

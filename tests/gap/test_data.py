@@ -11,7 +11,7 @@ from torchid.effects.base import Motion
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.data.prepare import bands, prepare, report_band, sharp_direction
+from torchid.gap.data import bands, prepare, report_band, sharp_direction
 from torchid.log.model import Log
 from torchid.typing import Tensor
 

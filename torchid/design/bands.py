@@ -1,0 +1,88 @@
+"""What a log's rate allows before it is cut into segments: its bands, and the direction of motion.
+
+Columns that jump are evaluated in the wide band, from the sharpest direction of motion that is not
+yet noise; they are fitted in the narrow one.
+"""
+
+import math
+
+import torch
+
+from torchid.design.motion import Measurement, direction, fast_speed
+from torchid.design.segments import Samples, Segment, widened
+from torchid.errors import LogError
+from torchid.log.model import Log
+from torchid.log.sampling import sampling_rate
+from torchid.statistics.robust import robust_std
+from torchid.typing import Float, Tensor
+
+CUTOFF = 8.0
+"""Default cut-off [Hz]. Higher ones let in columns that differentiate again (elasticity, backlash)
+and share the encoder's noise with the residual."""
+
+WIDE_BAND = 40.0
+"""Band [Hz] of the motion from which columns are computed, at the default cut-off."""
+
+REVERSAL = 0.004
+"""Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
+
+SAME_RATE = 0.02
+"""Relative difference of two sampling rates that count as one."""
+
+DWELL = 0.2
+"""Time below the reversal speed from which a joint counts as dwelling [s]."""
+
+
+def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
+    """Cut-off and wide band [Hz] that the log allows: by default 8 Hz, and five times as much.
+
+    Raises:
+        LogError: trajectories at different rates, or a cut-off that the log cannot hold.
+    """
+    rates = sampling_rate(log)
+    rate = min(rates)
+    if max(rates) > (1 + SAME_RATE) * rate:
+        listed = ", ".join(f"{n} {r:.4g} Hz" for n, r in zip(log.names, rates, strict=True))
+        raise LogError(
+            "the logs have different sampling rates.",
+            got=listed,
+            expected="one rate",
+            hint="diagnose them one by one, or resample them to the lowest rate",
+        )
+    chosen = min(CUTOFF, rate / 6) if cutoff is None else cutoff
+    if chosen > 0.4 * rate:
+        raise LogError(
+            "the cut-off is outside the log's band.",
+            got=f"{chosen:g} Hz",
+            expected=f"below {0.4 * rate:.4g} Hz at {rate:.4g} Hz",
+        )
+    return chosen, min(max(WIDE_BAND / CUTOFF * chosen, 20.0), 0.4 * rate)
+
+
+def sharp_direction(s: Segment, threshold: Float[Tensor, " n"]) -> Float[Tensor, "T n"]:
+    """Direction of motion (T, n), from -1 to 1.
+
+    Where a joint turns without stopping, the mean of its sign over a sampling interval, which puts
+    the reversal between two samples where it belongs; where it dwells (slower than the threshold
+    for more than `DWELL`), the direction it came from: velocity noise is no motion.
+    """
+    dq, ddq = s.motion.dq, s.motion.ddq
+    turning = (dq / (ddq.abs() * 0.5 / s.rate).clamp(min=1e-12)).clamp(-1, 1)
+    slow = (dq.abs() < threshold).double()
+    inner = 1 - widened(1 - slow, 0.5 * DWELL * s.rate)
+    dwells = widened(inner, 0.5 * DWELL * s.rate) > 0.5
+    return torch.where(dwells, direction(dq, threshold).to(dq), turning)
+
+
+def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
+    """Speed (n,) that is neither noise nor much of the joint's own: four standard deviations of
+    the velocity's noise, taken from its fastest changes, or 0.4 % of its 99 % speed."""
+    speed = fast_speed(measured)
+    rough = torch.cat([m.motion.dq.diff(dim=0).diff(dim=0) for m in measured])
+    noise = robust_std(rough.T) / math.sqrt(6.0)
+    return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
+
+
+def report_band(samples: Samples, wanted: float) -> float:
+    """Band of the report [Hz]: wider than the fit's, as far as the segments go."""
+    return max(samples.cutoff, min(wanted, 0.8 * samples.segments[0].band))

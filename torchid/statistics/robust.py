@@ -1,0 +1,24 @@
+"""Scales and weights that a few wild samples do not move."""
+
+import torch
+
+from torchid.typing import Float, Tensor
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal variable over its median absolute value."""
+
+HUBER = 1.345
+"""Robust standard deviations beyond which a sample counts less (Huber 1981, section 7.8): 95 %
+efficient where the noise is normal."""
+
+
+def robust_std(x: Float[Tensor, "n N"]) -> Float[Tensor, " n"]:
+    """Robust standard deviation of each row about zero, from its samples that are not zero: zeros
+    are samples that do not count. Nan where none is left."""
+    return MAD_TO_SIGMA * torch.where(x == 0, torch.nan, x.abs()).nanmedian(1).values
+
+
+def huber_weights(x: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+    """Square roots of Huber's weights of the samples of each row."""
+    limit = HUBER * torch.nan_to_num(robust_std(x), nan=1.0).clamp(min=1e-12).unsqueeze(1)
+    return (limit / x.abs().clamp(min=1e-300)).clamp(max=1.0).sqrt()
