@@ -77,20 +77,20 @@ def test_a_fit_is_that_of_all_rows(
     normal = problem.gram.over(over)
     a, y = problem.stacked(chosen, parts, WEIGHT)
     expected = torch.linalg.lstsq(a, y).solution
-    solved = normal.solve(chosen, WEIGHT)
+    solved = normal.of(chosen).solve(WEIGHT)
     assert torch.allclose(solved.x, expected, atol=1e-9)
     inverse = torch.linalg.inv(a.T @ a)
     assert torch.allclose(solved.root @ solved.root.T, inverse, atol=1e-9)
-    losses = normal.losses(chosen, solved.x)
+    losses = normal.of(chosen).losses(solved.x)
     assert float(WEIGHT @ losses) == pytest.approx(float((y - a @ expected).square().sum()))
-    matrix, right = normal.equations(chosen, WEIGHT)
+    matrix, right = normal.of(chosen).weighted(WEIGHT)
     assert torch.allclose(matrix, a.T @ a)
     assert torch.allclose(right, a.T @ y)
 
 
 def test_losses_are_those_of_each_joint_whatever_the_coefficients(problem: Problem) -> None:
     chosen, x = subset(1.5), random(5, seed=11)
-    found = problem.gram.over([0]).losses(chosen, x)
+    found = problem.gram.over([0]).of(chosen).losses(x)
     for j in range(2):
         alone = torch.zeros(2, dtype=torch.float64)
         alone[j] = 1.0
@@ -111,7 +111,9 @@ def test_a_ridge_is_a_row_more_for_every_coefficient(problem: Problem) -> None:
     a, y = problem.stacked(chosen, (0, 1, 2), WEIGHT)
     more = torch.cat([a, ridge.sqrt().diag()]), torch.cat([y, torch.zeros(5, dtype=torch.float64)])
     expected = torch.linalg.lstsq(*more).solution
-    assert torch.allclose(problem.gram.over().solve(chosen, WEIGHT, ridge).x, expected, atol=1e-9)
+    assert torch.allclose(
+        problem.gram.over().of(chosen).solve(WEIGHT, ridge).x, expected, atol=1e-9
+    )
 
 
 def zeros_too() -> Subset:
@@ -123,10 +125,10 @@ def zeros_too() -> Subset:
 
 def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Problem) -> None:
     normal = problem.gram.over()
-    found = normal.solve(zeros_too(), WEIGHT)
+    found = normal.of(zeros_too()).solve(WEIGHT)
     assert float(found.x[5]) == 0.0
     assert float(found.root[5].abs().max()) == 0.0
-    assert torch.allclose(found.x[:5], normal.solve(subset(), WEIGHT).x, atol=1e-9)
+    assert torch.allclose(found.x[:5], normal.of(subset()).solve(WEIGHT).x, atol=1e-9)
 
 
 def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
@@ -135,9 +137,9 @@ def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
     gram = Gram(0, (2,), 1)
     gram.add(0, [a, a], problem.y[0], problem.keep[0], torch.zeros(ROWS, dtype=torch.long))
     both = OnJoint(torch.arange(2), torch.arange(2), torch.tensor([0.0, 0.0, 1.0]))
-    found = gram.over().solve(Subset(2, (both,)), WEIGHT[:1]).x
+    found = gram.over().of(Subset(2, (both,))).solve(WEIGHT[:1]).x
     once = OnJoint(torch.arange(1), torch.arange(1), torch.tensor([0.0, 0.0, 1.0]))
-    alone = gram.over().solve(Subset(1, (once,)), WEIGHT[:1]).x
+    alone = gram.over().of(Subset(1, (once,))).solve(WEIGHT[:1]).x
     assert torch.allclose(found, 0.5 * alone.expand(2), rtol=1e-6)
 
 
@@ -146,7 +148,7 @@ def test_no_columns_leave_all(problem: Problem) -> None:
     empty = torch.zeros(0, dtype=torch.long)
     joints = [OnJoint(empty, empty, s.target) for s in subset().joints]
     nothing = Subset(0, tuple(joints))
-    solved = normal.solve(nothing, WEIGHT)
+    solved = normal.of(nothing).solve(WEIGHT)
     assert len(solved.x) == 0
     kept = (problem.y * problem.keep).square().sum(1)
-    assert torch.allclose(normal.losses(nothing, solved.x), kept)
+    assert torch.allclose(normal.of(nothing).losses(solved.x), kept)

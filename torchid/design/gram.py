@@ -73,44 +73,65 @@ class Normal:
     g: tuple[Float[Tensor, "_ _"], ...]
     rows: Float[Tensor, " n"]
 
-    def losses(self, subset: "Subset", x: Float[Tensor, " K"]) -> Float[Tensor, " n"]:
+    def of(self, subset: "Subset") -> "Equations":
+        """Those of a subset of K columns."""
+        parts = []
+        for g, s in zip(self.g, subset.joints, strict=True):
+            there = s.target.nonzero().flatten()
+            y = s.target[there]
+            rows = g[s.at]
+            square = y @ g[there.unsqueeze(1), there] @ y
+            parts.append((s.of, rows[:, s.at], rows[:, there] @ y, square))
+        return Equations(subset.count, tuple(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations of K columns.
+
+    Attributes:
+        count: K.
+        joints: per joint, which of the K columns it feels (k,), their products with each other
+            (k, k) and with the target (k,), and the target's square.
+    """
+
+    count: int
+    joints: tuple[tuple[Int[Tensor, " _"], Float[Tensor, "_ _"], Float[Tensor, " _"], Tensor], ...]
+
+    @property
+    def squares(self) -> Float[Tensor, " n"]:
+        """Sums of squares (n,) of the target."""
+        return torch.stack([square for *_, square in self.joints])
+
+    def losses(self, x: Float[Tensor, " K"]) -> Float[Tensor, " n"]:
         """Sums of squares (n,) that coefficients leave."""
         out = []
-        for g, s in zip(self.g, subset.joints, strict=True):
-            v = s.target.clone()
-            v.index_add_(0, s.at, -x[s.of])
-            there = v.nonzero().flatten()
-            some = v[there]
-            out.append(some @ g[there.unsqueeze(1), there] @ some)
+        for of, a, b, square in self.joints:
+            own = x[of]
+            out.append(square - 2 * (own @ b) + own @ a @ own)
         return torch.stack(out).clamp(min=0)
 
-    def equations(
-        self, subset: "Subset", weight: Float[Tensor, " n"]
+    def weighted(
+        self, weight: Float[Tensor, " n"]
     ) -> tuple[Float[Tensor, "K K"], Float[Tensor, " K"]]:
-        """Matrix and right side of the weighted normal equations of a subset of K columns."""
-        k = subset.count
-        matrix = torch.zeros(k, k, dtype=torch.float64)
-        right = torch.zeros(k, dtype=torch.float64)
-        for w, g, s in zip(weight.tolist(), self.g, subset.joints, strict=True):
-            matrix[s.of.unsqueeze(1), s.of] += w * g[s.at.unsqueeze(1), s.at]
-            there = s.target.nonzero().flatten()
-            right[s.of] += w * (g[s.at.unsqueeze(1), there] @ s.target[there])
+        """Matrix and right side of all joints together."""
+        matrix = torch.zeros(self.count, self.count, dtype=torch.float64)
+        right = torch.zeros(self.count, dtype=torch.float64)
+        for w, (of, a, b, _) in zip(weight.tolist(), self.joints, strict=True):
+            matrix[of.unsqueeze(1), of] += w * a
+            right[of] += w * b
         return matrix, right
 
     def solve(
-        self,
-        subset: "Subset",
-        weight: Float[Tensor, " n"],
-        ridge: Float[Tensor, " K"] | None = None,
+        self, weight: Float[Tensor, " n"], ridge: Float[Tensor, " K"] | None = None
     ) -> "Solved":
-        """Weighted least squares of a subset of columns.
+        """Weighted least squares.
 
         Args:
-            subset: of K columns.
             weight: (n,) of each joint's squares.
             ridge: (K,) inverse variances of the coefficients about zero.
         """
-        matrix, right = self.equations(subset, weight)
+        matrix, right = self.weighted(weight)
         if ridge is not None:
             matrix += torch.diag(ridge)
         # A column that is nowhere in these samples determines nothing.

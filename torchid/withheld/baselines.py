@@ -75,7 +75,7 @@ class Data:
 
     def loss(self, normal: Normal, terms: Sequence[Term], x: Float[Tensor, " K"]) -> float:
         """Sum of squares that terms leave on a part of the data, in units of the noise."""
-        return float(self.weight @ normal.losses(subset_of(normal, terms), x))
+        return float(self.weight @ normal.of(subset_of(normal, terms)).losses(x))
 
 
 def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
@@ -157,7 +157,7 @@ def _sparse(
     data: Data, normal: Normal, terms: Sequence[Term], threshold: float
 ) -> Float[Tensor, " K"]:
     """Coefficients of which those that are small, in units of unit columns and target, are zero."""
-    gram, right = normal.equations(subset_of(normal, terms), data.weight)
+    gram, right = normal.of(subset_of(normal, terms)).weighted(data.weight)
     target = data.loss(normal, [], right[:0]) ** 0.5
     size = gram.diagonal().sqrt()
     unit = torch.where(size > 0, 1 / size, 0.0)
@@ -197,7 +197,7 @@ METHODS: dict[str, Callable[[Data], list[Term]]] = {
 def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
     """Named effects in the form of a diagnosis. Coefficients are fitted on one half of the data for
     the other; what was chosen, was chosen on all of them, in the baseline's favour."""
-    x = data.normal.solve(subset_of(data.normal, terms), data.weight).x
+    x = data.normal.of(subset_of(data.normal, terms)).solve(data.weight).x
     parts = x.split([len(t.at) for t in terms]) if terms else ()
     which = [_entry(data, term, part) for term, part in zip(terms, parts, strict=True)]
     which.sort(key=lambda entry: -entry["share"])
@@ -235,7 +235,7 @@ def _closed(data: Data, terms: Sequence[Term]) -> float | None:
     """(L0 - L*) / (L0 - Ln), coefficients fitted on the other fold; None where there is no gap."""
     before = after = noise = 0.0
     for train, test in data.folds:
-        x = train.solve(subset_of(train, terms), data.weight).x
+        x = train.of(subset_of(train, terms)).solve(data.weight).x
         before += data.loss(test, (), x[:0])
         after += data.loss(test, terms, x)
         noise += float(test.rows.sum())

@@ -15,10 +15,11 @@ from torchid.effects.gravity import EncoderOffset
 from torchid.effects.phase import TimeDelay
 from torchid.gap.data import Data
 from torchid.gap.search.evidence import Question
-from torchid.gap.search.solve import Solution, corrected, huber, least_squares, solved
+from torchid.gap.search.solve import Solution, corrected, least_squares, solved
 from torchid.gap.search.terms import Term
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers
+from torchid.statistics.robust import huber_weights
 
 
 def solution_of(
@@ -206,6 +207,6 @@ def test_far_out_samples_count_as_their_limit():
     r = torch.randn(1, 20_000, generator=g, dtype=torch.float64)
     r[0, :10] = 50.0
     r[0, 10:20] = 0.0  # of samples that do not count
-    weights = huber(r).square()
+    weights = huber_weights(r).square()
     assert bool((weights[0, :10] * 50.0 < 1.5).all())
     assert float((weights == 1).double().mean()) == pytest.approx(0.82, abs=0.02)

@@ -101,12 +101,15 @@ def _refitted(question: Question, terms: Sequence[Term]) -> Fitted:
     return fit_terms(question, terms, effective, effective / fit.losses.clamp(min=1e-300))
 
 
-def moves(question: Question, fit: Fitted, *, groups: bool = True) -> list[tuple[float, Move]]:
+def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[tuple[float, Move]]:
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
-    viscous friction of a joint together, and what most joints have at once, priced as one cause."""
+    viscous friction of a joint together, and what most joints have at once, priced as one cause.
+    In the place of a term of one joint only what that joint feels is looked at, one by one."""
     n = question.candidates.gram.n
     own = _own(question, fit)
-    found = offers(question, fit)
+    groups = instead is None
+    places = None if instead is None or instead.place is None else (None, instead.place)
+    found = offers(question, fit, places)
     # A further joint of what most joints have is no further cause.
     free = {name for name in {t.name for t in own} if is_common(name, own, n)}
     out: list[tuple[float, Move]] = [
@@ -194,7 +197,7 @@ def _swapped(question: Question, fit: Fitted) -> Fitted | None:
     for term in own:
         rest = tuple(t for t in own if t is not term)
         without = fit_terms(question, rest, fit.effective, fit.weight)
-        for _, move in moves(question, without, groups=False)[:CLOSELY]:
+        for _, move in moves(question, without, term)[:CLOSELY]:
             if move[0] is term:
                 break  # nothing is better to first order
             if move[0].name == BASE:
@@ -236,12 +239,12 @@ def held_out_losses(
     every = (*question.fixed, *terms)
     total = torch.zeros_like(fit.losses)
     subset, ridge = subset_of(question.normal, every), ridge_of(every)
-    whole = question.normal.solve(subset, fit.weight, ridge).x
+    whole = question.normal.of(subset).solve(fit.weight, ridge).x
     held = _energies(question.normal, every)
     for train, test in folds:
-        x = train.solve(subset, fit.weight, ridge).x
+        x = train.of(subset).solve(fit.weight, ridge).x
         seen = _energies(train, every) >= FORETOLD * held
-        total += test.losses(subset, torch.where(seen, x, whole))
+        total += test.of(subset).losses(torch.where(seen, x, whole))
     return total
 
 

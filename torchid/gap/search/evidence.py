@@ -18,10 +18,11 @@ from functools import cached_property
 
 import torch
 
+from torchid.design.columns import Place
 from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
-from torchid.gap.search.terms import BASE, Batch, Candidates, Term, term_columns
+from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
 
@@ -93,6 +94,7 @@ class Question:
         alpha: family-wise level.
         worth: least size of a cause.
         rows: columns of terms that were in a model, as samples.
+        seen: directions of terms that were looked at.
     """
 
     candidates: Candidates
@@ -100,6 +102,7 @@ class Question:
     alpha: float
     worth: Worth = Worth()
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
+    seen: dict[int, int] = field(default_factory=dict, repr=False)
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -218,9 +221,10 @@ def fit_terms(
     if weight is None:
         weight = effective / torch.stack([g[-1, -1] for g in normal.g]).clamp(min=1e-300)
     # Each joint's weight is what it leaves: twice is enough to rank, and each step gains.
+    equations = normal.of(subset)
     for _ in range(2):
-        solved: Solved = normal.solve(subset, weight, ridge)
-        losses = normal.losses(subset, solved.x)
+        solved = equations.solve(weight, ridge)
+        losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
     nothing = torch.stack([g[-1, -1] for g in normal.g])
     gain = effective * (nothing.clamp(min=1e-300) / losses.clamp(min=1e-300)).log()
@@ -234,23 +238,13 @@ def fit_terms(
 def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     """Terms of which physics forbids a coefficient, or that are larger than on any arm, beyond what
     their own uncertainty explains: a friction that drives, a load of negative mass."""
-    first = 0
-    out = []
-    std = solved.root.norm(dim=1)
-    for term in terms:
-        own = slice(first, first + len(term.at))
-        first = own.stop
-        if term.name == BASE:
-            continue
-        known = torch.tensor(term.known, dtype=torch.float64)
-        signed = torch.tensor([c.non_negative for c in term.coefficients])
-        largest = torch.tensor([c.largest for c in term.coefficients], dtype=torch.float64)
-        # A term that stands in the place of the model's own is the whole of it.
-        total = solved.x[own] + (0 if term.instead else known)
-        slack = SURE * std[own] + 1e-12
-        if bool((signed & (total < -slack)).any() or (solved.x[own].abs() > largest + slack).any()):
-            out.append(term)
-    return out
+    if not terms:
+        return []
+    known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
+    slack = SURE * solved.root.norm(dim=1) + 1e-12
+    wrong = (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
+    parts = wrong.split([len(t.at) for t in terms])
+    return [t for t, own in zip(terms, parts, strict=True) if bool(own.any())]
 
 
 def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
@@ -266,12 +260,14 @@ def directions(question: Question, term: Term) -> int:
     """Directions of a term's columns that the samples tell apart."""
     if len(term.at) == 1:
         return 1
-    joints = range(len(question.normal.g)) if term.place is None else (term.place,)
-    gram = sum(question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints)
-    assert isinstance(gram, Tensor)
-    size = gram.diagonal().clamp(min=1e-300).sqrt()
-    values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
-    return max(1, int((values > VISIBLE).sum()))
+    if id(term) not in question.seen:
+        joints = range(len(question.normal.g)) if term.place is None else (term.place,)
+        gram = sum(question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints)
+        assert isinstance(gram, Tensor)
+        size = gram.diagonal().clamp(min=1e-300).sqrt()
+        values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
+        question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
+    return question.seen[id(term)]
 
 
 def causes(terms: Iterable[Term], n: int) -> int:
@@ -311,15 +307,16 @@ class Offer:
         return self.gain - self.paid
 
 
-def offers(question: Question, fit: Fitted) -> list[Offer]:
-    """Every candidate's gain beside a fit, those that physics refuses left out.
+def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = None) -> list[Offer]:
+    """Every candidate's gain beside a fit, those that physics refuses left out; of these places
+    alone where some are given.
 
     Gains are those of independent samples, for what a candidate leaves may be as independent: what
     is dependent now may be the very effect that is missing.
     """
     normal = question.normal
     weight = normal.rows / fit.losses.clamp(min=1e-300)
-    solved = normal.solve(fit.subset, weight, ridge_of(fit.terms))
+    solved = normal.of(fit.subset).solve(weight, ridge_of(fit.terms))
     common = question.candidates.gram.common
     k = solved.root.shape[1]
     held_common = torch.zeros(common, k, dtype=torch.float64)
@@ -338,6 +335,8 @@ def offers(question: Question, fit: Fitted) -> list[Offer]:
     present = {t.key for t in fit.terms if t.effects}
     out: list[Offer] = []
     for batch in question.candidates.batches:
+        if places is not None and batch.place not in places:
+            continue
         if batch.place is None:
             h, b = held_common[batch.at], pull_common[batch.at]
             gram = sum(

@@ -1,8 +1,10 @@
 """Candidates of a search: effects at their places, and the columns that each of them has."""
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
@@ -51,6 +53,15 @@ class Term:
     known: tuple[float, ...]
     instead: tuple[tuple[int, "Term", Tensor], ...] = ()
     sigma: Float[Tensor, " C"] | None = None
+
+    @cached_property
+    def limits(self) -> Float[Tensor, "C 3"]:
+        """Of each coefficient: what the model has of it already, the least whole, and the largest
+        correction. A term that stands in the place of the model's own is the whole of it."""
+        known = [0.0] * len(self.known) if self.instead else self.known
+        least = [0.0 if c.non_negative else -math.inf for c in self.coefficients]
+        largest = [c.largest for c in self.coefficients]
+        return torch.tensor([known, least, largest], dtype=torch.float64).T
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -118,12 +118,10 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
     others = without.terms[len(question.fixed) :]
     found: list[tuple[float, Term]] = []
     failed = 0
-    for _, move in moves(question, without):
+    for _, move in moves(question, without, term):
         if failed == TRIED:
             break
-        if len(move) > 1 or move[0].name == BASE or move[0].key == term.key:
-            continue
-        if term.place is not None and move[0].place not in (None, term.place):
+        if move[0].name == BASE or move[0].key == term.key:
             continue
         again = fit_terms(question, (*others, *move), fit.effective, fit.weight)
         if again.evidence > limit:
