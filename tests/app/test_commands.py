@@ -226,6 +226,7 @@ def weak_arm(tmp_path):
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["optimised", "random", "sinusoid", "paper"])
 def test_excite_says_what_it_asks_of_the_drives(command, weak_arm, tmp_path, kind):
     arm, target, data = weak_arm(0.6, 3, 0.8), tmp_path / "m.csv", tmp_path / "m.json"

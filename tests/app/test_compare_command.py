@@ -60,6 +60,7 @@ def test_bad_results(command, results, tmp_path, files, message):
     assert not (tmp_path / "out.json").exists()
 
 
+@pytest.mark.slow
 def test_excite_for_an_identification(command, folder, tmp_path):
     """Identify, design, and find the trajectory, its prediction and the same formats as ever."""
     found = tmp_path / "identification.json"

@@ -148,6 +148,7 @@ def test_an_atlas_says_where_the_bounds_of_inertias_are_relaxed(command, tmp_pat
     assert "count by a relaxation" in " ".join(shown.out.split())
 
 
+@pytest.mark.slow
 def test_an_atlas_says_what_the_fit_held(command, tmp_path, identified):
     data = json.loads(identified.read_text())
     k = data["base_names"].index("Fc1")
@@ -172,6 +173,7 @@ def test_from_an_identification(command, tmp_path, identified, loss):
     assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["two-step", "one-step"])
 def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified, loss):
     """Coefficients that no body has: the least loss of coefficients is far off in torque."""

@@ -7,6 +7,7 @@ import pytest
 TINY = ("--runs", "3", "--stages", "2", "--generations", "4")
 
 
+@pytest.mark.slow
 def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
     shown = command("study", "3r", *TINY, "--out", tmp_path, "--json", tmp_path / "s.json")
     assert shown.code == 0, shown.err
@@ -30,6 +31,7 @@ def test_a_study_leaves_its_page_sets_and_json(command, tmp_path):
             assert verdicts[entry["id"]] == entry["feasible"]
 
 
+@pytest.mark.slow
 def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypatch):
     import torchid.study.study as room
 

@@ -39,6 +39,7 @@ def call(*arguments: object):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_families_with_equal_torque(tmp_path):
     got = call(
         "3r", "--per-kind", 15, "--no-variants", "--json", tmp_path / "w.json",

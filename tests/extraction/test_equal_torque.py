@@ -320,6 +320,7 @@ def test_draws_are_uniform() -> None:
     assert float(y[..., 3].var()) == pytest.approx(1 / 12, rel=0.1)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 1000), letters=st.sampled_from(["RR", "RRP", "PRR", "RPRR", "RRRRR"]))
 def test_random_arms(seed: int, letters: str) -> None:

@@ -117,6 +117,7 @@ def test_every_start_ends_at_the_least_loss(name: str) -> None:
     assert_inside(given, found.p)
 
 
+@pytest.mark.slow
 def test_inertia_bounds_that_matter_are_kept() -> None:
     """Where the certificate's relaxation is not exact, runs end between its two figures or at the
     upper, whose set keeps away from flat links."""

@@ -6,12 +6,12 @@ from functools import cache
 import pytest
 import torch
 
-from tests.gap.motions import ROBOT, segment_of
-from torchid.effects.base import Motion
+from tests.gap.motions import ROBOT
+from torchid.design.bands import bands
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.data import bands, prepare, report_band, sharp_direction
+from torchid.gap.data import prepare
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -75,17 +75,6 @@ def test_the_cut_off_is_the_wanted_one(cutoff, rate):
     found = prepare(ROBOT, log(rate), cutoff)
     assert found.samples.cutoff == narrow
     assert found.segments[0].rate > 2 * wide
-
-
-def test_a_slow_log_is_cut_lower():
-    narrow, wide = bands(log(25.0), None)
-    assert narrow < 25.0 / 4
-    assert wide < 25.0 / 2
-
-
-def test_a_cut_off_beyond_the_log_is_refused():
-    with pytest.raises(LogError, match="cut-off"):
-        bands(log(25.0), 12.0)
 
 
 def test_signals_are_those_of_the_log():
@@ -163,28 +152,6 @@ def test_rows_at_rest_do_not_count():
     assert found.keep[1][moving].double().mean() > 0.6
 
 
-@pytest.mark.parametrize("amplitude", [0.01, 1.0])
-def test_directions_of_a_sinusoid_are_exact(amplitude):
-    """The mean of sgn(cos) over each sampling interval, reversals between samples included."""
-    rate, w = 40.0, 5.3
-    t = torch.arange(0, 10, 1 / rate, dtype=torch.float64)
-    angle = w * t[:, None] + torch.tensor([0.1, 1.0, 2.0])
-    motion = Motion(amplitude * angle.sin(), amplitude * w * angle.cos(),
-                    -amplitude * w**2 * angle.sin(), t=t)  # fmt: skip
-
-    # Integral of sgn(cos): a triangle wave.
-    def triangle(x: Tensor) -> Tensor:
-        return torch.asin(torch.sin(x))
-
-    half = 0.5 * w / rate
-    expected = (triangle(angle + half) - triangle(angle - half)) / (2 * half)
-    found = sharp_direction(segment_of(motion, rate=rate), torch.full((3,), 1e-3 * amplitude))
-    # dq and ddq vary over the interval: at third order in its length.
-    assert torch.allclose(found, expected, atol=(w / rate) ** 2)
-    inside = expected.abs() == 1
-    assert torch.equal(found[inside], expected[inside])
-
-
 def test_a_dwelling_joint_keeps_the_direction_it_came_from():
     given, rest = dwelling()
     g = torch.Generator().manual_seed(0)
@@ -201,10 +168,3 @@ def test_a_dwelling_joint_keeps_the_direction_it_came_from():
     assert (segment.motion.direction[up, 1] == 1).all()
     assert (segment.motion.direction[down, 1] == -1).all()
     assert segment.motion.direction.abs().max() <= 1
-
-
-def test_the_report_s_band_is_no_wider_than_the_segments():
-    found = prepare(ROBOT, log(), None)
-    assert report_band(found.samples, 20.0) == 20.0
-    assert report_band(found.samples, 1e4) < found.segments[0].band
-    assert report_band(found.samples, 0.1) == found.samples.cutoff

@@ -114,6 +114,7 @@ def test_progress_is_reported():
     assert calls[count:] == [(k + 1, len(REVERSALS)) for k in range(len(REVERSALS))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["another log", "a share of this log"])
 def test_choices_depend_on_training_data_only(how):
     log = log_of(ROBOT, COARSE)

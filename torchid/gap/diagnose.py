@@ -415,7 +415,7 @@ def warnings_of(
             "fewer than three different trajectories: held-out data are stretches of the same "
             "trajectories, and intervals are wider than they look"
         )
-    worse = checked.far.rms_after > 1.02 * checked.far.rms_before
+    worse = checked.far.rms_after > checked.far.rms_before
     if found.terms and bool(worse.any()):
         joints = ", ".join(str(j + 1) for j in worse.nonzero().flatten().tolist())
         out.append(f"on data that was not fitted the corrected model is worse on joint {joints}")
@@ -427,7 +427,7 @@ def _beyond(found: Explanation) -> str:
     question, fit = found.question, found.fit
     more = fit_terms(question, [*found.terms, *found.unworthy], fit.effective, fit.weight)
     shares = 1 - (more.losses / fit.losses.clamp(min=1e-300)).sqrt()
-    joints = (shares > 0.005).nonzero().flatten().tolist()
+    joints = shares.nonzero().flatten().tolist()
     said = ", ".join(f"joint {j + 1} {100 * float(shares[j]):.1f} %" for j in joints)
     return (
         f"{len(found.unworthy)} more terms have evidence but are not worth a name"

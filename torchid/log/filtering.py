@@ -100,6 +100,11 @@ def low_pass(rate: float, cutoff: float) -> ZeroPhaseFilter | None:
     return ZeroPhaseFilter(rate, cutoff) if cutoff < ALL_PASSES * rate else None
 
 
+def frequencies(rate: float) -> Float[Tensor, " F"]:
+    """So many up to half the sampling rate [Hz] that sums over them are integrals."""
+    return torch.linspace(0, rate / 2 * (1 - 1e-9), 4001, dtype=torch.float64)
+
+
 def low_passed(x: Signals, rate: float, cutoff: float) -> Signals:
     """Signals (..., T) below a cut-off [Hz], ends extended by odd reflection."""
     chosen = low_pass(rate, cutoff)

@@ -75,7 +75,7 @@ PLANTED = {
 def test_planted_structure_is_found_in_its_regime_and_on_its_joint_alone(name):
     formula, expected, also = PLANTED[name]
     for seed in (3, 4):
-        joints, regimes = where([trace(on_joint(formula), seed=seed)], floor(), seed)
+        joints, regimes = where([trace(on_joint(formula), seed=seed)], floor(), seed, band=20.0)
         found = clear(regimes)
         assert {(JOINT, r) for r in expected} <= found
         assert found <= {(JOINT, r) for r in (*expected, *also)}
@@ -89,12 +89,14 @@ def test_planted_structure_is_found_in_its_regime_and_on_its_joint_alone(name):
 def test_share_of_a_line_is_its_share_of_the_energy_above_the_noise():
     """A sine of amplitude a over the angle holds a^2 / 2; all of the gap above the noise."""
     gap = on_joint(lambda m, tau: 0.15 * torch.sin(20 * m.q))
-    _, regimes = where([trace(gap, seed=5)], floor(), 0)
+    _, regimes = where([trace(gap, seed=5)], floor(), 0, band=20.0)
     assert of(regimes, "position_periodic").excess == pytest.approx(0.9, abs=0.15)
 
 
 def test_share_of_a_jump_is_all_of_a_gap_that_only_flips():
-    _, regimes = where([trace(on_joint(lambda m, tau: 0.5 * m.dq.sign()), seed=6)], floor(), 0)
+    _, regimes = where(
+        [trace(on_joint(lambda m, tau: 0.5 * m.dq.sign()), seed=6)], floor(), 0, band=20.0
+    )
     assert of(regimes, "velocity_reversal").excess == pytest.approx(1.0, abs=0.15)
 
 
@@ -102,7 +104,7 @@ def test_times_of_transients():
     bumps = in_time(
         lambda t: sum(torch.exp(-(((t - c) / 0.1) ** 2)) for c in (12.3, 41.0))  # type: ignore[return-value]
     )
-    _, regimes = where([trace(on_joint(bumps), seed=2)], floor(), 0)
+    _, regimes = where([trace(on_joint(bumps), seed=2)], floor(), 0, band=20.0)
     times = of(regimes, "transient").times
     assert all(any(a - 0.15 < c < b + 0.15 for _, a, b in times) for c in (12.3, 41.0))
     assert all(min(abs(0.5 * (a + b) - c) for c in (12.3, 41.0)) < 0.4 for _, a, b in times)
@@ -115,14 +117,14 @@ def test_times_are_those_of_the_trajectory():
     first, second = trace(seed=1), trace(on_joint(bump), seed=2)
     later = second.motion._replace(t=second.motion.t + 100.0)
     both = [replace(first, name="one"), replace(second, name="two", motion=later)]
-    _, regimes = where(both, floor(), 0)
+    _, regimes = where(both, floor(), 0, band=20.0)
     times = of(regimes, "transient").times
     assert times
     assert all(name == "two" and abs(0.5 * (a + b) - 12.3) < 0.4 for name, a, b in times)
 
 
 def test_all_regimes_of_all_joints_are_there():
-    joints, regimes = where([trace(n=2, seconds=20.0)], floor(2), 0)
+    joints, regimes = where([trace(n=2, seconds=20.0)], floor(2), 0, band=20.0)
     assert [j.joint for j in joints] == [0, 1]
     assert {(r.joint, r.regime) for r in regimes} == {
         (j, r) for j in range(2) for r in get_args(Regime)
@@ -138,7 +140,7 @@ def test_joints_by_hand():
     measured[:25] += 100.0
     level = torch.tensor([0.1, 0.2], dtype=torch.float64)
     bracket = replace(floor(2), low=level, high=level)
-    joints, _ = where([replace(made, measured=measured)], bracket, 0)
+    joints, _ = where([replace(made, measured=measured)], bracket, 0, band=20.0)
     assert [j.gap_rms for j in joints] == pytest.approx([0.3, 0.4])
     above = [0.09 / 0.01 - 1, 0.16 / 0.04 - 1]
     assert [j.share for j in joints] == pytest.approx([x / sum(above) for x in above])
@@ -154,14 +156,14 @@ def test_two_trajectories_with_invalid_instants():
         measured = one.measured.clone()
         measured[3000:3200] = torch.nan
         traces.append(replace(one, valid=valid, measured=measured))
-    _, regimes = where(traces, floor(), 0)
+    _, regimes = where(traces, floor(), 0, band=20.0)
     assert clear(regimes) == {(JOINT, "velocity_reversal")}
 
 
 @pytest.mark.parametrize("rate", [50.0, 1000.0])
 def test_other_rates(rate):
     made = trace(on_joint(PLANTED["viscous"][0]), seed=1, rate=rate)
-    _, regimes = where([made], floor(), 0)
+    _, regimes = where([made], floor(), 0, band=20.0)
     assert clear(regimes) == {(JOINT, "high_speed")}
 
 
@@ -172,19 +174,19 @@ def test_a_joint_at_rest_and_a_gap_of_zero_are_no_regime():
     dq, ddq = made.motion.dq.clone(), made.motion.ddq.clone()
     dq[:, 0], ddq[:, 0] = 0.0, 0.0
     motion = made.motion._replace(q=still, dq=dq, ddq=ddq)
-    _, regimes = where([replace(made, motion=motion, measured=made.before)], floor(), 0)
+    _, regimes = where([replace(made, motion=motion, measured=made.before)], floor(), 0, band=20.0)
     assert all(r.p > 0.05 and r.excess == pytest.approx(0) for r in regimes)
     assert of(regimes, "velocity_reversal", joint=0).p == 1.0
 
 
 def test_a_short_log_says_nothing():
-    _, regimes = where([trace(seconds=1.0)], floor(), 0)
+    _, regimes = where([trace(seconds=1.0)], floor(), 0, band=20.0)
     assert all(r.p == 1.0 for r in regimes)
 
 
 def test_same_seed_same_answer():
     traces = [trace(on_joint(PLANTED["coulomb"][0]), seconds=20.0)]
-    assert where(traces, floor(), 3) == where(traces, floor(), 3)
+    assert where(traces, floor(), 3, band=20.0) == where(traces, floor(), 3, band=20.0)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +203,7 @@ def test_no_structure_no_regime(correlation, runs):
     from scipy.stats import binom
 
     alarms = sum(
-        bool(clear(where([trace(seed=100 + s, correlation=correlation)], floor(), s)[1]))
+        bool(clear(where([trace(seed=100 + s, correlation=correlation)], floor(), s, band=20.0)[1]))
         for s in range(runs)
     )
     assert alarms <= binom.ppf(0.999, runs, 0.05)
@@ -209,9 +211,9 @@ def test_no_structure_no_regime(correlation, runs):
 
 def test_a_minute_of_seven_joints_takes_less_than_two_seconds():
     made = trace(n=7, seconds=60.0)
-    where([made], floor(7), 0)
+    where([made], floor(7), 0, band=20.0)
     start = time.process_time()  # other programs share the machine
-    where([made], floor(7), 0)
+    where([made], floor(7), 0, band=20.0)
     assert time.process_time() - start < 2.0
 
 

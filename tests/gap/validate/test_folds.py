@@ -8,7 +8,7 @@ from torchid.design.columns import Model
 from torchid.design.segments import Samples
 from torchid.effects.friction import CoulombFriction, TorqueOffset
 from torchid.effects.registry import model_torque
-from torchid.gap.validate.folds import GAP, make_folds, traces, with_after
+from torchid.gap.validate.folds import GAP, make_folds, traces
 from torchid.log.filtering import ZeroPhaseFilter
 
 CUTOFF, BAND = 8.0, 20.0
@@ -116,12 +116,3 @@ def test_traces_are_low_passed_alike_and_leave_the_edges_out():
     assert not trace.valid[: samples.edge].any()
     assert not trace.valid[-samples.edge :].any()
     assert trace.valid[samples.edge : -samples.edge].all()
-
-
-def test_another_model_may_be_shown_beside():
-    samples = samples_of(1)
-    models = [[Model(ROBOT, ((TorqueOffset(0), [x]),))] for x in (1.0, 2.0)]
-    one, two = (traces(samples, None, [Model(ROBOT, ())], m, BAND) for m in models)
-    (both,) = with_after(one, two)
-    assert torch.equal(both.after, two[0].after)
-    assert torch.equal(both.before, one[0].before)

@@ -13,7 +13,7 @@ import torch
 from torchid.gap.diagnosis import Interval
 from torchid.gap.localise.regimes import STILL, Pool, masks
 from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, quadratic
-from torchid.log.filtering import ALL_PASSES, low_pass
+from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
 from torchid.typing import Float, Tensor
 
 LOWEST_WAVE = 3.0
@@ -87,7 +87,7 @@ def _lines(pool: Pool, rest: Tensor, draws: Draws, band: float, j: int) -> tuple
 def _peaks(height: Tensor, threshold: float) -> Tensor:
     """The highest lines above a threshold, apart from each other; at least the highest."""
     found: list[int] = []
-    for k in height.argsort(descending=True)[: 40 * _MOST_LINES].tolist():
+    for k in height.argsort(descending=True).tolist():
         if found and (len(found) == _MOST_LINES or float(height[k]) < threshold):
             break
         if all(abs(k - other) > 4 for other in found):
@@ -104,8 +104,7 @@ def angle_scores(
     low, span = float(q.min()), float(q.max() - q.min())
     speed = pool.flat("dq")[:, j].abs()
     lowest = max(LOWEST_WAVE, 4 * 2 * math.pi / max(span, 1e-9))
-    typical = max(float(speed.quantile(0.3)), 0.1 * float(speed.quantile(0.99)), STILL)
-    highest = min(2 * math.pi * 0.8 * band / typical, 2000.0)
+    highest = 2 * math.pi * band / max(float(speed.median()), STILL)
     if highest < 2 * lowest:
         return torch.zeros(0), torch.zeros(pool.blocks, 0, dtype=torch.complex128)
     bins = 2 ** math.ceil(math.log2(2 * span * highest / (2 * math.pi) * 8))
@@ -128,13 +127,12 @@ def high_frequency_look(pool: Pool, draws: Draws, band: float) -> Look:
 
 def white_share(rate: float, band: float) -> float:
     """Share above half the band of the energy of white noise that was filtered to the band."""
-    f = torch.linspace(0, rate / 2 * (1 - 1e-9), 4001, dtype=torch.float64)
     within, half = low_pass(rate, band), low_pass(rate, 0.5 * band)
     if half is None:
         return 1.0
+    f = frequencies(rate)
     whole = torch.ones_like(f) if within is None else within.response(f).square()
-    upper = (1 - half.response(f)).square() * whole
-    return float(upper.sum() / whole.sum())
+    return float(((1 - half.response(f)).square() * whole).sum() / whole.sum())
 
 
 def drift_look(pool: Pool, rest: Tensor, draws: Draws) -> Look:

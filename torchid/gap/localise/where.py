@@ -19,7 +19,6 @@ from torchid.gap.localise.signatures import (
 from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Float, Tensor
 
-BAND = 20.0
 LEAST_ABOVE = 0.1
 """Share of a joint's squared gap that counts as above the floor at least, so that a joint at its
 floor does not show arbitrarily large excesses."""
@@ -30,7 +29,7 @@ SHOWN = 0.05
 
 
 def where(
-    traces: Sequence[Trace], floor: NoiseFloor, seed: int = 0, *, band: float = BAND
+    traces: Sequence[Trace], floor: NoiseFloor, seed: int = 0, *, band: float
 ) -> tuple[tuple[JointGap, ...], tuple[RegimeGap, ...]]:
     """The map of the gap of the model as given (`before`), from valid instants.
 

@@ -25,6 +25,7 @@ from torchid.design.segments import Samples
 from torchid.effects.base import Motion
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_numbers, block_sums
+from torchid.statistics.resampling import tails
 from torchid.typing import Bool, Float, Int, Signals, Tensor
 
 FOLDS = 5
@@ -37,8 +38,6 @@ LONGEST_TRAINING = 4000
 
 LAGS = (0.05, 0.15)
 """History that is looked at [s]."""
-
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -162,11 +161,8 @@ def _joint(
 
 def _trees(seed: int) -> HistGradientBoostingRegressor:
     return HistGradientBoostingRegressor(
-        learning_rate=0.1,
         max_iter=60,
         max_leaf_nodes=8,
-        min_samples_leaf=20,
-        l2_regularization=5.0,
         max_bins=64,
         early_stopping=False,
         random_state=seed,
@@ -207,6 +203,6 @@ def _score(
     if count < 3:
         return float(gains.sum()), -math.inf, 1.0
     spread = float(gains.std()) * math.sqrt(count)
-    half = float(student.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread
+    half = float(student.ppf(tails()[1], count - 1)) * spread
     r2 = float(gains.sum())
     return r2, r2 - half, r2 + half

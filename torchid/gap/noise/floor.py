@@ -25,8 +25,8 @@ from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.typing import Bool, Float, Tensor
 
 BLOCK_SECONDS = 2.0
-"""Length of the blocks of which mean and median are compared [s]: a collision lasts less, and a
-minute holds thirty."""
+"""Length of the blocks of which mean and median are compared, and which are resampled [s]: several
+times the correlation of a gap at 8 Hz; a collision lasts less, and a minute holds thirty."""
 
 UNEVEN = 1.5
 """Mean over median of the blocks' variance from which the noise is not the same everywhere [1]; the

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.segments import Samples, Segment
-from torchid.log.filtering import ALL_PASSES, low_pass
+from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
 from torchid.typing import Float, Tensor
 
 _HANN = 2.0  # tapered, neighbouring frequencies are not independent
@@ -49,6 +49,6 @@ def bandwidth(samples: Samples) -> float:
     chosen = low_pass(samples.rate, samples.cutoff)
     if chosen is None:
         return nyquist
-    frequency = torch.linspace(0, nyquist * (1 - 1e-9), 4001, dtype=torch.float64)
+    frequency = frequencies(samples.rate)
     amplitude = chosen.response(frequency)
     return float(torch.trapezoid(amplitude.square(), frequency))

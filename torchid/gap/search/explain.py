@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model
-from torchid.design.gram import Normal
+from torchid.design.gram import DETERMINED, Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
@@ -277,7 +277,7 @@ def _rows(columns: Columns, effect: Effect, joints: slice) -> Tensor:
 def _orthonormal(z: Float[Tensor, "K R"]) -> Float[Tensor, "k R"]:
     size = z.norm(dim=1, keepdim=True)
     q, r = torch.linalg.qr((z / size.clamp(min=1e-300)).T)
-    return q[:, r.diagonal().abs() > 1e-7].T
+    return q[:, r.diagonal().abs() > DETERMINED].T
 
 
 def _again(candidates: Candidates, term: Term) -> Term | None:

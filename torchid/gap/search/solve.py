@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model
+from torchid.design.gram import DETERMINED
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
 from torchid.gap.data import Data
@@ -26,9 +27,6 @@ STEPS = 4
 SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
 another."""
-
-DETERMINED = 1e-7
-"""Eigenvalue of normal equations with a unit diagonal below which a direction is left at zero."""
 
 
 @dataclass(frozen=True, eq=False)

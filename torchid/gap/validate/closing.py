@@ -12,12 +12,9 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
-from torchid.gap.noise.floor import NORMAL
+from torchid.gap.noise.floor import BLOCK_SECONDS, NORMAL
 from torchid.statistics.resampling import DRAWS, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
-
-BLOCK_SECONDS = 2.0
-"""Length of the blocks that are resampled [s]: several times the correlation of a gap at 8 Hz."""
 
 SURELY_NOISE = 0.9
 """Share of what is left that is noise at most, at one end of the interval: as much may be the
