@@ -55,6 +55,11 @@ class Gram:
             self.g[joint][p] += own @ own.T
             self.rows[p, joint] += own.shape[1]
 
+    def folds(self) -> "list[tuple[Normal, Normal]]":
+        """(Fitted on, judged on) of every part but 0; part 0 is in neither."""
+        every = range(1, self.parts)
+        return [(self.over([p for p in every if p != k]), self.over([k])) for k in every]
+
     def over(self, parts: Sequence[int] | None = None) -> "Normal":
         """The sums over some parts; over all if None."""
         chosen = list(range(self.parts)) if parts is None else list(parts)

@@ -26,7 +26,6 @@ from torchid.gap.data import prepare
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
-from torchid.gap.search.explain import folds_of
 from torchid.gap.search.terms import LINK, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import noise_variance
@@ -105,7 +104,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         question,
         1 / noise_variance(noise.floor),
         (gap * keep).norm(dim=1) / torque.norm(dim=1).clamp(min=1e-12),
-        tuple(folds_of(question.candidates)),
+        tuple(question.candidates.gram.folds()),
     )
 
 

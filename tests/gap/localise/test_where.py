@@ -10,7 +10,7 @@ import torch
 
 from tests.gap.diagnoses import NOISE, banded, coloured, floor, trace
 from torchid.gap.diagnosis import Regime
-from torchid.gap.localise.regimes import extrapolation, reversals
+from torchid.gap.localise.regimes import reversals
 from torchid.gap.localise.resampling import Draws, Look, best_of, corrected, linear, quadratic
 from torchid.gap.localise.signatures import white_share
 from torchid.gap.localise.where import where
@@ -215,12 +215,6 @@ def test_a_minute_of_seven_joints_takes_less_than_two_seconds():
     start = time.process_time()  # other programs share the machine
     where([made], floor(7), 0, band=20.0)
     assert time.process_time() - start < 2.0
-
-
-def test_extrapolation_is_exact_for_straight_lines():
-    x = torch.arange(3, 13, dtype=torch.float64)
-    weights = extrapolation(10, 3)
-    assert float(weights @ (2.5 - 0.7 * x)) == pytest.approx(2.5)
 
 
 def test_jumps_are_measured_and_slopes_are_not():

@@ -22,7 +22,6 @@ from torchid.gap.search.climb import (
     worthy,
 )
 from torchid.gap.search.evidence import Worth, causes, fit_terms
-from torchid.gap.search.explain import folds_of
 from torchid.gap.validate.folds import make_folds
 
 PLANTED = {
@@ -95,7 +94,7 @@ def test_losses_on_held_out_data_are_those_of_fits_without_them():
     question = question_of(data, parts=parts)
     viscous = term(question, "viscous_friction", 1)
     fit = fit_terms(question, [viscous], question.normal.rows)
-    found = held_out_losses(question, folds_of(question.candidates), fit, [viscous])
+    found = held_out_losses(question, question.candidates.gram.folds(), fit, [viscous])
     x = question.candidates.columns.of(viscous.effects[0])[1][0]
     y, keep = question.candidates.gap[1], question.candidates.keep[1]
     expected = 0.0
@@ -111,7 +110,7 @@ def worthy_terms(effects, *names, worth=WORTH):
     question = question_of(data, parts=two_folds(data), worth=worth)
     terms = [term(question, *n) for n in names]
     fit = fit_terms(question, terms, question.normal.rows)
-    return worthy(question, folds_of(question.candidates), fit)
+    return worthy(question, question.candidates.gram.folds(), fit)
 
 
 def test_what_is_small_leaves_and_what_is_large_stays():
@@ -140,7 +139,7 @@ def test_every_fold_is_judged_by_the_others():
     folds = make_folds(data.samples, 3, (0, 1, 2))
     question = question_of(data, parts=folds.parts)
     counts = question.normal.rows
-    found = folds_of(question.candidates)
+    found = question.candidates.gram.folds()
     assert len(found) == 3
     assert torch.equal(sum(test.rows for _, test in found), counts)
     assert torch.equal(sum(train.rows for train, _ in found), 2 * counts)

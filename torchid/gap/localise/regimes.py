@@ -99,7 +99,12 @@ def pooled(traces: Sequence[Trace], band: float) -> Pool:
         clock += len(trace.valid) / trace.rate
     rows = {name: torch.cat([p[name] for p in parts]) for name in parts[0]}
     total = len(rows["t"])
-    correlation = correlation_instants(_without_trend(rows["error"], rows["t"]))
+    # A slow trend is no correlation: the gap less a parabola in time.
+    t = rows["t"] - rows["t"].mean()
+    phase = t / t.abs().max().clamp(min=1e-9)
+    basis = torch.linalg.qr(torch.stack([torch.ones_like(t), phase, phase.square()], -1)).Q
+    correlation = correlation_instants(rows["error"] - basis @ (basis.T @ rows["error"]))
+    # Blocks of several correlation times, and so many as the tests need.
     count = int(total // (CORRELATION_TIMES * correlation))
     blocks = max(1, min(max(count, FEWEST_BLOCKS), MOST_BLOCKS, total))
     length = total // blocks
@@ -116,13 +121,6 @@ def begins(traces: Sequence[Trace]) -> list[tuple[str, float]]:
         out.append((trace.name, clock if t is None else float(t[0])))
         clock += len(trace.valid) / trace.rate
     return out
-
-
-def _without_trend(x: Float[Tensor, "N n"], t: Float[Tensor, " N"]) -> Float[Tensor, "N n"]:
-    """x less a parabola in time: a slow trend is no correlation."""
-    phase = (t - t.mean()) / (t - t.mean()).abs().max().clamp(min=1e-9)
-    basis = torch.linalg.qr(torch.stack([torch.ones_like(t), phase, phase.square()], -1)).Q
-    return x - basis @ (basis.T @ x)
 
 
 def _step(rate: float, band: float) -> int:
@@ -175,16 +173,20 @@ def reversals(
     since = torch.full_like(error, torch.inf)
     jump = torch.zeros_like(error)
     width, skip = max(4, round(REVERSAL * rate)), max(1, round(0.6 * rate / band))
-    # The reversal is half a sample before the first one in the new direction.
-    ahead = extrapolation(width, skip + 0.5).to(error)
+    # Weights of samples whose sum is their straight line's value at the reversal, which is half a
+    # sample before the first one in the new direction.
+    x = skip + 0.5 + torch.arange(width, dtype=torch.float64)
+    ahead = torch.linalg.pinv(torch.stack([torch.ones_like(x), x], -1))[0].to(error)
     reach = width + skip
     for j in range(error.shape[1]):
+        # Time since the last reversal.
         turns = (sign[1:, j] * sign[:-1, j] < 0).nonzero().flatten() + 1
         places = torch.arange(len(error))
         marks = torch.full((len(error),), -1).index_fill(0, turns, 0)
         marks[turns] = turns
         last = marks.cummax(0).values
         since[:, j] = torch.where(last < 0, torch.inf, (places - last) / rate)
+        # Jumps at those that no other one is near to.
         gaps = torch.diff(turns, prepend=turns.new_tensor([-reach]))
         after = torch.diff(turns, append=turns.new_tensor([len(error) + reach]))
         alone = (gaps > reach) & (after > reach) & (turns >= reach) & (turns < len(error) - reach)
@@ -193,13 +195,6 @@ def reversals(
             left = ahead @ error[turn - reach : turn - skip, j].flip(0)
             jump[turn, j] = 0.5 * sign[turn, j] * (right - left)
     return since, jump
-
-
-def extrapolation(width: int, skip: float) -> Float[Tensor, " W"]:
-    """Weights of samples at skip, skip + 1, ... whose sum is their straight line's value at 0."""
-    x = skip + torch.arange(width, dtype=torch.float64)
-    line = torch.stack([torch.ones_like(x), x], -1)
-    return torch.linalg.pinv(line)[0]
 
 
 def reversal_look(pool: Pool, draws: Draws) -> Look:

@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import Interval, JointGap, NoiseFloor, Regime, RegimeGap, Trace
+from torchid.gap.diagnosis import JointGap, NoiseFloor, Regime, RegimeGap, Trace
 from torchid.gap.localise.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
 from torchid.gap.localise.resampling import Draws, Look, corrected
 from torchid.gap.localise.signatures import (
@@ -91,6 +91,16 @@ def regime_gaps(
         "slow_drift": drift_look(pool, rest, draws),
         "transient": transients.look,
     }
+    # Windows of transients on their trajectories' own time.
+    times = [
+        tuple(
+            (name, start - begin, end - begin)
+            for start, end in own
+            for name, begin in [max((b for b in starts if b[1] <= start), key=lambda b: b[1])]
+        )
+        for own in transients.times
+    ]
+    # One correction for everything that was looked at.
     p = corrected(list(looks.values()))
     shares = [_excess(pool, floor, look, seed) for look in looks.values()]
     return tuple(
@@ -100,24 +110,11 @@ def regime_gaps(
             excess=float(shares[k][0][j]),
             ci95=(float(shares[k][1][j]), float(shares[k][2][j])),
             p=float(p[k, j]),
-            times=_own_times(transients.times[j], starts)
-            if regime == "transient" and p[k, j] < SHOWN
-            else (),
+            times=times[j] if regime == "transient" and p[k, j] < SHOWN else (),
         )
         for j in range(pool.error.shape[-1])
         for k, regime in enumerate(looks)
     )
-
-
-def _own_times(
-    times: Sequence[Interval], starts: Sequence[tuple[str, float]]
-) -> tuple[tuple[str, float, float], ...]:
-    """Times that run on from one trajectory to the next as those of the trajectories."""
-    out = []
-    for start, end in times:
-        name, begin = max((b for b in starts if b[1] <= start), key=lambda b: b[1])
-        out.append((name, start - begin, end - begin))
-    return tuple(out)
 
 
 def _excess(

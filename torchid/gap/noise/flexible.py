@@ -26,7 +26,7 @@ from torchid.effects.base import Motion
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.statistics.resampling import tails
-from torchid.typing import Bool, Float, Int, Signals, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 FOLDS = 5
 BLOCK_TIMES = 4.0
@@ -77,7 +77,9 @@ def predict_out_of_fold(
         seed: of the trees' binning; the result is a function of it.
         joints: from 0, whose residual to predict; all if None. Others are predicted to be zero.
     """
-    shared = _shared_features(motions, samples)
+    # Every joint's trees see the motion of all joints, and time.
+    signals = [torch.cat([m.q, m.dq, m.ddq], -1).T for m in motions]
+    shared = torch.cat([samples.of(signals), samples.t.unsqueeze(0)])
     predictions, scores = [], []
     # Trees this small are faster on one thread than on several, and never compete with torch's.
     with threadpool_limits(limits=1, user_api="openmp"):
@@ -87,7 +89,11 @@ def predict_out_of_fold(
                 scores.append((0.0, 0.0, 0.0, 0.0))
                 continue
             features = torch.cat([_own_features(motions, samples, j), shared]).T.cpu().numpy()
-            length, gap = _block_rows(r, samples)
+            # Blocks of several correlation times, twenty where that is possible, and the gap
+            # between what is trained on and what is predicted.
+            time = max(float(integrated_time(r, samples.bounds)), 0.25 / samples.interval)
+            rows = min(BLOCK_TIMES * time, len(r) / FEWEST_BLOCKS)
+            length, gap = max(4, round(rows)), max(1, round(min(time, rows)))
             block = block_numbers(samples.bounds, length)
             predicted = _shrunk(_joint(features, r, samples.bounds, block, gap, seed), r, block)
             predictions.append(predicted)
@@ -96,34 +102,21 @@ def predict_out_of_fold(
     return OutOfFold(torch.stack(predictions), table[:, 0], table[:, 1:3], table[:, 3])
 
 
-def _block_rows(r: Float[Tensor, " N"], samples: Samples) -> tuple[int, int]:
-    """Length of a block and of the gap next to it [rows]; twenty blocks where that is possible."""
-    time = max(float(integrated_time(r, samples.bounds)), 0.25 / samples.interval)
-    length = min(BLOCK_TIMES * time, len(r) / FEWEST_BLOCKS)
-    return max(4, round(length)), max(1, round(min(time, length)))
-
-
-def _shared_features(motions: Sequence[Motion], samples: Samples) -> Float[Tensor, "F N"]:
-    """Motion of all joints, and time."""
-    signals = [torch.cat([m.q, m.dq, m.ddq], -1).T for m in motions]
-    return torch.cat([samples.of(signals), samples.t.unsqueeze(0)])
-
-
 def _own_features(motions: Sequence[Motion], samples: Samples, joint: int) -> Float[Tensor, "F N"]:
     """Direction, model torque, their and the velocity's history, and the way since reversal."""
     signals, instants = [], []
     for m in motions:
         torque = m.require("torque", "the flexible predictor")[:, joint]
         sign, dq = m.sign[:, joint].to(torque), m.dq[:, joint]
-        past = [_before(x, round(lag * samples.rate)) for lag in LAGS for x in (dq, torque)]
+        # Values some samples ago; at the beginning the first one.
+        past = [
+            torch.cat([x[:1].expand(round(lag * samples.rate)), x])[: len(x)]
+            for lag in LAGS
+            for x in (dq, torque)
+        ]
         signals.append(torch.stack([sign, torque, *past]))
         instants.append(torch.stack(_since_reversal(m, joint, samples.rate), -1))
     return torch.cat([samples.of(signals), samples.pick(instants).T])
-
-
-def _before(x: Signals, samples: int) -> Signals:
-    """The value some samples ago; at the beginning the first one."""
-    return torch.cat([x[:1].expand(samples), x])[: len(x)]
 
 
 def _since_reversal(m: Motion, joint: int, rate: float) -> tuple[Tensor, Tensor]:
@@ -154,19 +147,11 @@ def _joint(
         train = usable[:: math.ceil(len(usable) / LONGEST_TRAINING) or 1].numpy()
         if not bool(test.any()) or len(train) < 4 * FEWEST_BLOCKS:
             continue
-        trees = _trees(seed).fit(features[train], target[train])
+        trees = HistGradientBoostingRegressor(
+            max_iter=60, max_leaf_nodes=8, max_bins=64, early_stopping=False, random_state=seed
+        ).fit(features[train], target[train])
         out[test] = torch.from_numpy(trees.predict(features[test.numpy()])).to(r)
     return out
-
-
-def _trees(seed: int) -> HistGradientBoostingRegressor:
-    return HistGradientBoostingRegressor(
-        max_iter=60,
-        max_leaf_nodes=8,
-        max_bins=64,
-        early_stopping=False,
-        random_state=seed,
-    )
 
 
 def _widened(mask: Bool[Tensor, " N"], bounds: tuple[slice, ...], gap: int) -> Bool[Tensor, " N"]:

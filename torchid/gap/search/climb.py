@@ -7,7 +7,7 @@ having leaves, the least worthy first.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 
 import torch
@@ -58,7 +58,13 @@ def empty_fit(question: Question) -> Fitted:
 
 def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
-    fit = allowed(question, _refitted(question, tuple(start)))
+    # The effective samples of a fit are those of what it leaves itself.
+    ones = torch.ones(question.candidates.gram.n, dtype=torch.float64)
+    fit = fit_terms(question, start, ones)
+    effective = effective_samples(question, fit.terms, fit.x)
+    weight = effective / fit.losses.clamp(min=1e-300)
+    fit = allowed(question, fit_terms(question, start, effective, weight))
+    # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
     while True:
         better = _added(question, fit, most) or _lighter(question, fit) or _swapped(question, fit)
@@ -93,14 +99,6 @@ def _signature(fit: Fitted) -> frozenset[int]:
     return frozenset(id(t) for t in fit.terms)
 
 
-def _refitted(question: Question, terms: Sequence[Term]) -> Fitted:
-    """A fit whose effective samples are those of what itself leaves."""
-    n = question.candidates.gram.n
-    fit = fit_terms(question, terms, torch.ones(n, dtype=torch.float64))
-    effective = effective_samples(question, fit.terms, fit.x)
-    return fit_terms(question, terms, effective, effective / fit.losses.clamp(min=1e-300))
-
-
 def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[tuple[float, Move]]:
     """What may be added, with the rise of the evidence to first order: terms one by one, dry and
     viscous friction of a joint together, and what most joints have at once, priced as one cause.
@@ -110,6 +108,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
     groups = instead is None
     places = None if instead is None or instead.place is None else (None, instead.place)
     found = offers(question, fit, places)
+    # One by one.
     # A further joint of what most joints have is no further cause.
     free = {name for name in {t.name for t in own} if is_common(name, own, n)}
     out: list[tuple[float, Move]] = [
@@ -117,10 +116,12 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
          (o.term,))
         for o in found
     ]  # fmt: skip
+    # Of every effect that arms have on all joints, the best shape on each joint.
     best: dict[tuple[str, int], Offer] = {}
     for offer in found if groups else ():
         if offer.term.place is not None and KINDS[offer.term.name].on_all:
             best.setdefault((offer.term.name, offer.term.place), offer)
+    # All joints that gain by it at once, effect by effect; and dry with viscous friction.
     both = FRICTION if groups else ()
     for names in [*((name,) for name in sorted({name for name, _ in best})), both]:
         nets: list[tuple[float, Move]] = []
@@ -143,28 +144,22 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
 def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term], joint: int) -> float:
     """Rise of the evidence by terms of one joint together, without the price of a cause, while all
     else stays as it is."""
+    # What the fit leaves of the joint, as a combination v of the matrix's rows.
     g, s = question.normal.g[joint], fit.subset.joints[joint]
     v = s.target.clone()
     v.index_add_(0, s.at, -fit.x[s.of])
+    # The terms' own least squares on that, in units of their columns.
     at = torch.cat([t.at for t in terms])
     b = g[at] @ v
     inner = g[at.unsqueeze(1), at]
     size = inner.diagonal().clamp(min=1e-300).sqrt()
     scaled = inner / size / size.unsqueeze(1) + 1e-9 * torch.eye(len(at), dtype=torch.float64)
     gain = float((b / size) @ torch.linalg.solve(scaled, b / size))
+    # Its rise of the likelihood, less the price of its coefficients.
     n = float(question.normal.rows[joint])
     share = min(gain / max(float(v @ g @ v), 1e-300), 1 - 1e-9)
     log_n = torch.tensor(max(n, 2.0)).log()
     return float(-n * torch.log1p(torch.tensor(-share)) - len(at) * log_n)
-
-
-def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
-    """The best addition, if the evidence rises with it."""
-    own = _own(question, fit)
-    if causes(own, question.candidates.gram.n) >= most:
-        return None
-    options = [m for m in moves(question, fit) if not any(t.name == BASE for t in m[1])][:TRIED]
-    return _best(question, fit, [(*own, *move) for _, move in options])
 
 
 def _lighter(question: Question, fit: Fitted) -> Fitted | None:
@@ -208,18 +203,25 @@ def _swapped(question: Question, fit: Fitted) -> Fitted | None:
     return best if best is not None and best.evidence > fit.evidence + 1e-6 else None
 
 
-def _best(question: Question, fit: Fitted, options: Sequence[tuple[Term, ...]]) -> Fitted | None:
-    """The option whose evidence rises most above the present fit's, if any does. Both are computed
-    with the effective samples of what the option leaves: one that is true makes the rest less
-    dependent. Of the options only the most likely ones are looked at so closely."""
+def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
+    """The best addition, if the evidence rises with it. Before and after are compared with the
+    effective samples of what the addition leaves: one that is true makes the rest less
+    dependent. Only the most likely additions are looked at so closely."""
+    own = _own(question, fit)
+    if causes(own, question.candidates.gram.n) >= most:
+        return None
+    options = [m for _, m in moves(question, fit) if not any(t.name == BASE for t in m)][:TRIED]
+    # Ranked with all samples.
     rows = question.normal.rows
-    tried = [fit_terms(question, o, rows, rows / fit.losses.clamp(min=1e-300)) for o in options]
+    weight = rows / fit.losses.clamp(min=1e-300)
+    tried = [fit_terms(question, (*own, *move), rows, weight) for move in options]
     best: tuple[float, Fitted] | None = None
     for likely in sorted(tried, key=lambda f: -f.evidence)[:CLOSELY]:
-        own = _own(question, likely)
+        # Both fits with the effective samples of the likely one.
         after = effective_samples(question, likely.terms, likely.x)
-        then = fit_terms(question, own, after, after / likely.losses.clamp(min=1e-300))
-        now = fit_terms(question, _own(question, fit), after, after / fit.losses.clamp(min=1e-300))
+        weight = after / likely.losses.clamp(min=1e-300)
+        then = fit_terms(question, _own(question, likely), after, weight)
+        now = fit_terms(question, own, after, after / fit.losses.clamp(min=1e-300))
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
@@ -238,9 +240,11 @@ def held_out_losses(
     there."""
     every = (*question.fixed, *terms)
     total = torch.zeros_like(fit.losses)
+    # Coefficients of all data, for what a fold cannot foretell.
     subset, ridge = subset_of(question.normal, every), ridge_of(every)
     whole = question.normal.of(subset).solve(fit.weight, ridge).x
     held = _energies(question.normal, every)
+    # Each fold is judged by the coefficients of the others.
     for train, test in folds:
         x = train.of(subset).solve(fit.weight, ridge).x
         seen = _energies(train, every) >= FORETOLD * held
@@ -280,43 +284,33 @@ def worthy(
     rows = rows.clamp(min=1.0)
     while own := _own(question, fit):
         now = held_out_losses(question, folds, fit, own)
+        # By how much the held-out error falls with each cause, in units of the least worth.
         ratios = []
         for cause in cause_groups(own, len(now)):
             rest = [t for t in own if all(t is not c for c in cause)]
             lost = held_out_losses(question, folds, fit, rest)
             fall = ((lost / rows).sqrt() - (now / rows).sqrt()) / question.least(lost / rows)
-            joints = sorted({j for t in cause for j in _joints(t, len(now))})
-            ratio = fall[joints].sort(descending=True).values
+            places = {t.place for t in cause if t.place is not None}
+            own_falls = fall[sorted(places)] if places else fall
+            ratio = own_falls.sort(descending=True).values
             # What most joints have must be worth it on more than half of them.
             ratios.append(float(ratio[len(cause) // 2 if len(cause) > 1 else 0]))
         worst = min(range(len(ratios)), key=ratios.__getitem__)
         if ratios[worst] >= 1:
             break
         gone = cause_groups(own, len(now))[worst]
-        if len(gone) > 1:  # of a common cause the joints that bear it least leave first
-            gone = [min(gone, key=lambda t: _single_fall(question, folds, fit, own, t))]
+        if len(gone) > 1:
+            # Of a common cause the joint that misses it least leaves first.
+            missed = []
+            for term in gone:
+                rest = [t for t in own if t is not term]
+                lost = held_out_losses(question, folds, fit, rest)
+                missed.append(float((lost.log() - now.log()).sum()))
+            gone = [gone[min(range(len(gone)), key=missed.__getitem__)]]
         left += gone
         keep = [t for t in own if all(t is not c for c in gone)]
         fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))
     return fit, left
-
-
-def _single_fall(
-    question: Question,
-    folds: Sequence[tuple[Normal, Normal]],
-    fit: Fitted,
-    own: Sequence[Term],
-    term: Term,
-) -> float:
-    rest = [t for t in own if t is not term]
-    lost = held_out_losses(question, folds, fit, rest)
-    now = held_out_losses(question, folds, fit, own)
-    assert term.place is not None
-    return float(lost[term.place] / now[term.place].clamp(min=1e-300))
-
-
-def _joints(term: Term, n: int) -> Iterator[int]:
-    yield from range(n) if term.place is None else (term.place,)
 
 
 def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.design.columns import Columns, Model
+from torchid.design.columns import Columns, Model, on_joint
 from torchid.design.gram import DETERMINED, Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
@@ -23,7 +23,7 @@ from torchid.gap.search.evidence import (
 )
 from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
 PASSES = 2
 """Times the columns are taken at the model found and the search goes on."""
@@ -93,6 +93,7 @@ def explained(
         parts: (N,) fold of every sample, from 1; 0 of those between folds.
         block: (N,) block of every sample.
     """
+    # The gap is always that of the model as given; columns are taken at the model found so far.
     at, extra = model, list[Effect]()
     start: tuple[Term, ...] = ()
     gap = Columns(model, data.samples).gap()
@@ -106,24 +107,28 @@ def explained(
     for attempt in range(PASSES):
         columns = Columns(at, data.samples)
         question = asked(columns)
+        # Events first: no law may explain a push.
         if attempt == 0 and Contact.name in wanted.names:
             found = contacts(question, rules.alpha)
             if found:
                 extra += found
                 question = asked(columns)
+        # Laws, from the last model's or from several starts.
         start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
         fit = best_explanation(question, start, rules)
+        # Shapes between those of the grid, and the search once more with them.
         finer = refined(question, fit)
         if finer:
-            # Shapes between those of the grid, and the search once more with them.
             extra += finer
             again = fit.terms[len(question.fixed) :]
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
             fit = climbed(question, again, rules.most)
-        folds = folds_of(question.candidates)
+        # What is worth a name on data that was not fitted; bodies beside it, last.
+        folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
         fit = with_bodies(question, folds, fit)
+        # Once more with the columns of the model found, if they are others.
         latest = corrected(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
         kept = (p for p in latest.effects if p in model.effects or p[0].linearised)
@@ -141,15 +146,6 @@ def explained(
     return Explanation(question, empty_fit(question), fit, tuple(left), solution)
 
 
-def folds_of(candidates: Candidates) -> list[tuple[Normal, Normal]]:
-    """(Fitted on, judged on) of every fold; samples between folds are in neither."""
-    every = range(1, candidates.gram.parts)
-    return [
-        (candidates.gram.over([p for p in every if p != k]), candidates.gram.over([k]))
-        for k in every
-    ]
-
-
 def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
     """The best of what is found from several starts: nothing, dry and viscous friction on all
     joints, and, where more than one body was blamed, all base parameters in their place."""
@@ -160,6 +156,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
     ]
     starts = [start] if start else [(), friction] if friction else [()]
     found = [climbed(question, s, rules.most) for s in starts]
+    # Several bodies at once: all base parameters may say it with less.
     best = max(found, key=lambda f: f.evidence)
     own = best.terms[len(question.fixed) :]
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
@@ -177,17 +174,15 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
-    more = fit_terms(
-        question, [*(t for t in own if not t.inertial), *base], fit.effective, fit.weight
-    )
+    beside = [*(t for t in own if not t.inertial), *base]
+    more = fit_terms(question, beside, fit.effective, fit.weight)
     if more.evidence <= fit.evidence:
         return fit
+    # They must be worth it on some joint, on data that was not fitted.
     rows = question.normal.rows.clamp(min=1.0)
-    without, beside = (
-        held_out_losses(question, folds, more, terms) / rows
-        for terms in (own, more.terms[len(question.fixed) :])
-    )
-    fall = without.sqrt() - beside.sqrt()
+    without = held_out_losses(question, folds, more, own) / rows
+    then = held_out_losses(question, folds, more, more.terms[len(question.fixed) :]) / rows
+    fall = without.sqrt() - then.sqrt()
     return more if bool((fall >= question.least(without)).any()) else fit
 
 
@@ -224,26 +219,38 @@ def _closest(
     question: Question, fit: Fitted, others: Sequence[Term], effect: Effect, columns: Columns
 ) -> Effect | None:
     """The shape of an effect that leaves least beside the others."""
+    # What the other terms leave, on the joints that the effect is felt on, weighted.
     keep = question.candidates.keep
     rest = fit_terms(question, others, fit.effective, fit.weight)
     weight = fit.weight.sqrt().unsqueeze(1) * keep
-    joints = slice(None)
-    if isinstance(effect, JointEffect):
-        joints = slice(effect.joint, effect.joint + 1)
-    y = (residual(question, rest.terms, rest.x) * weight)[joints]
-    beside = [rows_of(question, t) for t in rest.terms if t.place in (None, *_one(joints))]
-    wide = [b if b.shape[1] == len(y) else b[:, joints] for b in beside]
-    z = torch.cat([(b * weight[joints]).flatten(1) for b in wide]) if wide else None
-    target = y.flatten() if z is None else y.flatten() - least_squares(z, y.flatten()) @ z
-    basis = None if z is None else _orthonormal(z)
+    own = effect.joint if isinstance(effect, JointEffect) else None
+    joints = slice(None) if own is None else slice(own, own + 1)
+    y = (residual(question, rest.terms, rest.x) * weight)[joints].flatten()
+    # Their columns there, made orthonormal, are taken out of it and of every shape's columns.
+    beside = []
+    for term in rest.terms:
+        rows = rows_of(question, term)
+        if term.place is None:
+            beside.append(rows[:, joints])
+        elif own is None:
+            beside.append(on_joint(rows[:, 0], term.place, columns.n))
+        elif term.place == own:
+            beside.append(rows)
+    basis = torch.zeros(0, len(y), dtype=torch.float64)
+    if beside:
+        z = torch.cat([(b * weight[joints]).flatten(1) for b in beside])
+        q, r = torch.linalg.qr((z / z.norm(dim=1, keepdim=True).clamp(min=1e-300)).T)
+        basis = q[:, r.diagonal().abs() > DETERMINED].T
+    target = y - (y @ basis.T) @ basis
 
     def left(x: Tensor) -> float:
         """What columns (C, m, N) leave of the target."""
         flat = (x * weight[joints]).flatten(1)
-        flat = flat if basis is None else flat - (flat @ basis.T) @ basis
+        flat = flat - (flat @ basis.T) @ basis
         return float((target - least_squares(flat, target) @ flat).square().sum())
 
-    best, least = effect, left(_rows(columns, effect, joints))
+    # Each time the shapes around the best one are tried, three times more closely.
+    best, least = effect, left(columns.on_all_joints(effect)[:, joints])
     for level in range(FINEST):
         tried: Sequence[Effect]
         if isinstance(best, JointEffect):
@@ -264,20 +271,6 @@ def _closest(
     if isinstance(best, JointEffect) and best.at_an_end(columns.motions):
         return None
     return best
-
-
-def _one(joints: slice) -> tuple[int, ...]:
-    return () if joints.start is None else (joints.start,)
-
-
-def _rows(columns: Columns, effect: Effect, joints: slice) -> Tensor:
-    return columns.on_all_joints(effect)[:, joints]
-
-
-def _orthonormal(z: Float[Tensor, "K R"]) -> Float[Tensor, "k R"]:
-    size = z.norm(dim=1, keepdim=True)
-    q, r = torch.linalg.qr((z / size.clamp(min=1e-300)).T)
-    return q[:, r.diagonal().abs() > DETERMINED].T
 
 
 def _again(candidates: Candidates, term: Term) -> Term | None:

@@ -5,7 +5,6 @@ secants of something nonlinear (an encoder's offset). Gauss-Newton steps on the 
 corrected model itself settle both, and what is nonlinear in several coefficients at once.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -58,12 +57,13 @@ class Solution:
         if not self.values:
             return self.model
         x = torch.cat(self.values)
-        squares = self.a.square().sum(1)
+        # Which terms these samples hold enough of.
+        squares = self.a.square().sum(1).split([len(v) for v in self.values])
         held = [
-            float((squares[k] * fitted).sum(-1).max()) >= FORETOLD * float(squares[k].sum(-1).max())
-            for k in self._rows()
+            float((s * fitted).sum(-1).max()) >= FORETOLD * float(s.sum(-1).max()) for s in squares
         ]
         free = torch.cat([torch.full((len(v),), h) for v, h in zip(self.values, held, strict=True)])
+        # One Gauss-Newton step of those from the solution, joints in units of what they leave.
         size = self.left.square().sum(1).clamp(min=1e-300)
         weight = (self.left.shape[1] / size).sqrt().unsqueeze(1) * fitted
         y = self.left + torch.tensordot(x * free, self.a, 1)
@@ -71,11 +71,6 @@ class Solution:
         again[free] = least_squares((self.a[free] * weight).flatten(1), (y * weight).flatten())
         parts = again.split([len(v) for v in self.values])
         return corrected(self.start, self.terms, parts, self.wanted)
-
-    def _rows(self) -> list[slice]:
-        """Each term's rows of `a`."""
-        ends = list(itertools.accumulate((len(v) for v in self.values), initial=0))
-        return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def solved(
@@ -114,7 +109,8 @@ def solved(
         loss = float((weight * left).square().sum())
         if best is not None and not loss < last:
             break
-        a = _stacked(at, taken, data.keep)
+        parts = [term_columns(at, t) for t in taken]
+        a = torch.cat(parts) * data.keep if parts else left.new_zeros(0, *left.shape)
         best = Solution(start, wanted, tuple(taken), tuple(values), (), model, a, left)
         if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
             break
@@ -122,25 +118,12 @@ def solved(
         dx = least_squares((a * weight).flatten(1), (left * weight).flatten())
         values = [v + d for v, d in zip(values, dx.split([len(v) for v in values]), strict=True)]
     assert best is not None
-    return _with_std(best, weight, block)
-
-
-def _stacked(columns: Columns, terms: Sequence[Term], keep: Tensor) -> Float[Tensor, "K n N"]:
-    parts = [term_columns(columns, t) for t in terms]
-    n, count = keep.shape
-    return torch.cat(parts) * keep if parts else torch.zeros(0, n, count, dtype=torch.float64)
-
-
-def _with_std(found: Solution, weight: Tensor, block: Int[Tensor, " N"]) -> Solution:
-    """Standard deviations from the spread of whole blocks of samples, all joints together."""
-    n = len(found.left)
-    if not len(found.a):
-        return found
-    spread = fit_statistics(
-        (found.a * weight).flatten(1).T, (found.left * weight).flatten(), block.repeat(n)
-    )
-    std = spread.std.split([len(v) for v in found.values])
-    return replace(found, std=tuple(std))
+    if not len(best.a):
+        return best
+    # Standard deviations from the spread of whole blocks of samples, all joints together.
+    rows, rest = (best.a * weight).flatten(1).T, (best.left * weight).flatten()
+    std = fit_statistics(rows, rest, block.repeat(len(best.left))).std
+    return replace(best, std=tuple(std.split([len(v) for v in best.values])))
 
 
 def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:

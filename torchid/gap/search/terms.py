@@ -207,6 +207,7 @@ def candidates_of(
         coefficients, known = effect.coefficients, _known(effects, given)
         return Term(effect.name, effects, place, at, coefficients, known)
 
+    # Effects of the whole arm, and those that all joints share.
     for effect in _model_effects(wanted, data, columns, extra):
         place, x = columns.of(effect)
         terms.append(put((effect,), place, x))
@@ -214,6 +215,7 @@ def candidates_of(
         if KINDS[name].shared:
             every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
             terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
+    # Effects of one joint: all shapes of the grid, and some that no grid holds.
     for joint in range(n):
         for kind in _joint_kinds(wanted, data, joint):
             shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
@@ -228,11 +230,14 @@ def candidates_of(
     # Own columns stand behind the common ones.
     terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
     terms = _standing_in(terms, given)
+    # The joints' matrices; columns of one joint are not needed any more.
     gram = Gram(filled, own, int(parts.max()) + 1)
     for j in range(n):
         gram.add(j, [*(x[:, j] for x in common), *local[j]], gap[j], data.keep[j], parts)
         local[j] = []
-    fixed = _fixed(terms, wanted, columns)
+    # What is always in the model is no candidate, nor are bodies beside free base parameters.
+    asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
+    fixed = tuple(t for t in terms if (t.name, t.effects) in asked)
     always = {id(t) for t in fixed}
     chosen = [t for t in terms if wanted.allows(t) and id(t) not in always]
     if wanted.free:
@@ -256,22 +261,15 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
             out.append(
                 Term(LINK, (effect,), None, at, effect.coefficients, known, sigma=sigma[link])
             )
+    # A base parameter's prior is that of the parameters grouped into it, link by link.
     numbers = wanted.independent
     grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
-    spread = (grouping[:, _paper_position(n)] * sigma.flatten()).norm(dim=1)
+    spread = (grouping[:, paper_order(n).argsort()] * sigma.flatten()).norm(dim=1)
     described = (Coefficient("", "", False, "a base parameter"),)
     base = Term(
         BASE, (), None, torch.tensor(numbers), described * len(numbers), (0.0,) * len(numbers)
     )
     return [*out, base if wanted.free else replace(base, sigma=spread)]
-
-
-def _paper_position(n: int) -> Tensor:
-    """Position in the paper's order of each parameter, link by link."""
-    order = paper_order(n)
-    out = torch.empty_like(order)
-    out[order] = torch.arange(len(order))
-    return out
 
 
 def body_sigma(columns: Columns) -> Float[Tensor, "n 10"]:
@@ -354,12 +352,6 @@ def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
             known = (0.0,) * len(at)
             out.append(Term(name, (effect,), joint, at, effect.coefficients, known))
     return tuple(out)
-
-
-def _fixed(terms: Sequence[Term], wanted: Wanted, columns: Columns) -> tuple[Term, ...]:
-    """The candidates that are always in the model."""
-    asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
-    return tuple(t for t in terms if (t.name, t.effects) in asked)
 
 
 def _batches(terms: Sequence[Term]) -> Iterator[Batch]:

@@ -25,7 +25,7 @@ from torchid.gap.search.explain import Explanation
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
 ODDS = 20.0
 """Odds against an alternative from which it is no longer told: exp of half the difference of the
@@ -66,6 +66,7 @@ def told(found: Explanation) -> Told:
     findings, parametric, undecided = [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
+        # What is lost without it, the others refitted; and what it closes alone.
         rest = [t for t in found.terms if t is not term]
         without = fit_terms(question, rest, fit.effective, fit.weight)
         alone = fit_terms(question, [term], fit.effective, fit.weight)
@@ -74,7 +75,13 @@ def told(found: Explanation) -> Told:
         p = p_value(question, fit, without, term)
         others = alternatives(question, fit, without, term)
         names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for t in others))
-        apart = [t for t in others if t.name != BASE and not _same(question, fit, term, t)]
+        # An alternative that leaves the same is the same: no data of this kind tell them apart.
+        apart = []
+        for other in others:
+            again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
+            differs = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
+            if other.name != BASE and float(differs.abs().sum()) >= 0.1:
+                apart.append(other)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
             parametric.append(Parametric(links, share, p, names))
@@ -114,6 +121,7 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
     """Terms that explain as much in a term's place, the best first, one a name: those whose
     evidence is within the odds; and base parameters that do as well, whatever they cost, for then
     the effect stands only if the parameters are trusted."""
+    # Candidates in order of what they promise, until ten have failed.
     limit = fit.evidence - 2 * math.log(ODDS)
     others = without.terms[len(question.fixed) :]
     found: list[tuple[float, Term]] = []
@@ -128,6 +136,7 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
             found.append((again.evidence, move[0]))
         else:
             failed += 1
+    # One of each name, and all base parameters whatever they cost.
     found.sort(key=lambda pair: -pair[0])
     names: dict[str, Term] = {}
     for _, other in found:
@@ -140,14 +149,6 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
             if float(lost.sum()) < 2 * math.log(ODDS):
                 names[LINK] = base
     return list(names.values())
-
-
-def _same(question: Question, fit: Fitted, term: Term, other: Term) -> bool:
-    """Whether no data of this kind tell two terms apart: they leave the same."""
-    rest = [t for t in fit.terms[len(question.fixed) :] if t is not term]
-    again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
-    differs = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
-    return bool(differs.abs().sum() < 0.1)
 
 
 def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
@@ -204,7 +205,14 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
         return None
     question, fit = found.question, found.fit
     samples = question.candidates.columns.samples
-    term, other = max(said.open, key=lambda pair: float(_contribution(found, pair[0]).sum()))
+    # Of the ambiguous causes that which holds most.
+    held = []
+    for term, _ in said.open:
+        rest = [t for t in found.terms if t is not term]
+        without = fit_terms(question, rest, fit.effective, fit.weight)
+        held.append(float((fit.weight * without.losses).sum()))
+    term, other = said.open[max(range(len(held)), key=held.__getitem__)]
+    # Where the two explanations differ most, block by block.
     rest = [t for t in found.terms if t is not term]
     again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
     mine = residual(question, fit.terms, fit.x) - residual(question, again.terms, again.x)
@@ -231,12 +239,6 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
         },
         "seconds_of_the_same_motion": seconds if seconds < HOPELESS else None,
     }
-
-
-def _contribution(found: Explanation, term: Term) -> Float[Tensor, " n"]:
-    rest = [t for t in found.terms if t is not term]
-    without = fit_terms(found.question, rest, found.fit.effective, found.fit.weight)
-    return found.fit.weight * (without.losses - found.fit.losses)
 
 
 def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
