@@ -8,6 +8,7 @@ from torchid.design.bands import bands, reversal_speed, sharp_direction
 from torchid.design.held import held_ages_of
 from torchid.design.motion import MOVING, measurements
 from torchid.design.segments import (
+    EDGE,
     HARDLY,
     Samples,
     Segment,
@@ -21,8 +22,8 @@ from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Tensor
 
-SHORTEST = 12.0
-"""Length of the shortest segment, in periods of the cut-off."""
+SHORTEST = 4 * EDGE
+"""Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
             in which nothing moves.
     """
     even, warnings = prepared(log, robot)
+    # Differentiated in a wide band, from which all is filtered later.
     narrow, wide = bands(even, cutoff)
     measured = measurements(even, wide)
     segments = segments_of(measured, wide, clock)
@@ -89,6 +91,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
         replace(s, motion=s.motion._replace(direction=sharp_direction(s, threshold)))
         for s in segments
     ]
+    # Trajectories that the filter's edges leave something of.
     long = [s for s in segments if s.length > SHORTEST * s.rate / narrow]
     if not long:
         raise LogError(
@@ -96,6 +99,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
             got=f"{max(s.length / s.rate for s in segments):.3g} s",
             expected=f"more than {SHORTEST / narrow:.3g} s at a cut-off of {narrow:g} Hz",
         )
+    # Joints that never move, and logs in which none does.
     still = still_joints(long)
     if len(still) == robot.n:
         raise LogError(
@@ -111,6 +115,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     if left_out:
         said.append("left out, too short for the filter: " + ", ".join(left_out))
     samples = Samples(long, narrow)
+    # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.
     moves = torch.cat([s.motion.dq.abs() > MOVING for s in long]).double().mean(0)
     own_velocity = all(s.own_velocity for s in long)
     missing = frozenset() if own_velocity else frozenset({"velocity"})

@@ -119,12 +119,15 @@ def diagnose(
     say = progress or (lambda stage, done, total: None)
 
     say("reading", 0, 1)
+    # Trajectories, what they repeat, and which of them are held out together.
     data, judged = read(robot, log, held_out, settings)
     repeats = find_repeats(data.segments)
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
+    # What is looked for, and the model whose gap is to be explained.
     wanted = wanted_of(robot, settings)
     start = start_of(robot, data, wanted)
     at_start = Columns(start, data.samples)
+    # Where repeats tell the noise, only samples of sliding joints can be held against it.
     keep = sliding_only(at_start, data.keep, _band(data, settings), repeats)
     data = replace(data, keep=keep)
 
@@ -136,6 +139,7 @@ def diagnose(
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
     checked = check(found, data, judged, folds, repeats, settings, fitted_first)
+    # What makes held-out data worse leaves, and the rest is judged anew, until nothing does.
     while gone := harmful(found, checked):
         found = without_terms(found, gone, data, block)
         checked = check(found, data, judged, folds, repeats, settings, fitted_first)
@@ -148,15 +152,21 @@ def diagnose(
             said = replace(said, parametric=(*said.parametric, refit))
 
     say("locating", 0, 1)
+    # Where the gap lies, and what this log could not have shown.
     hidden = not_testable(found, start.robot)
     joints, regimes = where(
         checked.shown, checked.noise.floor, settings.seed, band=_band(data, settings)
     )
-    poor = len(hidden) > 0.5 * _places(found) or data.seconds < SHORTEST
+    places = {t.key for t in found.question.candidates.terms if not t.inertial}
+    poor = len(hidden) > 0.5 * len(places) or data.seconds < SHORTEST
     far = checked.far
     if not (said.findings or said.parametric):
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
         checked = replace(checked, far=far)
+    shares = Budget(0.0, 0.0, 0.0)
+    if far.closed is not None:
+        shares = budget(checked.refitted, checked.shown, checked.noise.floor)
+    # The corrected model holds laws; a push is no part of the arm.
     lasting = tuple(p for p in found.solution.model.effects if p[0].name not in EVENTS)
     result = Diagnosis(
         robot=start.described(),
@@ -167,7 +177,7 @@ def diagnose(
         findings=said.findings,
         parametric=said.parametric,
         how_far=HowFar(far.rms_before, far.rms_after, far.closed, far.closed_ci95),
-        budget=_budget(checked),
+        budget=shares,
         floor=checked.noise.floor,
         not_testable=tuple(hidden),
         next_experiment=next_experiment(found, said, block),
@@ -286,6 +296,7 @@ def check(
     columns = Columns(solution.model, data.samples)
     noise = noise_of(columns, solution.left, data.keep, band, repeats, settings.seed)
     if judged is None:
+        # Each fold is shown by models that were fitted on the others.
         fits = [folds.fitted(k) for k in range(folds.count)]
         after = [solution.without(f) for f in fits]
         again = [base.without(f) for f in fits]
@@ -293,6 +304,7 @@ def check(
         shown = traces(data.samples, folds, before, after, band, reach=noise.reach)
         again_shown = traces(data.samples, folds, before, again, band, reach=noise.reach)
     else:
+        # The held-out log is shown by models that were fitted on all of the other log.
         before = [base.model] if fitted_first else [solution.start]
         shown = traces(judged.samples, None, before, [solution.model], band, reach=noise.reach)
         again_shown = traces(judged.samples, None, before, [base.model], band, reach=noise.reach)
@@ -313,6 +325,7 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
     worse = set((far.rms_after > far.rms_before).nonzero().flatten().tolist())
     out = []
     for term in found.terms:
+        # What happened once cannot be foretold, so that held-out data say nothing about it.
         if any(e.event for e in term.effects):
             continue
         at = term.effects[0].joints if len(term.effects) == 1 else ()
@@ -337,6 +350,7 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
     # What is left must be worth as much as a cause must be.
     beyond = (far.rms_after.square() - noise.floor.high.square()).clamp(min=0).sqrt()
     excess = torch.where(beyond > least, excess, torch.zeros_like(excess))
+    # Left over: well above the noise; above it, and predictable; or predictable alone.
     odd = (excess > EXCESS) & (noise.structure > 0)
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
     if noise.floor.source != "repeats":
@@ -351,18 +365,8 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
     return "explained" if said.findings else "parametric_only"
 
 
-def _budget(checked: Checked) -> Budget:
-    if checked.far.closed is None:
-        return Budget(0.0, 0.0, 0.0)
-    return budget(checked.refitted, checked.shown, checked.noise.floor)
-
-
 def _band(data: Data, settings: GapSettings) -> float:
     return report_band(data.samples, settings.report_band)
-
-
-def _places(found: Explanation) -> int:
-    return len({t.key for t in found.question.candidates.terms if not t.inertial})
 
 
 def warnings_of(
@@ -377,6 +381,7 @@ def warnings_of(
     """What a user must know beside the findings."""
     solution = found.solution
     out = [*data.warnings, *(() if judged is None else judged.warnings), *checked.noise.floor.notes]
+    # A gap larger than the torque's own variation: the log may be of another robot.
     torque = torch.cat([t.measured[t.valid] for t in checked.shown])
     gap = torch.cat([(t.measured - t.before)[t.valid] for t in checked.shown])
     useless = gap.square().mean(0) > (torque - torque.mean(0)).square().mean(0)
@@ -395,10 +400,12 @@ def warnings_of(
         out.append(_beyond(found))
     if len(found.terms) >= settings.max_effects:
         out.append(f"the search ended at {settings.max_effects} effects: --max-effects")
+    # What holds for this log alone.
     events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
     if events:
         out.append(f"of this log alone, not part of the corrected model: {', '.join(events)}")
     changed = any(t.inertial for t in solution.terms)
+    # Corrected parameters that no body has.
     margins = solution.model.robot.require_parameters("a check").consistency_margin()
     if changed and bool((margins < 0).any()):
         out.append(
@@ -415,6 +422,7 @@ def warnings_of(
             "fewer than three different trajectories: held-out data are stretches of the same "
             "trajectories, and intervals are wider than they look"
         )
+    # Joints on which the corrected model is worse.
     worse = checked.far.rms_after > checked.far.rms_before
     if found.terms and bool(worse.any()):
         joints = ", ".join(str(j + 1) for j in worse.nonzero().flatten().tolist())
@@ -442,6 +450,7 @@ def needs_trust(found: Explanation) -> list[str]:
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.inertial for t in found.terms):
         return []
+    # A term is needed if the evidence, base parameters refitted, falls without it.
     every = fit_terms(question, [*found.terms, *base], fit.effective, fit.weight)
     lost = []
     for term in found.terms:

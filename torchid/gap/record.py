@@ -11,8 +11,6 @@ from torchid.effects.base import PLACES, Coefficient
 from torchid.gap.diagnosis import (
     Diagnosis,
     Finding,
-    JointGap,
-    NotTestable,
     Parametric,
     RegimeGap,
 )
@@ -38,18 +36,45 @@ def record(diagnosis: Diagnosis) -> dict[str, Any]:
             "robot": diagnosis.robot.name,
             "status": diagnosis.status,
             "where": {
-                "joints": [_joint(gap) for gap in diagnosis.joints],
+                "joints": [
+                    {
+                        "joint": gap.joint + 1,
+                        "gap_rms": gap.gap_rms,
+                        "noise_floor_rms": gap.noise_floor_rms,
+                        "share": gap.share,
+                    }
+                    for gap in diagnosis.joints
+                ],
                 "regimes": [_regime(gap) for gap in diagnosis.regimes],
             },
             "which": which,
-            "parametric": [_parametric(p) for p in diagnosis.parametric],
+            "parametric": [
+                {
+                    "links": [link + 1 for link in p.links],
+                    "all_base_parameters": not p.links,
+                    "share": p.share,
+                    "p_value": p.p_value,
+                    "ambiguous_with": p.ambiguous_with,
+                }
+                for p in diagnosis.parametric
+            ],
             "how_far": _how_far(diagnosis),
             "budget": {
                 "parametric": diagnosis.budget.parametric,
                 "structural": diagnosis.budget.structural,
                 "unexplained": diagnosis.budget.unexplained,
             },
-            "not_testable": [_not_testable(x) for x in diagnosis.not_testable],
+            "not_testable": [
+                {
+                    "effect": x.effect,
+                    "joint": x.joints[0] + 1 if x.joints else None,
+                    "joints": [j + 1 for j in x.joints],
+                    "smallest_detectable": x.smallest_detectable,
+                    "unit": x.unit,
+                    "reason": x.reason,
+                }
+                for x in diagnosis.not_testable
+            ],
             "next_experiment": diagnosis.next_experiment,
             "noise_floor": {
                 "source": diagnosis.floor.source,
@@ -78,10 +103,12 @@ def finding_record(finding: Finding, robot: Robot) -> dict[str, Any]:
     """An accepted effect; `parameters` holds coefficients, and shape parameters and places too."""
     effect = finding.effect
     written = effect.record(finding.values)
+    # Coefficients, shapes and places of the effect; private keys are the program's own.
     own = {
         k: v for k, v in written.items() if k not in ("effect", "joint", "joints") and k[0] != "_"
     }
     located = finding.located or finding.joints
+    # A unit follows the joints that the effect is at.
     units = {c.name: unit_of(c.unit, located, robot) for c in effect.coefficients}
     units |= {s.name: unit_of(s.unit, located, robot) for s in effect.shapes}
     return {
@@ -128,25 +155,6 @@ def _link_inertia(p: Parametric) -> dict[str, Any]:
     }
 
 
-def _parametric(p: Parametric) -> dict[str, Any]:
-    return {
-        "links": [link + 1 for link in p.links],
-        "all_base_parameters": not p.links,
-        "share": p.share,
-        "p_value": p.p_value,
-        "ambiguous_with": p.ambiguous_with,
-    }
-
-
-def _joint(gap: JointGap) -> dict[str, Any]:
-    return {
-        "joint": gap.joint + 1,
-        "gap_rms": gap.gap_rms,
-        "noise_floor_rms": gap.noise_floor_rms,
-        "share": gap.share,
-    }
-
-
 def _regime(gap: RegimeGap) -> dict[str, Any]:
     return {
         "joint": gap.joint + 1,
@@ -178,15 +186,4 @@ def _how_far(diagnosis: Diagnosis) -> dict[str, Any]:
             for j, (before, after) in enumerate(joints)
         ],
         "rollout": far.rollout,
-    }
-
-
-def _not_testable(x: NotTestable) -> dict[str, Any]:
-    return {
-        "effect": x.effect,
-        "joint": x.joints[0] + 1 if x.joints else None,
-        "joints": [j + 1 for j in x.joints],
-        "smallest_detectable": x.smallest_detectable,
-        "unit": x.unit,
-        "reason": x.reason,
     }

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchid.design.segments import REACH
 from torchid.gap.diagnosis import Trace
 from torchid.gap.localise.resampling import (
     Draws,
@@ -24,24 +25,29 @@ from torchid.gap.localise.resampling import (
 )
 from torchid.identification.statistics import CORRELATION_TIMES, correlation_instants
 from torchid.log.filtering import low_passed
+from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.typing import Float, Tensor
 
-FEWEST_BLOCKS, MOST_BLOCKS = 20, 80
+MOST_BLOCKS = 80
+"""Of more, a block is so short that a single transient may look like a regime."""
+
 SAMPLES = 3.0
 """Instants kept a period of the band's edge."""
 
 STILL = 0.02
 """99 % speed below which a joint did not move [rad/s or m/s]."""
 
-REVERSAL = 0.25
-"""Seconds after a reversal that count as one, at most; and each straight line of a jump."""
+BRIEF = 0.25
+"""Seconds after a reversal that count as one, at most; of each straight line of a jump; and of a
+transient's window."""
 
-SLOW, FAST = 0.15, 0.7
-"""Low and high, as fractions of the 99 % speed (acceleration, torque)."""
+CRAWL, SLOW, FAST = 0.01, 0.15, 0.7
+"""As good as zero, low and high, as fractions of the 99 % speed (acceleration, torque)."""
+
+RARE = 0.02
+"""Share of time below which a regime is too rare to be compared with the rest."""
 
 _FEWEST_REVERSALS = 6
-_SHARES = 0.01, 0.7
-"""Shares of time between which a regime can be compared with the rest."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +92,17 @@ class Pool:
 
     def high(self, name: str) -> Float[Tensor, " n"]:
         """99 % quantile of the size of a signal, joint by joint."""
-        return self.flat(name).abs().quantile(0.99, 0)
+        return largest(self.flat(name))
+
+
+def largest(x: Float[Tensor, "N n"]) -> Float[Tensor, " n"]:
+    """Size of a signal, joint by joint, that only 1 % of the instants exceed."""
+    return x.abs().quantile(0.99, 0)
 
 
 def pooled(traces: Sequence[Trace], band: float) -> Pool:
-    """Blocks at least four correlation times long where the data hold twenty of those, decimated
-    to three instants a period of the band's edge (the traces are band-limited)."""
+    """Blocks of several correlation times, as many as the tests need, of instants decimated to
+    three a period of the band's edge (the traces are band-limited)."""
     parts: list[dict[str, Tensor]] = []
     clock = 0.0
     for trace in traces:
@@ -104,7 +115,8 @@ def pooled(traces: Sequence[Trace], band: float) -> Pool:
     phase = t / t.abs().max().clamp(min=1e-9)
     basis = torch.linalg.qr(torch.stack([torch.ones_like(t), phase, phase.square()], -1)).Q
     correlation = correlation_instants(rows["error"] - basis @ (basis.T @ rows["error"]))
-    # Blocks of several correlation times, and so many as the tests need.
+    # Blocks of several correlation times, and as many as the tests need; the last instants that
+    # fill none are left out.
     count = int(total // (CORRELATION_TIMES * correlation))
     blocks = max(1, min(max(count, FEWEST_BLOCKS), MOST_BLOCKS, total))
     length = total // blocks
@@ -129,6 +141,7 @@ def _step(rate: float, band: float) -> int:
 
 def _signals(trace: Trace, band: float, clock: float) -> dict[str, Tensor]:
     """The pool's signals on the valid instants of one trajectory."""
+    # Decimated; the gap is bridged where it does not count, so that it can be filtered.
     step = _step(trace.rate, band)
     rate = trace.rate / step
     valid = trace.valid[::step].cpu()
@@ -158,8 +171,8 @@ def bridged(x: Float[Tensor, "T n"], valid: Tensor) -> Float[Tensor, "T n"]:
 
 
 def direction(sign: Float[Tensor, "T n"], dq: Float[Tensor, "T n"]) -> Float[Tensor, "T n"]:
-    """Direction of motion, kept from before where a joint is slower than 1 % of its 99 % speed."""
-    slow = dq.abs() < 0.01 * dq.abs().quantile(0.99, 0)
+    """Direction of motion, kept from before where a joint crawls."""
+    slow = dq.abs() < CRAWL * largest(dq)
     places = torch.arange(len(dq)).unsqueeze(-1).expand_as(dq)
     last = torch.where(slow, torch.zeros_like(places), places).cummax(0).values
     return torch.sign(sign).gather(0, last)
@@ -172,7 +185,8 @@ def reversals(
     stand alone, in the direction of motion."""
     since = torch.full_like(error, torch.inf)
     jump = torch.zeros_like(error)
-    width, skip = max(4, round(REVERSAL * rate)), max(1, round(0.6 * rate / band))
+    # As far as the filter carries what happens at a reversal no sample counts.
+    width, skip = max(4, round(BRIEF * rate)), max(1, round(REACH * rate / band))
     # Weights of samples whose sum is their straight line's value at the reversal, which is half a
     # sample before the first one in the new direction.
     x = skip + 0.5 + torch.arange(width, dtype=torch.float64)
@@ -208,7 +222,8 @@ def masks(pool: Pool) -> dict[str, Tensor]:
     """Parts of the time (K, L, n), by regime."""
     speed, acceleration, load = pool.dq.abs(), pool.ddq.abs(), pool.load.abs()
     moved = pool.high("dq") > STILL
-    recent = pool.flat("since").quantile(0.25, 0, interpolation="lower").clamp(max=REVERSAL)
+    # Just after a reversal: a quarter of the time at most.
+    recent = pool.flat("since").quantile(0.25, 0, interpolation="lower").clamp(max=BRIEF)
     return {
         "velocity_reversal": (pool.since <= recent) & moved,
         "low_speed": (speed < SLOW * pool.high("dq")) & moved,
@@ -222,10 +237,11 @@ def masks(pool: Pool) -> dict[str, Tensor]:
 def masked_look(pool: Pool, mask: Tensor, draws: Draws) -> Look:
     """A larger squared gap inside a part of the time than outside."""
     share = mask.to(torch.float64).mean((0, 1))
+    # Covariance of being inside with the squared gap.
     inside = mask.to(torch.float64) - share
     squared = pool.error.square()
     observed, null = permuted(inside, squared - squared.mean((0, 1)), draws)
-    possible = (share > _SHARES[0]) & (share < _SHARES[1])
+    possible = (share > RARE) & (share < 1 - RARE)
     return Look(observed, null, linear((inside * squared).sum(1)), possible)
 
 

@@ -69,6 +69,7 @@ class Look:
 
     def standardised(self) -> "Look":
         """With mean 0 and standard deviation 1 of the draws; -inf where not possible."""
+        # A look that cannot be, or never varies, counts as minus infinity.
         mean, std = self.null.mean(0), self.null.std(0)
         usable = self.possible & (std > 0)
         std = std.where(usable, torch.ones_like(std))
@@ -98,6 +99,7 @@ def best_of(looks: Sequence[Look]) -> Look:
 def corrected(looks: Sequence[Look]) -> Float[Tensor, "R n"]:
     """p-values, corrected for the maximum over all looks and joints."""
     scaled = [look.standardised() for look in looks]
+    # The largest of all looks in each draw is what each look is held against.
     largest = torch.stack([look.null for look in scaled]).amax((0, 2)).sort().values
     observed = torch.stack([look.observed for look in scaled])
     below = torch.searchsorted(largest, observed)
@@ -126,6 +128,7 @@ def permuted(
     regime: Float[Tensor, "K L n"], signal: Float[Tensor, "K L n"], draws: Draws
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "D n"]]:
     """sum over instants of regime times signal, and with the signal's blocks in other orders."""
+    # Each block of the regime with each block of the signal; an order picks one of each.
     products = torch.einsum("aln,bln->abn", regime, signal)
     places = torch.arange(products.shape[0])
     null = torch.stack([products[places, order].sum(0) for order in draws.order])

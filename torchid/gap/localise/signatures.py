@@ -11,32 +11,23 @@ from dataclasses import dataclass
 import torch
 
 from torchid.gap.diagnosis import Interval
-from torchid.gap.localise.regimes import STILL, Pool, masks
+from torchid.gap.localise.regimes import BRIEF, CRAWL, RARE, STILL, Pool, masks
 from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, quadratic
 from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
+from torchid.statistics.resampling import LEVEL
 from torchid.typing import Float, Tensor
 
 LOWEST_WAVE = 3.0
 """Wave number [1/rad or 1/m] below which a line cannot be told from gravity."""
 
-WINDOW = 0.25
-"""Seconds of a transient's window."""
-
 FEW = (1, 2, 4, 8)
 """Numbers of windows that hold much of the energy."""
-
-CRAWL = 0.04
-"""Speed as good as zero, as a fraction of the 99 % speed."""
-
-RARE = 0.02
-"""Share of time below which like motion is too rare to say what is usual."""
 
 STANDS_OUT = 2.0
 """Squared gap of a transient's window over that of the mean window, at least."""
 
 _MOST_LINES = 5
 _NEIGHBOURS = 15
-_CHUNK = 64
 
 
 def remainder(pool: Pool) -> Float[Tensor, "K L n"]:
@@ -72,6 +63,7 @@ def _lines(pool: Pool, rest: Tensor, draws: Draws, band: float, j: int) -> tuple
     if len(waves) < 2 * _NEIGHBOURS:
         zero = torch.zeros((), dtype=torch.float64)
         return zero, zero.expand(len(draws)), linear(none), False
+    # Coherence over blocks: the squared sum over the sum of squares, and under random signs.
     own = scores.abs().square().sum(0).clamp(min=1e-300)
     ratio = scores.sum(0).abs().square() / own
     null = ((draws.signs.to(scores.dtype) @ scores).abs().square() / own).amax(-1)
@@ -79,7 +71,7 @@ def _lines(pool: Pool, rest: Tensor, draws: Draws, band: float, j: int) -> tuple
     padded = torch.nn.functional.pad(ratio[None], (_NEIGHBOURS, _NEIGHBOURS), mode="reflect")[0]
     background = padded.unfold(0, 2 * _NEIGHBOURS + 1, 1).median(-1).values / math.log(2)
     height = ratio / background.clamp(min=1.0)
-    peaks = _peaks(height, float(null.quantile(0.95)))
+    peaks = _peaks(height, float(null.quantile(LEVEL)))
     each = quadratic(scores[:, peaks], torch.full((len(peaks),), 2.0 / rest[..., j].numel()))
     return height.max().log(), null.log(), lambda w: each(w).sum(-1, keepdim=True), True
 
@@ -103,10 +95,13 @@ def angle_scores(
     q = pool.q[..., j]
     low, span = float(q.min()), float(q.max() - q.min())
     speed = pool.flat("dq")[:, j].abs()
+    # Waves between what gravity can be, and what the band resolves at the usual speed.
     lowest = max(LOWEST_WAVE, 4 * 2 * math.pi / max(span, 1e-9))
     highest = 2 * math.pi * band / max(float(speed.median()), STILL)
     if highest < 2 * lowest:
         return torch.zeros(0), torch.zeros(pool.blocks, 0, dtype=torch.complex128)
+    # The gap summed over bins of the angle, in each block; twice the travel, so that waves are
+    # half a period apart.
     bins = 2 ** math.ceil(math.log2(2 * span * highest / (2 * math.pi) * 8))
     width = 2 * span / bins
     place = ((q - low) / width).long().clamp(max=bins - 1)
@@ -140,6 +135,7 @@ def drift_look(pool: Pool, rest: Tensor, draws: Draws) -> Look:
     part in step with the direction of motion or with the speed."""
     t = pool.t.mean(1)
     phase = (t - t.min()) / (t.max() - t.min()).clamp(min=1e-9)
+    # Coefficients that may drift, and what the level of the gap has of the motion anyway.
     ones = torch.ones_like(pool.dq)
     inputs = {"bias": ones, "coulomb": pool.sign, "viscous": pool.dq}
     covariates = torch.stack(
@@ -147,6 +143,7 @@ def drift_look(pool: Pool, rest: Tensor, draws: Draws) -> Look:
     )
     looks = []
     for trend in (phase, torch.exp(-6 * phase)):
+        # The level of the gap, and each coefficient, block by block.
         level = pool.error.square().mean(1)
         looks.append(_trend(trend, level, covariates, draws, pool, None))
         for x in inputs.values():
@@ -205,17 +202,19 @@ def transient_look(pool: Pool, rest: Tensor, draws: Draws) -> Transients:
     """Few windows that hold more of the remainder than a Gaussian process of its spectrum would,
     once it is divided by its usual size at like speed, acceleration, load and time since reversal.
     Windows whose squared gap is not twice the mean one are left out."""
+    # Evened out: what a motion like this usually leaves is one everywhere.
     even = (rest / usual_size(pool, rest)).flatten(0, 1)
-    width = max(2, round(WINDOW * pool.rate))
+    width = max(2, round(BRIEF * pool.rate))
     observed = window_energy(even.T, width)
     surrogate = surrogates(even.T, width, draws)
     total = observed.sum(-1).clamp(min=1e-300)
     gap = window_energy(pool.flat("error").T, width)
+    # Windows in which the gap itself is small are none.
     observed = observed * (gap > STANDS_OUT * gap.mean(-1, keepdim=True))
     looks: list[Look] = []
     windows = observed.shape[-1]
     possible = (total > 1e-290) & (windows >= 4 * FEW[-1])
-    usual = surrogate[:, :, 0].quantile(0.95, 0)
+    usual = surrogate[:, :, 0].quantile(LEVEL, 0)
     chosen = observed > usual.unsqueeze(-1)
     # At least the largest, for an excess where none stands out.
     chosen |= observed >= observed.amax(-1, keepdim=True)
@@ -230,8 +229,9 @@ def transient_look(pool: Pool, rest: Tensor, draws: Draws) -> Transients:
 
 def usual_size(pool: Pool, rest: Tensor) -> Tensor:
     """RMS of the remainder (K, L, n) in each combination of the regimes of time and of standstill;
-    combinations with less than 2 % of the time count as one."""
+    combinations that are rare count as one."""
     parts = [*masks(pool).values(), pool.dq.abs() < CRAWL * pool.high("dq")]
+    # Each instant's combination of regimes, as a number; RMS of each number's instants.
     code = torch.stack([part.long() << k for k, part in enumerate(parts)]).sum(0)
     flat, squared = code.flatten(0, 1), rest.flatten(0, 1).square()
     zero = squared.new_zeros(2 ** len(parts), squared.shape[1])
@@ -255,12 +255,11 @@ def surrogates(x: Float[Tensor, "n N"], width: int, draws: Draws) -> Float[Tenso
     then the logarithm of the share of the FEW largest. Random phases, the same on all joints."""
     size = torch.fft.rfft(x).abs().float()  # enough for a null distribution, and twice as fast
     out = []
-    for start in range(0, len(draws), _CHUNK):
-        count = min(_CHUNK, len(draws) - start)
+    for some in draws.order.chunk(8):  # a part of the draws at a time, for their memory
         turn = 2 * math.pi * torch.rand(
-            count, 1, size.shape[-1], generator=draws.generator, dtype=size.dtype
+            len(some), 1, size.shape[-1], generator=draws.generator, dtype=size.dtype
         )  # fmt: skip
-        spectrum = torch.polar(size.expand(count, -1, -1), turn.expand(-1, len(x), -1))
+        spectrum = torch.polar(size.expand(len(some), -1, -1), turn.expand(-1, len(x), -1))
         series = torch.fft.irfft(spectrum, n=x.shape[-1])
         energy = window_energy(series, width)
         ranked = energy.topk(min(FEW[-1], energy.shape[-1]), -1).values

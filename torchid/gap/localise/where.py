@@ -16,16 +16,13 @@ from torchid.gap.localise.signatures import (
     remainder,
     transient_look,
 )
-from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
+from torchid.statistics.blocks import FEWEST_BLOCKS
+from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, tails
 from torchid.typing import Float, Tensor
 
 LEAST_ABOVE = 0.1
 """Share of a joint's squared gap that counts as above the floor at least, so that a joint at its
 floor does not show arbitrarily large excesses."""
-
-FEWEST_INSTANTS = 200
-SHOWN = 0.05
-"""p below which the windows of transients are named."""
 
 
 def where(
@@ -41,7 +38,8 @@ def where(
     """
     joints = joint_gaps(traces, floor)
     pool = pooled(traces, band)
-    if pool.t.numel() < FEWEST_INSTANTS:
+    # Fewer than ten instants a block tell of no regime.
+    if pool.t.numel() < 10 * FEWEST_BLOCKS:
         return joints, tuple(
             RegimeGap(j, regime, 0.0, (0.0, 0.0), 1.0)
             for j in range(len(joints))
@@ -53,10 +51,12 @@ def where(
 def joint_gaps(traces: Sequence[Trace], floor: NoiseFloor) -> tuple[JointGap, ...]:
     """RMS of the gap on each joint, and its share of the squared excess over the noise floor, each
     joint's in units of its own squared noise (mean square of the bracket's ends)."""
+    # Mean squares of gap and torque, and of the noise as the middle of its bracket.
     squared = [(t.measured - t.before)[t.valid].square().cpu() for t in traces]
     gap = torch.cat(squared).mean(0)
     measured = torch.cat([t.measured[t.valid].square().cpu() for t in traces]).mean(0)
     noise = 0.5 * (floor.low.square() + floor.high.square()).to(gap)
+    # In units of the joint's noise, a wrist counts as much as a shoulder.
     unit = noise.maximum(1e-8 * measured).clamp(min=1e-300)
     above = ((gap - noise) / unit).clamp(min=0)
     share = above / above.sum() if float(above.sum()) > 0 else above
@@ -76,6 +76,7 @@ def regime_gaps(
 ) -> tuple[RegimeGap, ...]:
     """All regimes of all joints, p corrected for the maximum over them; `starts`: name and first
     time of each trajectory."""
+    # Every regime's statistic, with the same draws.
     draws = Draws.of(pool.blocks, seed)
     rest = remainder(pool)
     parts = masks(pool)
@@ -110,7 +111,7 @@ def regime_gaps(
             excess=float(shares[k][0][j]),
             ci95=(float(shares[k][1][j]), float(shares[k][2][j])),
             p=float(p[k, j]),
-            times=times[j] if regime == "transient" and p[k, j] < SHOWN else (),
+            times=times[j] if regime == "transient" and p[k, j] < 1 - LEVEL else (),
         )
         for j in range(pool.error.shape[-1])
         for k, regime in enumerate(looks)
@@ -122,6 +123,7 @@ def _excess(
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"], Float[Tensor, " n"]]:
     """Excess of a regime on each joint, and its interval by resampling blocks; 0 where the data
     do not allow the look."""
+    # What the blocks hold, and what of it is noise.
     whole = pool.error.square().sum(1)
     noise = pool.error.shape[1] * floor.low.square().to(whole)
 
@@ -130,6 +132,7 @@ def _excess(
         above = (weights @ (whole - noise)).maximum(LEAST_ABOVE * total).clamp(min=1e-300)
         return torch.where(look.possible, look.energy(weights) / above, 0.0).clamp(-1.0, 1.0)
 
+    # Its interval: the same share of resampled blocks.
     weights = bootstrap_weights(pool.blocks, DRAWS, np.random.default_rng(seed))
     spread = share(torch.from_numpy(weights))
     low, high = (spread.quantile(end, 0) for end in tails())

@@ -5,7 +5,7 @@ it can still predict after the accepted effects is a gap without a name. It sees
 model's torque only, never a measured torque, whose noise would predict itself.
 
 Rows are dependent over the residual's autocorrelation time, so folds are made of contiguous blocks
-of four such times, with rows one such time away from a block under test left out of its training
+of several such times, with rows one such time away from a block under test left out of its training
 (Roberts et al. 2017, blocked cross-validation). Predictions are shrunk by a factor that the other
 folds' predictions determine: trees that found nothing predict nothing.
 """
@@ -24,15 +24,11 @@ from torchid.design.motion import MOVING
 from torchid.design.segments import Samples
 from torchid.effects.base import Motion
 from torchid.statistics.autocorrelation import integrated_time
-from torchid.statistics.blocks import block_numbers, block_sums
+from torchid.statistics.blocks import FEWEST_BLOCKS, block_length, block_numbers, block_sums
 from torchid.statistics.resampling import tails
 from torchid.typing import Bool, Float, Int, Tensor
 
 FOLDS = 5
-BLOCK_TIMES = 4.0
-"""Length of a block in autocorrelation times."""
-
-FEWEST_BLOCKS = 20
 LONGEST_TRAINING = 4000
 """Rows that one fit is trained on at most."""
 
@@ -89,11 +85,11 @@ def predict_out_of_fold(
                 scores.append((0.0, 0.0, 0.0, 0.0))
                 continue
             features = torch.cat([_own_features(motions, samples, j), shared]).T.cpu().numpy()
-            # Blocks of several correlation times, twenty where that is possible, and the gap
-            # between what is trained on and what is predicted.
+            # Blocks of several correlation times, and the gap of one between what is trained on
+            # and what is predicted.
             time = max(float(integrated_time(r, samples.bounds)), 0.25 / samples.interval)
-            rows = min(BLOCK_TIMES * time, len(r) / FEWEST_BLOCKS)
-            length, gap = max(4, round(rows)), max(1, round(min(time, rows)))
+            length = max(4, block_length(len(r), time))
+            gap = max(1, round(min(time, length)))
             block = block_numbers(samples.bounds, length)
             predicted = _shrunk(_joint(features, r, samples.bounds, block, gap, seed), r, block)
             predictions.append(predicted)
@@ -106,6 +102,7 @@ def _own_features(motions: Sequence[Motion], samples: Samples, joint: int) -> Fl
     """Direction, model torque, their and the velocity's history, and the way since reversal."""
     signals, instants = [], []
     for m in motions:
+        # What the joint does now, and did shortly before.
         torque = m.require("torque", "the flexible predictor")[:, joint]
         sign, dq = m.sign[:, joint].to(torque), m.dq[:, joint]
         # Values some samples ago; at the beginning the first one.
@@ -123,6 +120,7 @@ def _since_reversal(m: Motion, joint: int, rate: float) -> tuple[Tensor, Tensor]
     """Time [s] and displacement since the joint last turned, or since the beginning."""
     q, dq = m.q[:, joint], m.dq[:, joint]
     index = torch.arange(len(q))
+    # The direction holds while the joint rests.
     last = torch.cummax(torch.where(dq.abs() > MOVING, index, 0), 0).values
     direction = torch.sign(dq)[last]
     turned = torch.nn.functional.pad(direction.diff() != 0, (1, 0))
@@ -143,6 +141,7 @@ def _joint(
     target = r.cpu().numpy()
     for fold in range(FOLDS):
         test = block % FOLDS == fold
+        # Trained on what is not tested nor correlated with it, thinned evenly where that is much.
         usable = torch.nonzero(~_widened(test, bounds, gap)).flatten()
         train = usable[:: math.ceil(len(usable) / LONGEST_TRAINING) or 1].numpy()
         if not bool(test.any()) or len(train) < 4 * FEWEST_BLOCKS:
@@ -170,6 +169,7 @@ def _shrunk(
     out = torch.zeros_like(predicted)
     for fold in range(FOLDS):
         others = block % FOLDS != fold
+        # Least squares of the others' residual on their own prediction.
         energy = predicted[others].square().sum()
         factor = (predicted[others] @ r[others] / energy.clamp(min=1e-300)).clamp(0, 1)
         out[~others] = factor * predicted[~others]
@@ -183,11 +183,13 @@ def _score(
     total = float(r @ r)
     if total == 0:
         return 0.0, 0.0, 0.0
+    # What each block gains by the prediction, as a share of the residual's squares.
     gains = block_sums(r.square() - (r - predicted).square(), block) / total
     count = len(gains)
     if count < 3:
         return float(gains.sum()), -math.inf, 1.0
     spread = float(gains.std()) * math.sqrt(count)
+    # Student's interval of the sum over blocks.
     half = float(student.ppf(tails()[1], count - 1)) * spread
     r2 = float(gains.sum())
     return r2, r2 - half, r2 + half

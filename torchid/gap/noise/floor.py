@@ -87,6 +87,7 @@ def noise_of(
     report = Samples(segments, band)
     residual = [s.tau - model.torque(s, samples) for s in segments]
     floor = _from_repeats(segments, residual, report, repeats)
+    # How near to a reversal a joint may have stuck, beside this noise.
     size = left.square().mean(1).sqrt() if floor is None else floor.high
     reach = stuck(columns, size)
     telling = keep & moving_samples(samples, reach)
@@ -102,19 +103,24 @@ def noise_of(
         for x in (report, samples)
     )
     beyond = (shown - own).clamp(min=0) / share
+    # Only joints that leave more than the noise are worth a predictor.
     above = within + beyond > 0 if floor is None else within + beyond > floor.low.square()
     joints = above.nonzero().flatten().tolist()
     found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
     predicted = found.left(looked).square().mean(1) / share
     unpredicted = (predicted + beyond).sqrt()
     if floor is None:
+        # Without repeats the bracket: what lies beyond the cut-off, continued as white; and what
+        # cannot be predicted.
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         floor = NoiseFloor(low, unpredicted, "bracket")
+    # Joints of which a note says that their noise is uneven.
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which structure is looked for where joints surely slide.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
+    # Structure: what the predictor takes away there, over the noise, where that is sure.
     foretold = (looked.square() - found.left(looked).square()) * telling
     structure = foretold.sum(1) / telling.sum(1).clamp(min=1) / noise.clamp(min=1e-300)
     sure = (found.interval[:, 0] > 0) & (structure > 0)
@@ -126,6 +132,7 @@ def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     """How near to a reversal (n,) a joint may have stuck [s], where what is left says nothing: the
     further the filter carries that above the noise (n,), the larger dry friction is beside it."""
     model = columns.model
+    # RMS of the model's dry friction: what jumps at a reversal.
     jumping = [p for p in model.effects if p[0].jumps and p[0].joints]
     dry = torch.zeros(columns.n, dtype=torch.float64)
     if jumping:
@@ -160,6 +167,7 @@ def _from_repeats(
     own = Samples(differences, report.cutoff)
     x = own.of([s.tau.T for s in differences])
     counting = moving_samples(own, REACH / own.cutoff)
+    # Mean square of the difference, over all samples and block by block.
     length = max(4, round(BLOCK_SECONDS / own.interval))
     block = block_numbers(own.bounds, length)
     squares = x.square() * counting
@@ -176,8 +184,10 @@ def _from_repeats(
     each = (freedom * length / total).clamp(min=1.0)
     median = variance.nanmedian(-1).values / (1 - 2 / (9 * each)) ** 3
     chance = 1 + 2 * ((math.pi / freedom).sqrt() + (2 / freedom).sqrt())
+    # Uneven: the mean far above the median, by more than chance makes it.
     uneven = (mean > UNEVEN * median) & (mean > chance * median)
     rms = torch.where(uneven, median, mean).sqrt()
+    # The interval of a variance with so many degrees of freedom, in logarithms.
     half = NORMAL / (2 * freedom).sqrt()
     notes = []
     for j in uneven.nonzero().flatten().tolist():

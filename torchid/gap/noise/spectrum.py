@@ -34,12 +34,14 @@ def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
     window = torch.hann_window(count, periodic=False).to(x)
     index = torch.linspace(-1, 1, count).to(x)
     line = torch.stack([torch.ones_like(index), index], -1)
+    # Without its straight line the taper's side lobes are small.
     straight = x - line @ torch.linalg.lstsq(line, x).solution
     spectrum = torch.fft.rfft((straight * window.unsqueeze(-1)).T)
     density = 2 * spectrum.abs().square() / (p.rate * window.square().sum())
     frequency = torch.arange(density.shape[-1]).to(x) * p.rate / count
+    # From the cut-off of the fit to where the wide band ends, or the filter begins.
     last = min(p.band, ALL_PASSES * p.rate)
-    first = min(1.25 * cutoff, 0.7 * last)
+    first = min(cutoff, 0.5 * last)
     return density[:, (frequency >= first) & (frequency <= last)]
 
 

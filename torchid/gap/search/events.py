@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import Question, fit_terms, residual
 from torchid.gap.search.terms import BASE
+from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import robust_std
 from torchid.typing import Float, Tensor
 
@@ -35,14 +36,17 @@ def contacts(question: Question, alpha: float) -> list[Contact]:
     candidates = question.candidates
     columns, samples = candidates.columns, candidates.columns.samples
     ones = torch.ones(columns.n, dtype=torch.float64)
+    # Laws on every joint, and bodies, are taken out of the gap.
     laws = [t for t in candidates.terms if t.name in LAWS and len(t.effects) == 1]
     base = [t for t in (*candidates.terms, *candidates.fixed) if t.name == BASE]
     fixed = {id(t) for t in candidates.fixed}
     fit = fit_terms(question, [t for t in (*base, *laws) if id(t) not in fixed], ones)
     left = residual(question, fit.terms, fit.x)
+    # What is left, and the pull of a force at the tool, in units of the joints' usual misfit.
     unit = torch.nan_to_num(robust_std(left), nan=torch.inf).clamp(min=1e-12).unsqueeze(1)
     r = left / unit
     pull = columns.on_all_joints(Contact()) * candidates.keep / unit
+    # Windows that stand out, as contacts that do not overlap.
     found = _windows(pull, r, samples.bounds, alpha)
     half = 0.5 * samples.interval
     out: list[Contact] = []
@@ -75,6 +79,7 @@ def _windows(
         ]
         if not starts:
             continue
+        # The force that fits best within each window, and what it gains there.
         start = torch.cat(starts)
         gram = (running[0][..., start + length] - running[0][..., start]).permute(2, 0, 1)
         pull = (running[1][:, start + length] - running[1][:, start]).T.unsqueeze(-1)
@@ -85,7 +90,7 @@ def _windows(
     for gain, start, length in looked:
         # The scale of chance is that of the log's own windows, heavy tails included: chi^2 through
         # their 95 % quantile.
-        usual = float(gain.quantile(0.95)) / float(chi2.ppf(0.95, c))
+        usual = float(gain.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c))
         p = total * chi2.sf(gain.numpy() / max(usual, 1.0), c)
         for k in (p < alpha).nonzero()[0].tolist():
             score = float(gain[k]) / max(usual, 1.0) - c * math.log(length)

@@ -122,6 +122,7 @@ class Question:
     def least(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is
         so large, as a mean square."""
+        # The larger of a share of the gap and a share of the torque.
         gap = self.worth.gap * error.clamp(min=0).sqrt()
         return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
 
@@ -139,6 +140,7 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
         starts.append(first)
         first += len(term.at)
     for j, g in enumerate(normal.g):
+        # Columns of the terms on this joint: their numbers among all, and rows in its matrix.
         of = [
             torch.arange(a, a + len(t.at))
             for a, t in zip(starts, terms, strict=True)
@@ -146,6 +148,7 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
         ]
         at = [t.at for t in terms if t.place in (None, j)]
         empty = torch.zeros(0, dtype=torch.long)
+        # What is explained: the gap, and the model's own effect where a term replaces it.
         target = g.new_zeros(len(g))
         target[-1] = 1.0
         for term in terms:
@@ -181,6 +184,7 @@ def residual(
     question: Question, terms: Sequence[Term], x: Float[Tensor, " K"]
 ) -> Float[Tensor, "n N"]:
     """Samples that terms with these coefficients leave; zero where none counts."""
+    # The gap less the columns; a term that stands for the model's own takes that out, too.
     left = question.candidates.gap.clone()
     for term, own in zip(terms, x.split([len(t.at) for t in terms]), strict=True):
         joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
@@ -226,6 +230,7 @@ def fit_terms(
         solved = equations.solve(weight, ridge)
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
+    # Evidence: what is gained, less what is known beforehand and the price of the terms.
     nothing = torch.stack([g[-1, -1] for g in normal.g])
     gain = effective * (nothing.clamp(min=1e-300) / losses.clamp(min=1e-300)).log()
     prior = float((ridge * solved.x.square()).sum())
@@ -240,6 +245,7 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
     their own uncertainty explains: a friction that drives, a load of negative mass."""
     if not terms:
         return []
+    # The whole coefficient, with what the model has of it, is what physics bounds.
     known, least, largest = torch.cat([t.limits for t in terms]).unbind(1)
     slack = SURE * solved.root.norm(dim=1) + 1e-12
     wrong = (solved.x + known < least - slack) | (solved.x.abs() > largest + slack)
@@ -264,6 +270,7 @@ def directions(question: Question, term: Term) -> int:
         joints = range(len(question.normal.g)) if term.place is None else (term.place,)
         gram = sum(question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints)
         assert isinstance(gram, Tensor)
+        # Eigenvalues of the columns' correlation: as many as are visible count.
         size = gram.diagonal().clamp(min=1e-300).sqrt()
         values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
         question.seen[id(term)] = max(1, int((values > VISIBLE).sum()))
@@ -276,6 +283,7 @@ def causes(terms: Iterable[Term], n: int) -> int:
     common: dict[str, int] = {}
     for term in terms:
         if term.place is not None and term.name in KINDS and KINDS[term.name].on_all:
+            # Counted apart: on most joints it is one cause, on few of them one each.
             common[term.name] = common.get(term.name, 0) + 1
         else:
             count += 1
@@ -319,6 +327,8 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
     solved = normal.of(fit.subset).solve(weight, ridge_of(fit.terms))
     common = question.candidates.gram.common
     k = solved.root.shape[1]
+    # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
+    # effects that all joints feel are summed.
     held_common = torch.zeros(common, k, dtype=torch.float64)
     pull_common = torch.zeros(common, dtype=torch.float64)
     held: list[Tensor] = []
@@ -332,11 +342,13 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         pull_common += b[:common]
         held.append(h)
         pulls.append(b)
+    # Each batch at once: squares, pulls and what is held of the candidates' columns.
     present = {t.key for t in fit.terms if t.effects}
     out: list[Offer] = []
     for batch in question.candidates.batches:
         if places is not None and batch.place not in places:
             continue
+        # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
             h, b = held_common[batch.at], pull_common[batch.at]
             gram = sum(
@@ -357,6 +369,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
                     grown = w * (values @ g[own.at.unsqueeze(1), own.at] @ values) - rest @ rest
                     extra[m] += grown + 2 * values @ pulls[batch.place][own.at]
                     b[m] += w * (g[term.at.unsqueeze(1), own.at] @ values) - h[m] @ rest
+        # Gain of each candidate, less what is lost with the effect in whose place it stands.
         gains, counts = _gains(batch, gram, h, b)
         if batch.place is not None:
             gains = gains - extra
@@ -373,21 +386,20 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
 
 def _beside(term: Term, others: Sequence[Term]) -> bool:
     """Whether a term in a window of time stands in or next to another one's: one push is one."""
-    windows = [_window(t) for t in (term, *others) if t.effects and t.effects[0].windowed]
+    # Start and stop of each, infinite where they are open.
+    windows = []
+    for effect in (t.effects[0] for t in (term, *others) if t.effects):
+        if isinstance(effect, Contact):
+            start = -math.inf if effect.start is None else effect.start
+            windows.append((start, math.inf if effect.stop is None else effect.stop))
     if not windows or not term.effects or not term.effects[0].windowed:
         return False
+    # Next to each other: nearer than half of the longer one.
     (start, stop), *there = windows
     return any(
         start < b + 0.5 * max(stop - start, b - a) and a < stop + 0.5 * max(stop - start, b - a)
         for a, b in there
     )
-
-
-def _window(term: Term) -> tuple[float, float]:
-    effect = term.effects[0]
-    assert isinstance(effect, Contact)
-    start, stop = effect.start, effect.stop
-    return -math.inf if start is None else start, math.inf if stop is None else stop
 
 
 def _gains(
@@ -398,12 +410,14 @@ def _gains(
 ) -> tuple[Tensor, Tensor]:
     """Gains (M,) and directions (M,) of terms beside a model that holds part of
     their columns; 0 where physics forbids a coefficient."""
+    # What the model leaves of the columns, in units of the columns themselves.
     square = gram.diagonal(dim1=1, dim2=2)
     left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
     there = square > 1e-300
     size = torch.where(there, (square + batch.ridge).clamp(min=1e-300).sqrt(), math.inf)
     scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))
     values, vectors = torch.linalg.eigh(scaled)
+    # Least squares along the directions that are seen; the rest is noise of the columns.
     seen = values > VISIBLE
     along = (vectors.transpose(1, 2) @ (b / size).unsqueeze(-1)).squeeze(-1)
     safe = torch.where(seen, values, torch.ones_like(values))
@@ -414,6 +428,7 @@ def _gains(
     squares = vectors.square() * seen.unsqueeze(-2)
     sure = squares.sum(-1) > 0.99
     std = (squares / safe.unsqueeze(-2)).sum(-1).sqrt() / size
+    # A friction that drives, or a coefficient larger than on any arm, is no gain.
     low = (x + batch.known < -SURE * std) & batch.signed
     high = x.abs() > batch.largest + SURE * std
     wrong = (sure & (low | high)).any(-1)

@@ -174,6 +174,7 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
+    # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
     more = fit_terms(question, beside, fit.effective, fit.weight)
     if more.evidence <= fit.evidence:
@@ -191,6 +192,7 @@ def without_terms(
 ) -> Explanation:
     """The same explanation without some terms."""
     question, fit = found.question, found.fit
+    # The other terms are fitted anew.
     kept = [t for t in found.terms if all(t is not g for g in gone)]
     less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
     start = found.solution.start
@@ -208,6 +210,7 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
         effect = term.effects[0] if len(term.effects) == 1 else None
         if not (isinstance(effect, Contact) or (isinstance(effect, JointEffect) and term.shapes)):
             continue
+        # The shape that leaves least, all coefficients fitted anew with it.
         others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
         best = _closest(question, fit, others, effect, columns)
         if best is not None and best != effect:
@@ -236,6 +239,7 @@ def _closest(
             beside.append(on_joint(rows[:, 0], term.place, columns.n))
         elif term.place == own:
             beside.append(rows)
+    # One QR of the columns beside; directions that rounding alone has are left out.
     basis = torch.zeros(0, len(y), dtype=torch.float64)
     if beside:
         z = torch.cat([(b * weight[joints]).flatten(1) for b in beside])
@@ -292,6 +296,7 @@ def _finest(candidates: Candidates, term: Term, finer: Sequence[Effect]) -> Term
 
 def _near(one: Effect, two: Effect) -> bool:
     if isinstance(one, Contact) and isinstance(two, Contact):
+        # Of two pushes that overlap one is the other, refined.
         starts = [c.start or 0.0 for c in (one, two)]
         stops = [math.inf if c.stop is None else c.stop for c in (one, two)]
         return starts[0] < stops[1] and starts[1] < stops[0]
@@ -300,9 +305,11 @@ def _near(one: Effect, two: Effect) -> bool:
 
 def _changed(old: Model, new: Model, data: Data) -> bool:
     """Whether columns are others at the new model: its torque has changed, or a secant has."""
+    # A secant at another place is another column.
     if any(e.linearised for e, _ in new.effects if (e, _) not in old.effects):
         return True
     for segment in data.segments:
+        # Columns scale with the model's torque: is it another?
         a, b = old.load(segment.motion), new.load(segment.motion)
         if bool(((a - b).square().mean(0) > CHANGED**2 * b.square().mean(0) + 1e-300).any()):
             return True

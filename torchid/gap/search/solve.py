@@ -97,6 +97,7 @@ def solved(
     weight = torch.ones_like(data.keep, dtype=torch.float64)
     last = torch.inf
     for step in range(STEPS + 1):
+        # The corrected model at the estimate, and what it leaves.
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
         model = corrected(start, taken, values, wanted)
         at = Columns(model, samples)
@@ -106,15 +107,18 @@ def solved(
             weight = (
                 huber_weights(left) / left.square().mean(1, keepdim=True).clamp(min=1e-300).sqrt()
             )
+        # A step that does not lower the loss is not taken, and ends the search.
         loss = float((weight * left).square().sum())
         if best is not None and not loss < last:
             break
         parts = [term_columns(at, t) for t in taken]
+        # Columns at the corrected model, for the next step and for the standard deviations.
         a = torch.cat(parts) * data.keep if parts else left.new_zeros(0, *left.shape)
         best = Solution(start, wanted, tuple(taken), tuple(values), (), model, a, left)
         if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
+        # Gauss-Newton: the step that the columns see in what is left.
         dx = least_squares((a * weight).flatten(1), (left * weight).flatten())
         values = [v + d for v, d in zip(values, dx.split([len(v) for v in values]), strict=True)]
     assert best is not None
@@ -129,6 +133,7 @@ def solved(
 def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
     """Coefficients; directions that the rows do not determine stay at zero."""
     gram, right = a @ a.T, a @ y
+    # Columns in units of their own size, so that one threshold suits all.
     size = torch.where(gram.diagonal() > 0, gram.diagonal().sqrt(), torch.inf)
     values, vectors = torch.linalg.eigh(gram / size / size.unsqueeze(1))
     kept = values > DETERMINED * values[-1:]
@@ -146,6 +151,7 @@ def corrected(
 ) -> Model:
     """The model with the fitted terms: other inertial parameters, further effects. An effect that
     it has already grows by the coefficients; another shape of it stands in its place."""
+    # Inertial parameters grow; effects grow, are replaced, or join.
     pi = start.robot.require_parameters("a diagnosis").pi.double().clone()
     effects: list[Valued] = list(start.effects)
     for term, v in zip(terms, values, strict=True):

@@ -120,6 +120,7 @@ class Wanted:
     @property
     def independent(self) -> list[int]:
         """Numbers, link by link, of the parameters that stand for the base parameters."""
+        # Base parameters are numbered by kind, regressors link by link.
         order = paper_order(self.base.n_rigid_parameters // PARAMETERS_PER_LINK)
         return order[list(self.base.independent[: self.base.n_rigid])].tolist()
 
@@ -160,6 +161,7 @@ def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
         flat = columns.regressor.flatten(0, 1)
         return flat[term.at]
     if term.name in (LINK, PAYLOAD):
+        # A body is the ten rows of its link; the payload those of the last one.
         link = columns.n - 1 if term.name == PAYLOAD else term.effects[0].joints[0]
         return columns.regressor[link]
     return torch.stack([columns.on_all_joints(e) for e in term.effects]).sum(0)
@@ -276,8 +278,10 @@ def body_sigma(columns: Columns) -> Float[Tensor, "n 10"]:
     """How far a model's parameters may be off: a share of the mass, of the mass at the radius of
     gyration, and of the inertia at it; of a body without mass, that of a twentieth of the arm's."""
     pi = columns.model.robot.require_parameters("a diagnosis").pi.double()
+    # A massless link may still have the mass of a twentieth of the others.
     mass = pi[:, 0].abs().clamp(min=0.05 * float(pi[:, 0].abs().mean()) + 1e-9)
     inertia = (0.5 * pi[:, [4, 7, 9]].sum(1)).abs()
+    # Radius of gyration of each link, five centimetres at least.
     radius = (inertia / mass).sqrt().clamp(min=0.05)
     sizes = [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
     return PRIOR * torch.stack(sizes, 1)
@@ -300,6 +304,7 @@ def _joint_kinds(wanted: Wanted, data: Data, joint: int) -> Iterator[type[JointE
     for name in dict.fromkeys((*wanted.names, *wanted.background)):
         kind = KINDS[name]
         if issubclass(kind, JointEffect) and not kind.needs & data.missing:
+            # On a joint that does not slide, friction is whatever holds it.
             friction = kind.jumps or kind.family in ("speed", "time")
             if bool(data.slides[joint]) or not friction:
                 yield kind
@@ -309,6 +314,7 @@ def _own_shapes(
     wanted: Wanted, given: Sequence[Valued], joint: int, extra: Sequence[Effect]
 ) -> list[JointEffect]:
     """Shapes that no grid holds: the model's own, with its options, and refined ones."""
+    # Shapes that differ from the kind's default, and those that a search refined.
     own = [e for e, _ in given if isinstance(e, JointEffect) and (e.shapes or e != type(e)(joint))]
     own += [e for e in extra if isinstance(e, JointEffect)]
     return [e for e in dict.fromkeys(own) if e.joint == joint and e.name in wanted.names]
@@ -325,6 +331,7 @@ def _known(effects: tuple[Effect, ...], given: Sequence[Valued]) -> tuple[float,
 
 def _standing_in(terms: Sequence[Term], given: Sequence[Valued]) -> list[Term]:
     """Other shapes of an effect that the model has stand in its place, not beside it."""
+    # The model's own effects, as terms.
     own = {t.effects[0]: t for t in terms if len(t.effects) == 1}
     out = []
     for term in terms:
@@ -344,6 +351,7 @@ def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
     Their rows in any matrix are still to be given."""
     if not wanted.free:
         return ()
+    # Base parameters, and the background on every joint.
     out = [t for t in _bodies(columns, wanted) if t.name == BASE]
     for name in wanted.background:
         for joint in range(columns.n):
@@ -360,6 +368,7 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
 
     for (place, count), some in itertools.groupby(sorted(terms, key=group), key=group):
         own = tuple(some)
+        # Inverse variances of what is known beforehand; zero of what is not.
         ridge = torch.stack(
             [torch.zeros(count).double() if t.sigma is None else t.sigma**-2 for t in own]
         )

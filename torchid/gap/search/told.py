@@ -31,9 +31,6 @@ ODDS = 20.0
 """Odds against an alternative from which it is no longer told: exp of half the difference of the
 evidence. Half and double of it change the mean set size by less than 0.1."""
 
-FELT = 0.05
-"""Share of a joint's own torque gap that a global effect must hold to be felt there [1]."""
-
 LARGE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
 
@@ -112,6 +109,7 @@ def told(found: Explanation) -> Told:
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
     """Family-wise p-value of a term beside the others: of the likelihood ratio with the effective
     number of samples (Wilks 1938), times all candidates."""
+    # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
     ratio = fit.effective * (without.losses / fit.losses.clamp(min=1e-300)).log()
     df = directions(question, term) + term.shapes
     return min(1.0, question.looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
@@ -158,11 +156,12 @@ def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, .
     solution = found.solution
     first = sum(len(v) for v in solution.values[:k])
     values = solution.values[k]
+    # Torque of the effect on each joint, against the gap there and what chance would fit.
     share = torch.tensordot(values, solution.a[first : first + len(values)], 1).square().sum(1)
     rows = found.question.normal.rows.clamp(min=1)
     chance = solution.left.square().sum(1) * len(values) / rows
-    empty = found.empty.losses
-    return tuple(((share > FELT * empty) & (share > chance)).nonzero().flatten().tolist())
+    least = found.question.worth.gap * found.empty.losses
+    return tuple(((share > least) & (share > chance)).nonzero().flatten().tolist())
 
 
 def _notes(
@@ -171,6 +170,7 @@ def _notes(
     """Coefficients that the data leave open, those that correct one of the model's own, and when a
     contact was."""
     out = []
+    # Of a load only what the motion determines is known.
     told = directions(found.question, term)
     if term.name == PAYLOAD and told < len(values):
         out.append(
@@ -178,6 +178,7 @@ def _notes(
             "are one choice of many with the same torque"
         )
     if term.name == PAYLOAD:
+        # Ten numbers are a body only if their pseudo-inertia is.
         body = InertialParameters(values.unsqueeze(0)).pseudo_inertia
         if float(torch.linalg.eigvalsh(body)[0, 0]) < 0:
             out.append(
@@ -216,6 +217,7 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
     rest = [t for t in found.terms if t is not term]
     again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
     mine = residual(question, fit.terms, fit.x) - residual(question, again.terms, again.x)
+    # Squared difference of the two, block by block; the clearest block is named.
     left = torch.zeros(int(block.max()) + 1, dtype=torch.float64)
     left.index_add_(0, block, (fit.weight.unsqueeze(1) * mine.square()).sum(0))
     best = int(left.argmax())
@@ -223,8 +225,10 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
     t = samples.t
     name, start = when(samples.segments, float(t[instants[0]]))
     total = float(left.sum())
+    # As much more of the same motion as makes the odds, if it is as clear as here.
     seconds = len(block) * samples.interval * 2 * math.log(ODDS) / max(1e-12, total)
     joints = next((e.joints for e in (*term.effects, *other.effects) if e.joints), ())
+    # What to do, from the effects' own descriptions.
     advice = dict.fromkeys(KINDS[n].experiment for n in (term.name, other.name))
     both = "; and ".join(advice)
     return {
@@ -263,11 +267,13 @@ def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
             best[term.key] = size, left, term
     out = []
     for size, left, term in best.values():
+        # From which coefficient on its evidence would be positive on average.
         effect, share = term.effects[0], left / size if size > 0 else 0.0
         n = float(fit.effective.sum() if term.place is None else fit.effective[term.place])
         needed = question.price() + (1 + term.shapes) * math.log(max(n, 2.0))
         smallest: float | None = math.sqrt(needed / max(left, 1e-300))
         reason = ""
+        # Why it cannot be told: not excited, hidden behind what is fitted, or below the noise.
         if size <= 1e-9:
             smallest, reason = None, "the motion does not excite it"
         elif share < 1e-6:

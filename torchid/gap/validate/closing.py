@@ -13,7 +13,7 @@ import torch
 
 from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
 from torchid.gap.noise.floor import BLOCK_SECONDS, NORMAL
-from torchid.statistics.resampling import DRAWS, bootstrap_weights, percentile_interval
+from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
 
 SURELY_NOISE = 0.9
@@ -64,16 +64,18 @@ def closing(
         seed: of the resampling.
         unpredicted: (n,) RMS of what a flexible predictor leaves of the gap after, in this band.
     """
+    # Squares before and after, block by block.
     parts = [_blocks(t) for t in traces]
     before, after, counts = (torch.cat([p[k] for p in parts]) for k in (0, 1, 2))
     total = counts.sum(0).clamp(min=1)
     rms = [(x.sum(0) / total).sqrt() for x in (before, after)]
     unit = noise_variance(floor)
     l0, l1 = (before / unit).sum(1), (after / unit).sum(1)
+    # Losses of resampled data: blocks are drawn, all joints together.
     rng = np.random.default_rng(seed)
     weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
     first, last, rows = weights @ l0, weights @ l1, weights @ counts
-    improves = bool((first - last).quantile(0.05) > 0)
+    improves = bool((first - last).quantile(1 - LEVEL) > 0)
     # Ln of every draw, at each of the ends between which it lies.
     if floor.source == "repeats":
         low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
@@ -85,6 +87,7 @@ def closing(
     else:
         ends = [rows.sum(1), (rows * (floor.low.square() / unit)).sum(1)]
     excess = percentile_interval(((first - ends[0]) / rows.sum(1).clamp(min=1)).numpy())
+    # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
         return Closing(rms[0], rms[1], improves, None, None)
     # There is no more noise than what is left.
@@ -94,6 +97,7 @@ def closing(
         for e in most
     ]
     noise = torch.minimum(counts.sum(), l1.sum())
+    # The share itself, from all blocks; the interval holds it and the draws at all ends.
     value = min(1.0, float((l0 - l1).sum() / (l0.sum() - noise)))
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
     return Closing(rms[0], rms[1], improves, value, (min(ends_of), max(ends_of)))
@@ -112,6 +116,7 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
     gap = l0 - noise
     if gap <= 0:
         return Budget(0.0, 0.0, 0.0)
+    # Refitting closes no less than nothing, and no more than the whole model does.
     l1 = max(min(l0, l1), last) if last < l0 else l0
     return Budget((l0 - l1) / gap, (l1 - last) / gap, (last - noise) / gap)
 
@@ -119,6 +124,7 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
 def _blocks(trace: Trace) -> tuple[Tensor, Tensor, Tensor]:
     """Sums of squares (K, n) before and after, and counts (K, n), of blocks of instants that
     count."""
+    # Blocks of equal length, which fill the trajectory.
     length = max(1, round(BLOCK_SECONDS * trace.rate))
     count = max(1, round(len(trace.valid) / length))
     block = torch.arange(len(trace.valid)) * count // len(trace.valid)

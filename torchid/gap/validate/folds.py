@@ -59,11 +59,13 @@ def make_folds(samples: Samples, count: int, groups: Sequence[int]) -> Folds:
     fold = torch.zeros(len(samples), dtype=torch.long)
     border = torch.zeros(len(samples), dtype=torch.bool)
     if len(distinct) >= FEW:
+        # Whole motions, dealt out in turn; what repeats a motion goes with it.
         count = min(count, len(distinct))
         number = {g: k % count for k, g in enumerate(distinct)}
         for own, group in zip(samples.bounds, groups, strict=True):
             fold[own] = number[group]
         return Folds(fold, count, True, border)
+    # Too few motions: stretches of each, and a border between them as wide as the filter.
     gap = GAP / (samples.cutoff * samples.interval) / 2
     for own in samples.bounds:
         length = own.stop - own.start
@@ -100,12 +102,14 @@ def traces(
         valid[samples.edge : segment.length - samples.edge] = True
         if folds is not None:
             own = samples.bounds[k]
+            # Every instant belongs to the fold of the nearest sample; those at a border to none.
             index = (torch.arange(segment.length) - samples.edge) // samples.step
             index = index.clamp(0, own.stop - own.start - 1)
             owner = folds.fold[own][index]
             valid &= ~folds.border[own][index]
         torques = []
         for models in (before, after):
+            # Each model's torque is computed once, and taken where its fold is.
             tau = torch.zeros_like(segment.tau)
             shared: dict[int, Tensor] = {}
             for f in owner.unique().tolist():
