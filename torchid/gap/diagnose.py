@@ -294,7 +294,9 @@ def check(
     base = refitted(solution.start, data, solution.wanted)
     band = _band(data, settings)
     columns = Columns(solution.model, data.samples)
-    noise = noise_of(columns, solution.left, data.keep, band, repeats, settings.seed)
+    noise = noise_of(
+        columns, solution.start, solution.left, data.keep, band, repeats, settings.seed
+    )
     if judged is None:
         # Each fold is shown by models that were fitted on the others.
         fits = [folds.fitted(k) for k in range(folds.count)]

@@ -10,6 +10,7 @@ from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples
 from torchid.effects.registry import model_torque
+from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.typing import Tensor
 
@@ -36,7 +37,7 @@ def found_with(
     columns = Columns(Model(ROBOT, ()), samples)
     repeats = find_repeats(real) if repeats is None else repeats
     keep = moving_samples(samples)
-    return noise_of(columns, columns.gap() * keep, keep, REPORT, repeats, seed)
+    return noise_of(columns, columns.model, columns.gap() * keep, keep, REPORT, repeats, seed)
 
 
 def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
@@ -63,6 +64,23 @@ def test_repeats_tell_the_noise_and_not_what_repeats(hz, gap):
     ratio = torch.stack(ratios)
     assert float((ratio - 1).abs().mean()) < 0.07
     assert float((ratio - 1).abs().max()) < (0.2 if hz == 1.0 else 0.12)
+
+
+def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
+    """Friction that the corrected model lets drift, and the arm does not."""
+    segments = runs(1, count=3)
+    z = noises(segments, 1, None)
+    real = [replace(s, tau=s.tau + r) for s, r in zip(segments, z, strict=True)]
+    samples, repeats = Samples(real, CUTOFF), find_repeats(real)
+    keep = moving_samples(samples)
+    given = Model(ROBOT, ())
+    drifting = Model(
+        ROBOT, ((ThermalFrictionDrift(1, T=30.0), [0.0, 20 * float(size(segments, z)[1])]),)
+    )
+    columns = Columns(drifting, samples)
+    found = noise_of(columns, given, columns.gap() * keep, keep, REPORT, repeats, 0).floor
+    alone = found_with(segments, z).floor
+    torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 
 
 def test_the_interval_of_a_floor_holds_the_noise():

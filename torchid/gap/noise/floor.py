@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.design.columns import Columns
+from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
 from torchid.effects.registry import effect_torque
@@ -66,6 +66,7 @@ class Noise:
 
 def noise_of(
     columns: Columns,
+    given: Model,
     left: Float[Tensor, "n N"],
     keep: Bool[Tensor, "n N"],
     band: float,
@@ -76,7 +77,8 @@ def noise_of(
 
     Args:
         columns: at the model.
-        left: what it leaves.
+        given: the model that it corrects.
+        left: what the corrected one leaves.
         keep: samples that count.
         band: of the report [Hz].
         repeats: among the segments.
@@ -87,6 +89,10 @@ def noise_of(
     report = Samples(segments, band)
     residual = [s.tau - model.torque(s, samples) for s in segments]
     floor = _from_repeats(segments, residual, report, repeats)
+    if floor is not None:
+        # A correction that is another at each repeat must not pass for noise of the log.
+        before = [s.tau - given.torque(s, samples) for s in segments]
+        floor = _smaller(floor, _from_repeats(segments, before, report, repeats))
     # How near to a reversal a joint may have stuck, beside this noise.
     size = left.square().mean(1).sqrt() if floor is None else floor.high
     reach = stuck(columns, size)
@@ -126,6 +132,23 @@ def noise_of(
     sure = (found.interval[:, 0] > 0) & (structure > 0)
     structure = torch.where(sure, structure, torch.zeros_like(structure))
     return Noise(floor, structure, unpredicted, moving, uneven)
+
+
+def _smaller(one: NoiseFloor, other: NoiseFloor | None) -> NoiseFloor:
+    """Of two measures of the same noise the smaller one, joint by joint."""
+    if other is None:
+        return one
+    low, high = (
+        torch.where(one.high <= other.high, a, b)
+        for a, b in ((one.low, other.low), (one.high, other.high))
+    )
+    notes = [
+        note
+        for j, mine in enumerate((one.high <= other.high).tolist())
+        for note in (one if mine else other).notes
+        if f"joint {j + 1}:" in note
+    ]
+    return NoiseFloor(low, high, one.source, tuple(notes))
 
 
 def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -169,7 +169,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
 
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
-    of every cause, and without displacing any."""
+    of every cause. They displace what has no torque of its own left beside them."""
     own = fit.terms[len(question.fixed) :]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
@@ -184,7 +184,23 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     without = held_out_losses(question, folds, more, own) / rows
     then = held_out_losses(question, folds, more, more.terms[len(question.fixed) :]) / rows
     fall = without.sqrt() - then.sqrt()
-    return more if bool((fall >= question.least(without)).any()) else fit
+    if not bool((fall >= question.least(without)).any()):
+        return fit
+    # A cause whose coefficients have shrunk until its torque is not worth a name is none.
+    while True:
+        kept = []
+        values = more.values()[len(question.fixed) :]
+        for term, x in zip(more.terms[len(question.fixed) :], values, strict=True):
+            joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
+            torque = torch.zeros_like(question.candidates.gap)
+            torque[joints] = torch.tensordot(x, rows_of(question, term), 1)
+            size = (torque * question.candidates.keep).square().sum(1) / rows
+            least = question.least(more.losses / rows + size)
+            if term.name == BASE or bool((size.sqrt() >= least).any()):
+                kept.append(term)
+        if len(kept) == len(values):
+            return more
+        more = fit_terms(question, kept, more.effective, more.weight)
 
 
 def without_terms(
