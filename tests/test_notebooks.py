@@ -21,7 +21,7 @@ SAID = {
     "03_diagnose_a_gap": ("seal unbroken: True", "  right\n", "not_testable", "this table: True"),
     "04_your_own_robot": (
         "Wrong: torque sign.",
-        "cogging on joint 2",
+        "joint 2 has cogging",
         "identified.urdf",
         "gap.html",
     ),

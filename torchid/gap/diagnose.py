@@ -138,10 +138,13 @@ def diagnose(
 
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
-    checked = check(found, data, judged, folds, repeats, settings, fitted_first)
-    # What makes held-out data worse leaves, and the rest is judged anew, until nothing does.
+    checked = check(found, data, None, folds, repeats, settings, fitted_first)
+    # What makes a fold worse that it was not fitted on leaves, until nothing does.
     while gone := harmful(found, checked):
         found = without_terms(found, gone, data, block)
+        checked = check(found, data, None, folds, repeats, settings, fitted_first)
+    if judged is not None:
+        # A held-out log takes part in no choice: it judges what was chosen.
         checked = check(found, data, judged, folds, repeats, settings, fitted_first)
     said = told(found)
     if wanted.free and robot.parameters is not None:
@@ -153,11 +156,12 @@ def diagnose(
 
     say("locating", 0, 1)
     # Where the gap lies, and what this log could not have shown.
-    hidden = not_testable(found, start.robot)
+    hidden = not_testable(found, start.robot, data)
     joints, regimes = where(
         checked.shown, checked.noise.floor, settings.seed, band=_band(data, settings)
     )
     places = {t.key for t in found.question.candidates.terms if not t.inertial}
+    places |= {(x.effect, x.joints) for x in hidden}
     poor = len(hidden) > 0.5 * len(places) or data.seconds < SHORTEST
     far = checked.far
     if not (said.findings or said.parametric):

@@ -126,10 +126,14 @@ class Wanted:
 
     def allows(self, term: Term) -> bool:
         """Whether a term is one of the candidates."""
-        if self.only is None or term.name == BASE:
-            return self.only is None
         joints = term.effects[0].joints if len(term.effects) == 1 else ()
-        return any(term.name == n and (j is None or j in joints) for n, j in self.only)
+        return self.asks(term.name, joints)
+
+    def asks(self, name: str, joints: Sequence[int]) -> bool:
+        """Whether an effect of this name at these joints is looked for."""
+        if self.only is None or name == BASE:
+            return self.only is None
+        return any(name == n and (j is None or j in joints) for n, j in self.only)
 
 
 @dataclass(frozen=True, eq=False)

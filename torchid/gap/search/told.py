@@ -8,9 +8,10 @@ import torch
 from scipy.stats import chi2
 
 from torchid.design.segments import when
-from torchid.effects.base import Effect
+from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
+from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding, NotTestable, Parametric
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
@@ -245,7 +246,7 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
     }
 
 
-def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
+def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestable]:
     """Effects that these data cannot show, one entry an effect and place: with the smallest first
     coefficient whose evidence would be positive on average."""
     question, fit = found.question, found.fit
@@ -291,4 +292,14 @@ def not_testable(found: Explanation, robot: Robot) -> list[NotTestable]:
             unit = effect.coefficients[0].unit_for(prismatic)
             joints_of = () if len(term.effects) > 1 else effect.joints
             out.append(NotTestable(effect.name, joints_of, smallest, unit, reason))
+    # Effects that were no candidates on joints that do not slide.
+    wanted = found.solution.wanted
+    known = {*accepted, *best}
+    still = (~data.slides).nonzero().flatten().tolist()
+    for j, kind in ((j, KINDS[name]) for j in still for name in wanted.names):
+        if not issubclass(kind, JointEffect) or kind.needs & data.missing:
+            continue
+        if (kind.name, (j,)) not in known and wanted.asks(kind.name, (j,)):
+            unit = kind.coefficients[0].unit_for(robot.joint_types[j] is JointType.PRISMATIC)
+            out.append(NotTestable(kind.name, (j,), None, unit, "the motion does not excite it"))
     return out
