@@ -48,7 +48,7 @@ def test_checkpoints_stay_until_all_studies_are_over(command, tmp_path, monkeypa
     assert len(removed) == 12
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_all_studies(command, tmp_path):
     target = tmp_path / "all.json"
     shown = command("study", "all", *TINY, "--no-figures", "--out", tmp_path, "--json", target)

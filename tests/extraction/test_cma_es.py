@@ -60,7 +60,7 @@ def test_covariance_becomes_the_inverse_hessian() -> None:
     assert (values[:, -1] / values[:, 0]).median() < 15  # 1e4 before
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize("name", PROBLEMS)
 @pytest.mark.parametrize("n", [2, 10])
 def test_no_slower_than_pycma(name: str, n: int) -> None:

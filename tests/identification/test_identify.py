@@ -419,7 +419,7 @@ def coverage(name: str, runs: int, settings: Settings) -> tuple[float, float, fl
     return float(share.mean()), float(share.mean(0).min()), float(share.mean(0).max())
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize(
     ("name", "runs", "reversal"), [("3r", 200, "auto"), ("kuka_lwr4_friction", 60, 0.0)]
 )

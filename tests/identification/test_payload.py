@@ -316,7 +316,7 @@ TRUE = tensor(MASS, *COM, *[0.0] * 6)
 TRUE[[4, 7, 9]] = torch.from_numpy(_box_inertia())
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 @pytest.mark.parametrize(("name", "runs"), [("3r_friction", 40), ("kuka_lwr4_friction", 30)])
 def test_intervals_hold_the_truth_as_often_as_they_say(name, runs):
     """Of the 95 % intervals of all ten quantities in the tool frame."""

@@ -96,7 +96,7 @@ def test_same_seed_same_intervals() -> None:
     assert planted(1).effects != planted(2).effects
 
 
-@pytest.mark.slow
+@pytest.mark.calibration
 def test_intervals_cover() -> None:
     """95 % intervals hold the planted ratio in about 95 of 100 samples, clusters and all."""
     inside = 0

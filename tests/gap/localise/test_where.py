@@ -194,8 +194,8 @@ def test_same_seed_same_answer():
     [
         (0.0, 12),
         (0.98, 12),
-        pytest.param(0.0, 150, marks=pytest.mark.slow),
-        pytest.param(0.98, 150, marks=pytest.mark.slow),
+        pytest.param(0.0, 150, marks=pytest.mark.calibration),
+        pytest.param(0.98, 150, marks=pytest.mark.calibration),
     ],
 )
 def test_no_structure_no_regime(correlation, runs):
