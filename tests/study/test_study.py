@@ -47,7 +47,9 @@ def test_settings_are_the_reports(name):
     }
 
 
-@pytest.mark.parametrize("name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.calibration)])
+@pytest.mark.parametrize(
+    "name", ["3r", pytest.param("kuka_lwr4_friction", marks=pytest.mark.calibration)]
+)
 def test_a_whole_study(name):
     study = tiny(name)
     assert float((study.identification.values - study.truth).abs().max()) < 1e-12
