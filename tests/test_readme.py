@@ -21,6 +21,7 @@ README = ROOT / "README.md"
 SMALLER = {
     " --cases 40": " --cases 1",
     " --runs 10": " --runs 2 --stages 2",
+    "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 8",
     "torchid withheld leave-out": "true leave-out",  # long, and tested elsewhere
     # What this arm's diagnosis leaves open, its vertical first joint, no motion can show.
     "torchid excite --for gap/gap.json": "true excite --for gap/gap.json",
@@ -32,7 +33,7 @@ torchid export 3r_friction --to urdf --name my_arm
 sed 's/"link_3"/"wrist_3"/; s/"3r_friction"/"my_arm"/' my_arm.urdf > renamed
 mv renamed my_arm.urdf
 for k in 1 2 3 4; do
-  torchid excite my_arm.urdf --kind random --duration 15 --seed $k --max-acceleration 5 \\
+  torchid excite my_arm.urdf --kind random --duration 8 --seed $k --max-acceleration 5 \\
     --to motion$k.csv
 done
 E="--effect load_dependent_friction:joint=2,mu=0.05"

@@ -32,10 +32,10 @@ PLANTED = {
     "coulomb_friction": {"Fc": 0.4},
     "viscous_friction": {"Fv": 0.25},
     "torque_offset": {"F0": 0.3},
-    "rotor_inertia": {"Ia": 0.03},
+    "rotor_inertia": {"Ia": 0.1},
     "torque_gain": {"gain": 0.08},
 }
-"""On joint 2, five to ten times the noise."""
+"""On joint 2, several times the noise and more than 1 % of its torque."""
 
 
 def logged(robot: Robot, seed: int, correlation: float) -> Log:
@@ -119,23 +119,23 @@ def outcomes() -> dict[Case, Outcome]:
         return dict(zip(cases, pool.map(outcome, cases), strict=True))
 
 
-def test_false_alarms(outcomes, record_property):
+def test_false_alarms(outcomes):
     said = [o.status != "no_gap" for c, o in outcomes.items() if c.name is None]
-    record_property("false alarms", f"{sum(said)} of {len(said)}")
+    print("false alarms", sum(said), "of", len(said))
     assert sum(said) <= 2  # one in twenty
 
 
-def test_what_is_planted_is_named_alone(outcomes, record_property):
+def test_what_is_planted_is_named_alone(outcomes):
     named = [o.named for c, o in outcomes.items() if c.name is not None]
-    record_property("named", f"{sum(named)} of {len(named)}")
-    assert sum(named) >= 0.85 * len(named)
+    print("named", sum(named), "of", len(named))
+    assert sum(named) >= 0.9 * len(named)
 
 
 @pytest.mark.parametrize("what", ["coefficient_inside", "closed_inside"])
-def test_intervals_hold_the_truth(what, outcomes, record_property):
+def test_intervals_hold_the_truth(what, outcomes):
     held = [getattr(o, what) for c, o in outcomes.items() if c.name is not None]
     held = [x for x in held if x is not None]
-    record_property(what, f"{sum(held)} of {len(held)}")
+    print(what, sum(held), "of", len(held))
     assert len(held) > 40
     # 95 % lies in the interval of what was counted, or more hold than need to.
     assert wilson(sum(held), len(held))[1] >= 0.95
