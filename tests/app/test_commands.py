@@ -147,6 +147,7 @@ def test_identify_refuses_effects_that_need_a_trusted_model(command, folder):
     assert "gear_coupling" in shown.err
 
 
+@pytest.mark.slow
 def test_identify_is_repeatable(command, folder, tmp_path):
     """To rounding: BLAS adds in another order when memory is aligned differently."""
     found = []
@@ -186,6 +187,7 @@ def test_currents_need_gains(command, broken, tmp_path):
     assert fc["parameters"]["Fc"] == pytest.approx([0.245, 0.1523, 0.1827], rel=0.1)
 
 
+@pytest.mark.slow
 def test_excite_simulate_identify(command, tmp_path):
     """The three commands hand files to each other."""
     made = command("excite", "3r_friction", "--restarts", 2, "--out", tmp_path, "--seed", 1)

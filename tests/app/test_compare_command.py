@@ -78,6 +78,7 @@ def test_excite_for_an_identification(command, folder, tmp_path):
     assert header.startswith("t,q1,q2,q3,dq1")
 
 
+@pytest.mark.slow
 def test_excite_for_a_diagnosis(command, tmp_path):
     path = tmp_path / "gap.json"
     path.write_text(json.dumps({**diagnosis(load_robot("3r")), "model": None}))

@@ -47,6 +47,7 @@ def test_sets_written_can_be_read_back(command, tmp_path):
     assert sets.ids == ("run_1", "run_2", "run_3")
 
 
+@pytest.mark.slow
 def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path):
     target = tmp_path / "x.json"
     shown = command("extract", "kuka_lwr4", *SMALL, "--json", target)
@@ -87,6 +88,7 @@ def test_conditions_that_no_set_meets_are_said_beside_the_least_loss_of_the_boun
     assert "total_mass" in data["warnings"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [("--total-mass", "100,200"), ("--bounds", "loose")])
 def test_no_convex_optimum_where_no_set_is_feasible(command, tmp_path, given):
     robot = "3r" if given[0] == "--total-mass" else "kuka_lwr4"
@@ -161,6 +163,7 @@ def test_an_atlas_says_what_the_fit_held(command, tmp_path, identified):
     assert any("exact" in w and "Fc1" in w for w in json.loads(target.read_text())["warnings"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["two-step", "one-step"])
 def test_from_an_identification(command, tmp_path, identified, loss):
     target = tmp_path / "x.json"
@@ -204,6 +207,7 @@ def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified
         assert ("--loss one-step" in said[0]) == (loss == "two-step")
 
 
+@pytest.mark.slow
 def test_atlas(command, tmp_path, identified):
     shown = command("atlas", "3r_friction", identified, "--out", tmp_path)
     assert shown.code == 0, shown.err
@@ -215,6 +219,7 @@ def test_atlas(command, tmp_path, identified):
     assert (tmp_path / "atlas.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypatch):
     import torchid.extraction.extract as module
 

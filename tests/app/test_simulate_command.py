@@ -53,6 +53,7 @@ def test_effects_change_the_motion(command, trajectory, tmp_path) -> None:
     assert said["effects"][0]["Fc"] == 0.6
 
 
+@pytest.mark.slow
 def test_closed_loop_without_effects_follows(command, trajectory, tmp_path) -> None:
     done, target, _ = _simulate(
         command, trajectory, tmp_path, "--closed-loop", "--rate", 200, "--noise", "none"

@@ -43,6 +43,7 @@ def test_the_seal_is_printed_and_stored_before_any_diagnosis(made):
     assert not list(folder.rglob("answer.json"))
 
 
+@pytest.mark.slow
 def test_make_run_score(made, said, command, tmp_path):
     _, folder = made
     outcome = command("withheld", "run", folder, "--jobs", 1, "--json", tmp_path / "run.json")

@@ -22,6 +22,7 @@ def choices(result):
     return {choice.name for check in result.undecided for choice in check.choices}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "names"),
     [
@@ -90,6 +91,7 @@ def test_a_name_that_is_not_offered_is_refused():
     assert error.value.available == ["torque unit mNm", "torque unit Ncm"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "turned", "invisible"),
     [("3r", [0], True), ("3r", [1], False), ("kuka_lwr4", range(7), True)],

@@ -117,6 +117,7 @@ def test_energy_is_kept_without_friction(name: str) -> None:
     assert float((energy - energy[0]).abs().max() / exchanged) < 1e-8
 
 
+@pytest.mark.slow
 def test_energy_lost_is_the_work_of_friction() -> None:
     energy, lost = swing(arm("3r"), 0.05, seconds=0.2, step=5e-4)
     assert float(lost[-1]) > 1e-3

@@ -186,6 +186,7 @@ def test_table_5_1_keeps_the_limits_of_the_3r():
 # --- limits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [load_robot("3r"), load_robot("kuka_lwr4"), random_arm()])
 def test_random_trajectories_keep_the_limits_at_every_instant(robot):
     for seed in range(20):
@@ -301,6 +302,7 @@ def test_a_sinusoid_is_eq_5_2():
 # --- design
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), [("3r", 2.0), ("kuka_lwr4", 2.0)])
 def test_the_design_improves_the_condition_number(name, factor):
     robot = load_robot(name)

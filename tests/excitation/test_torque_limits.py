@@ -81,6 +81,7 @@ def share(robot, tau):
     return (tau / robot.limits.torque[:, 1]).maximum(tau / robot.limits.torque[:, 0]).amax(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("usage", [1.0, 0.9])
 def test_the_written_trajectory_keeps_them(robot, usage, tmp_path):
     assert {r["effect"] for r in robot.effects} <= set(FRICTION)

@@ -204,6 +204,7 @@ def test_the_one_step_loss_has_the_same_ranges() -> None:
     torch.testing.assert_close(a.high, b.high, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_confidence_ellipsoid() -> None:
     """Wider than the exact ranges, wider with more noise, and it holds a truth that is within the
     quantile of chi squared."""

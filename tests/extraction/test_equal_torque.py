@@ -118,6 +118,7 @@ def test_null_space_is_orthonormal_and_changes_no_torque(name: str) -> None:
     assert float((y @ directions).abs().max()) < 1e-11 * float(y.abs().max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_torque_is_the_references(name: str) -> None:
     case, found = setting(name), family(name)

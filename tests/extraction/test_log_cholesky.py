@@ -106,6 +106,7 @@ def test_sets_of_equal_torque_differ_with_their_starts() -> None:
     assert_inside(given, found.p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kuka_lwr4", "kuka_lwr4_friction"])
 def test_every_start_ends_at_the_least_loss(name: str) -> None:
     given = problem(name)

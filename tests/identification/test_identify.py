@@ -66,6 +66,7 @@ def by_default(name: str, seed: int) -> Identification:
     return identify(load_robot(name), honest(name, seed, rate), settings=settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"), [("3r", 0), ("3r", 1), ("3r_friction", 0), ("kuka_lwr4_friction", 0)]
 )
@@ -274,6 +275,7 @@ def test_prismatic_joints():
     assert found.base.units[0] == "kg"
 
 
+@pytest.mark.slow
 def test_progress_is_reported():
     stages: dict[str, list[tuple[int, int]]] = {}
 

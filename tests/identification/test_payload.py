@@ -216,6 +216,7 @@ def test_what_a_planar_arm_cannot_tell_is_said(robot):
 _NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_a_thousand_repetitions():
     """The delta method against sampling, in the tool frame of an arm."""
     robot = replace(arm("kuka_lwr4"), tool=TOOL)

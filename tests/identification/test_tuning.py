@@ -87,6 +87,7 @@ def test_a_coarser_encoder_asks_for_a_lower_cutoff():
     assert 1.0 <= chosen[1] <= 6.0
 
 
+@pytest.mark.slow
 def test_a_log_without_noise_and_with_accelerations_needs_no_filter():
     choice = choose_cutoff(training(log_of(ROBOT, None)))
     assert choice.cutoff is None
@@ -147,6 +148,7 @@ def slow_motion() -> Log:
     return trajectory_log(slowed, 200.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 1, 2])
 def test_a_planted_delay_of_friction_is_found(joint):
     plan = slow_motion()

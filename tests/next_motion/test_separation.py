@@ -164,6 +164,7 @@ def test_the_rival_is_as_large_as_the_truth(robot, setting):
     assert found.values[0] > 0
 
 
+@pytest.mark.slow
 def test_the_design_separates_more_within_the_limits(robot, setting):
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
     pairs = [

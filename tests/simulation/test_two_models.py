@@ -127,6 +127,7 @@ def test_the_result_is_json_and_a_function_of_the_seed(
     assert one == same != other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.02, -1.0, float("inf")])
 def test_divergence_is_counted_and_nothing_is_raised(
     coulomb: tuple[Robot, Robot, Segment], scale: float

@@ -86,6 +86,7 @@ def test_reference_of_the_lwr_is_feasible_and_says_what_changed() -> None:
     assert case.geometry == "normal_corrected"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_torque_is_equal_by_pinocchio(name: str) -> None:
     found = drawn(name)
@@ -239,6 +240,7 @@ def test_study_answers_every_question_for_the_3r() -> None:
     assert [t.third for t in found.statistics.thirds].count("middle") == len(KINDS)
 
 
+@pytest.mark.slow
 def test_same_seed_same_study() -> None:
     again = equal_torque_study(
         load_robot("3r"), per_kind=24, chains=12, kinds=KINDS, with_variants=False, resamples=50

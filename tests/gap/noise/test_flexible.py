@@ -24,6 +24,7 @@ def motions(segments: list[Segment]) -> list[Motion]:
     return [s.motion for s in segments]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hz", [None, 2.0, 0.5])
 def test_noise_is_not_predicted(hz):
     """Of 15 joints at most two have a positive lower bound (2.5 % each), and R^2 is about zero."""
