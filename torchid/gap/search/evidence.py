@@ -209,6 +209,7 @@ def fit_terms(
     terms: Sequence[Term],
     effective: Float[Tensor, " n"],
     weight: Float[Tensor, " n"] | None = None,
+    rounds: int = 2,
 ) -> Fitted:
     """The maximum of the likelihood over the coefficients of terms, and its evidence.
 
@@ -217,6 +218,8 @@ def fit_terms(
         terms: beside the fixed ones, which come first.
         effective: (n,) numbers of samples.
         weight: (n,) of the joints' squares at the start.
+        rounds: how often the joints are weighted anew by what they leave. Two are enough to rank;
+            ten for what is told, where columns that all joints share pull the weights apart.
     """
     normal = question.normal
     every = (*question.fixed, *terms)
@@ -224,9 +227,9 @@ def fit_terms(
     ridge = ridge_of(every)
     if weight is None:
         weight = effective / torch.stack([g[-1, -1] for g in normal.g]).clamp(min=1e-300)
-    # Each joint's weight is what it leaves: twice is enough to rank, and each step gains.
+    # Each joint's weight is what it leaves; every round gains.
     equations = normal.of(subset)
-    for _ in range(2):
+    for _ in range(rounds):
         solved = equations.solve(weight, ridge)
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)

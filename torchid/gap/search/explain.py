@@ -141,6 +141,7 @@ def explained(
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
+    fit = fit_terms(question, fit.terms[len(question.fixed) :], fit.effective, fit.weight, 10)
     columns = Columns(model, data.samples)
     solution = solved(columns, fit.terms, fit.values(), data, wanted, block)
     return Explanation(question, empty_fit(question), fit, tuple(left), solution)
@@ -169,14 +170,14 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
 
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
-    of every cause. They displace what has no torque of its own left beside them."""
+    of every cause. They displace what the evidence does not need beside them."""
     own = fit.terms[len(question.fixed) :]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
         return fit
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
-    more = fit_terms(question, beside, fit.effective, fit.weight)
+    more = fit_terms(question, beside, fit.effective, fit.weight, 10)
     if more.evidence <= fit.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted.
@@ -186,21 +187,18 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     fall = without.sqrt() - then.sqrt()
     if not bool((fall >= question.least(without)).any()):
         return fit
-    # A cause whose coefficients have shrunk until its torque is not worth a name is none.
+    # Beside them the causes that the evidence is better without leave, the least needed first; a
+    # load stays, for they hold whatever it does.
     while True:
-        kept = []
-        values = more.values()[len(question.fixed) :]
-        for term, x in zip(more.terms[len(question.fixed) :], values, strict=True):
-            joints = slice(None) if term.place is None else slice(term.place, term.place + 1)
-            torque = torch.zeros_like(question.candidates.gap)
-            torque[joints] = torch.tensordot(x, rows_of(question, term), 1)
-            size = (torque * question.candidates.keep).square().sum(1) / rows
-            least = question.least(more.losses / rows + size)
-            if term.name == BASE or bool((size.sqrt() >= least).any()):
-                kept.append(term)
-        if len(kept) == len(values):
+        kept = more.terms[len(question.fixed) :]
+        rest = [[t for t in kept if t is not s] for s in kept if s.name not in (BASE, PAYLOAD)]
+        lighter = [
+            allowed(question, fit_terms(question, r, more.effective, more.weight, 10)) for r in rest
+        ]
+        best = max(lighter, key=lambda f: f.evidence, default=more)
+        if best.evidence <= more.evidence:
             return more
-        more = fit_terms(question, kept, more.effective, more.weight)
+        more = best
 
 
 def without_terms(
@@ -210,7 +208,7 @@ def without_terms(
     question, fit = found.question, found.fit
     # The other terms are fitted anew.
     kept = [t for t in found.terms if all(t is not g for g in gone)]
-    less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight))
+    less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight, 10))
     start = found.solution.start
     columns = Columns(start, data.samples)
     wanted = found.solution.wanted

@@ -20,6 +20,7 @@ from torchid.gap.search.evidence import (
     Question,
     directions,
     fit_terms,
+    is_common,
     residual,
 )
 from torchid.gap.search.explain import Explanation
@@ -66,11 +67,18 @@ def told(found: Explanation) -> Told:
     for k, term in enumerate(found.terms):
         # What is lost without it, the others refitted; and what it closes alone.
         rest = [t for t in found.terms if t is not term]
-        without = fit_terms(question, rest, fit.effective, fit.weight)
+        without = fit_terms(question, rest, fit.effective, fit.weight, 10)
         alone = fit_terms(question, [term], fit.effective, fit.weight)
         share = (float((weight * without.losses).sum()) - last) / closable
         first = (start - float((weight * alone.losses).sum())) / closable
         p = p_value(question, fit, without, term)
+        if term.name == PAYLOAD:
+            # All base parameters hold whatever a load does, so it is tested without them.
+            effects = [t for t in found.terms if t.name != BASE]
+            lighter = [t for t in effects if t is not term]
+            with_it = fit_terms(question, effects, fit.effective, fit.weight, 10)
+            without_it = fit_terms(question, lighter, fit.effective, fit.weight, 10)
+            p = p_value(question, with_it, without_it, term)
         others = alternatives(question, fit, without, term)
         names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for t in others))
         # An alternative that leaves the same is the same: no data of this kind tell them apart.
@@ -109,11 +117,14 @@ def told(found: Explanation) -> Told:
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
     """Family-wise p-value of a term beside the others: of the likelihood ratio with the effective
-    number of samples (Wilks 1938), times all candidates."""
+    number of samples (Wilks 1938), times all candidates. A joint of what most joints have was not
+    searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
     ratio = fit.effective * (without.losses / fit.losses.clamp(min=1e-300)).log()
     df = directions(question, term) + term.shapes
-    return min(1.0, question.looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
+    searched = not is_common(term.name, fit.terms, len(fit.losses))
+    looks = question.looks if searched else 1.0
+    return min(1.0, looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
 
 
 def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Term]:
@@ -143,7 +154,7 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
             names.setdefault(other.name, other)
     for base in question.candidates.terms:
         if base.name == BASE and not term.inertial and LINK not in names:
-            again = fit_terms(question, (*others, base), fit.effective, fit.weight)
+            again = fit_terms(question, (*others, base), fit.effective, fit.weight, 10)
             lost = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
             if float(lost.sum()) < 2 * math.log(ODDS):
                 names[LINK] = base
