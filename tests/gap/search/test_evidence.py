@@ -24,6 +24,7 @@ from torchid.gap.search.evidence import (
     rows_of,
     subset_of,
 )
+from torchid.gap.search.terms import BASE
 from torchid.gap.search.told import p_value
 from torchid.typing import Tensor
 
@@ -194,6 +195,19 @@ def test_every_joint_is_weighed_by_what_it_leaves(question: Question) -> None:
     fit = fit_terms(question, [term(question, "viscous_friction", 1)], question.normal.rows)
     assert torch.allclose(fit.weight * fit.losses, question.normal.rows)
     assert [len(v) for v in fit.values()] == [1]
+
+
+def test_weights_settle_where_columns_are_shared() -> None:
+    """All base parameters pull on every joint: the same maximum from any start."""
+    data = measured([(ViscousFriction(1), [2.0])], noise=0.01)
+    question = question_of(data, inertial=True)
+    base = next(t for t in question.candidates.terms if t.name == BASE)
+    effective = torch.full((3,), 200.0, dtype=torch.float64)
+    few, many = (fit_terms(question, [base], effective, None, k).evidence for k in (1, 10))
+    assert many >= few
+    starts = torch.eye(3, dtype=torch.float64) * 1e4 + 1.0
+    ends = [fit_terms(question, [base], effective, start, 30).evidence for start in starts]
+    assert max(ends) - min(ends) < 1e-3 * abs(max(ends))
 
 
 def test_a_prior_holds_bodies_back() -> None:
