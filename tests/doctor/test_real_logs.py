@@ -3,14 +3,19 @@
 import pytest
 import torch
 
-from tests.real_logs import FOLDER, NO_LOGS
+from tests.real_logs import FOLDER, NO_LOGS, SOUND
 from torchid.doctor.examine import examine
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
 ODD = ("jointwise", "5periods")  # joints at rest; a time axis that was made up
-PATHS = [p for p in sorted(FOLDER.glob("*/*.parquet")) if not any(w in p.stem for w in ODD)]
+PATHS = [
+    path
+    for arm in SOUND
+    for path in sorted(FOLDER.glob(f"{arm}/*.parquet"))
+    if not any(word in path.stem for word in ODD)
+]
 ABSENT = pytest.param(None, marks=pytest.mark.skip(reason=NO_LOGS))
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 
