@@ -294,6 +294,7 @@ def test_demo(command, tmp_path):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--json", "-")])
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...]) -> None:
     """`torchid ... | head`: what is left unsaid is no failure, and files are still written."""

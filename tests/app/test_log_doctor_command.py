@@ -54,6 +54,7 @@ def test_the_log_itself_is_never_written_over(bad: Path) -> None:
         run("log", "doctor", "3r", bad, "--apply", bad)
 
 
+@pytest.mark.slow
 def test_equally_good_fixes_are_applied_only_once_one_is_chosen(tmp_path: Path) -> None:
     _, log = clean("3r", 0)
     assert log.tau is not None

@@ -61,6 +61,7 @@ def test_the_payload_is_estimated_printed_and_written(logs, tmp_path):
     assert (data["cutoff_hz"], data["seed"]) == (5.0, 4)
 
 
+@pytest.mark.slow
 def test_no_payload_is_said(logs, tmp_path):
     got = call(
         "3r_friction", logs / "empty.parquet", "--loaded", logs / "again.parquet",
@@ -74,6 +75,7 @@ def test_no_payload_is_said(logs, tmp_path):
     assert data["frames"]["tool"]["com"]["value"] == [None] * 3
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing(logs):
     got = call(
         "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", "--cutoff", 5,

@@ -26,6 +26,7 @@ def sha256(path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_identify(command, folder, tmp_path):
     page, data = tmp_path / "a page.html", tmp_path / "result.json"
     log, held = folder / "fit.parquet", folder / "check.csv"

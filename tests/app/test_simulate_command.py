@@ -33,6 +33,7 @@ def test_without_effects_the_arm_is_on_the_trajectory(command, trajectory, tmp_p
     assert said["closed_loop"] is False
 
 
+@pytest.mark.slow
 def test_effects_change_the_motion(command, trajectory, tmp_path) -> None:
     friction = "coulomb_friction:joint=2,Fc=0.6"
     gain = "torque_gain:joint=1,gain=0.5"

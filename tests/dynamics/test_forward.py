@@ -110,6 +110,7 @@ def swing(robot: Robot, friction: float, *, seconds: float, step: float) -> tupl
     return torch.stack(energies), torch.stack(lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_energy_is_kept_without_friction(name: str) -> None:
     energy, _ = swing(arm(name), 0.0, seconds=0.2, step=5e-4)

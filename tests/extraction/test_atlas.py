@@ -131,6 +131,7 @@ def test_a_pendulum_with_bounds() -> None:
     assert bool(torch.isfinite(found.low).all() & torch.isfinite(found.high).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", "3r_friction"])
 def test_the_ends_are_reached(name: str) -> None:
     """Sets at the ends reproduce the base parameters, are feasible to the solver's tolerance, and

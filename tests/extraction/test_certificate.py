@@ -92,6 +92,7 @@ def test_the_reports_three_axis_arm_has_one(name: str, group: str) -> None:
     assert float(found.sets.parameters.consistency_margin().min()) >= 0.99 * found.strict
 
 
+@pytest.mark.slow
 def test_inertia_bounds_that_matter_are_bracketed() -> None:
     """The tight group's barycentric bounds cost something: phi_min counts them by a relaxation,
     the set meets them in full."""

@@ -84,6 +84,7 @@ def test_feasible_sets_come_back(name: str) -> None:
     assert bool(found.feasible.all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mixed", "panda", "ur10e"])
 def test_random_infeasible_sets(name: str) -> None:
     robot = arm(name)

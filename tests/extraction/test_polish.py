@@ -106,6 +106,7 @@ def test_with_shapes_and_total_mass() -> None:
 # ---- runs on their own ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 @pytest.mark.parametrize("conditions", [True, False])
 @pytest.mark.parametrize(("name", "group"), [("3r", "loose"), ("kuka_lwr4", "tight")])

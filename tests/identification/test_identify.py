@@ -314,6 +314,7 @@ def test_another_number_of_joints():
         identify(ROBOT, honest(), held_out=honest("kuka_lwr4_friction"), settings=QUICK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "settings"),
     [(0, QUICK), (1, QUICK), (2, QUICK), (1, Settings()), (2, replace(QUICK, rows="moving"))],

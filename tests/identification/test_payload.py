@@ -147,6 +147,7 @@ def noiseless_change(robot: Robot, payload: torch.Tensor):
     return base, base.project(full.flatten()[paper_order(robot.n)])
 
 
+@pytest.mark.slow
 @examples(max_examples=25, deadline=None)
 @given(
     name=some.sampled_from(["3r", "kuka_lwr4", "panda", "ur10e", "mixed"]),

@@ -58,6 +58,7 @@ def true_error(log: Log, robot, effects, cutoff: float) -> float:
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "effects", "step", "seed"),
     [
@@ -78,6 +79,7 @@ def test_the_cutoff_is_nearly_the_best_for_the_truth(robot, effects, step, seed)
     assert choice.scores[choice.candidates.index(choice.cutoff)] == min(choice.scores)
 
 
+@pytest.mark.slow
 def test_a_coarser_encoder_asks_for_a_lower_cutoff():
     chosen = [
         choose_cutoff(training(log_of(RIGID, HonestNoise(step, 0.02)), RIGID, ())).cutoff
@@ -216,6 +218,7 @@ def test_long_logs_are_shortened_by_whole_trajectories(monkeypatch, sizes, longe
     assert lengths(tuning.shortened(log)) == expected
 
 
+@pytest.mark.slow
 def test_a_shortened_log_still_gives_a_choice(monkeypatch):
     log = log_of(ROBOT, COARSE, count=3)
     whole = choose_cutoff(training(log))

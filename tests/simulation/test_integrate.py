@@ -87,6 +87,7 @@ def test_dry_friction_holds_what_it_can(share: float, moves: bool) -> None:
     assert (moved > 1e-4) if moves else (moved == 0.0)
 
 
+@pytest.mark.slow
 def test_a_joint_breaks_away_at_its_static_friction() -> None:
     """Stribeck: Fc + Fs holds, Fc slides; under a slow ramp it slips once the sum is exceeded."""
     robot = flywheel()

@@ -91,6 +91,7 @@ def coulomb() -> tuple[Robot, Robot, Segment]:
     return before, after, segment(after, 30.0)
 
 
+@pytest.mark.slow
 def test_a_planted_effect_makes_rollouts_better(coulomb: tuple[Robot, Robot, Segment]) -> None:
     before, after, run = coulomb
     result = rollouts(before, after, [run], max_starts=40)
