@@ -85,7 +85,16 @@ class Columns:
         self.samples = samples
         self.motions = [s.motion._replace(torque=model.load(s.motion)) for s in samples.segments]
         short = len(samples) * model.robot.n <= KEPT
-        self._kept: dict[object, tuple[Place, Tensor]] | None = {} if short else None
+        # By effect, or by a kind and its shapes.
+        self._kept: dict[object, tuple[type[Effect], Place, Tensor]] | None = {} if short else None
+
+    def at(self, model: Model) -> "Columns":
+        """Columns of the same samples at another model. What no load enters stays as it is, as long
+        as the rigid body does."""
+        new = Columns(model, self.samples)
+        if self._kept is not None and new._kept is not None and model.robot is self.model.robot:
+            new._kept |= {k: v for k, v in self._kept.items() if "torque" not in v[0].needs}
+        return new
 
     @property
     def n(self) -> int:
@@ -100,11 +109,12 @@ class Columns:
     def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns of an effect: (C, N) of its joint, or (C, n, N) of all joints."""
         if self._kept is not None and effect in self._kept:
-            return self._kept[effect]
-        found = self._evaluated(effect)
+            _, place, columns = self._kept[effect]
+            return place, columns
+        place, columns = self._evaluated(effect)
         if self._kept is not None:
-            self._kept[effect] = found
-        return found
+            self._kept[effect] = type(effect), place, columns
+        return place, columns
 
     def _evaluated(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         if isinstance(effect, JointEffect):
@@ -129,7 +139,7 @@ class Columns:
         """Columns of a joint effect for a list of shapes."""
         key = kind, joint, tuple(shapes.flatten().tolist())
         if self._kept is not None and key in self._kept:
-            return self._kept[key][1]
+            return self._kept[key][2]
         motions = [only(m, joint) for m in self.motions]
         total = sum(m.q.shape[0] for m in motions) * len(kind.coefficients)
         parts = []
@@ -138,7 +148,7 @@ class Columns:
             signals = [kind.formula(m, *given)[..., 0, :].transpose(-1, -2) for m in motions]
             parts.append(self._sampled([x if given else x.unsqueeze(0) for x in signals]))
         if self._kept is not None:
-            self._kept[key] = joint, torch.cat(parts)
+            self._kept[key] = kind, joint, torch.cat(parts)
         return torch.cat(parts)
 
     @cached_property

@@ -96,7 +96,8 @@ def explained(
     # The gap is always that of the model as given; columns are taken at the model found so far.
     at, extra = model, list[Effect]()
     start: tuple[Term, ...] = ()
-    gap = Columns(model, data.samples).gap()
+    given = Columns(model, data.samples)
+    gap = given.gap()
 
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
@@ -105,7 +106,7 @@ def explained(
         return Question(candidates, normal, rules.alpha, rules.worth)
 
     for attempt in range(PASSES):
-        columns = Columns(at, data.samples)
+        columns = given.at(at) if attempt else given
         question = asked(columns)
         # Events first: no law may explain a push.
         if attempt == 0 and Contact.name in wanted.names:
@@ -142,8 +143,7 @@ def explained(
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     fit = fit_terms(question, fit.terms[len(question.fixed) :], fit.effective, fit.weight, 10)
-    columns = Columns(model, data.samples)
-    solution = solved(columns, fit.terms, fit.values(), data, wanted, block)
+    solution = solved(given, fit.terms, fit.values(), data, wanted, block)
     return Explanation(question, empty_fit(question), fit, tuple(left), solution)
 
 

@@ -91,7 +91,7 @@ def solved(
         wanted: what was looked for.
         block: (N,) block of every sample, for the standard deviations.
     """
-    start, samples = columns.model, columns.samples
+    start = columns.model
     taken, values = list(terms), list(x)
     best: Solution | None = None
     weight = torch.ones_like(data.keep, dtype=torch.float64)
@@ -100,7 +100,7 @@ def solved(
         # The corrected model at the estimate, and what it leaves.
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
         model = corrected(start, taken, values, wanted)
-        at = Columns(model, samples)
+        at = columns.at(model)
         left = at.gap() * data.keep
         # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
         if step < 2:
@@ -152,8 +152,8 @@ def corrected(
     """The model with the fitted terms: other inertial parameters, further effects. An effect that
     it has already grows by the coefficients; another shape of it stands in its place."""
     # Inertial parameters grow; effects grow, are replaced, or join.
-    pi = start.robot.require_parameters("a diagnosis").pi.double().clone()
-    effects: list[Valued] = list(start.effects)
+    nominal = start.robot.require_parameters("a diagnosis").pi.double()
+    pi, effects = nominal.clone(), list[Valued](start.effects)
     for term, v in zip(terms, values, strict=True):
         if term.name == BASE:
             pi.view(-1)[wanted.independent] += v
@@ -164,7 +164,9 @@ def corrected(
                 effects = [p for p in effects if p[0] != own.effects[0]]
             for effect in term.effects:
                 effects = _grown(effects, effect, v.tolist())
-    return Model(start.robot.with_parameters(InertialParameters(pi)), tuple(effects))
+    same = torch.equal(pi, nominal)
+    robot = start.robot if same else start.robot.with_parameters(InertialParameters(pi))
+    return Model(robot, tuple(effects))
 
 
 def _grown(effects: list[Valued], effect: Effect, values: list[float]) -> list[Valued]:
