@@ -20,7 +20,7 @@ from torchid.typing import Tensor
 
 CUTOFF = 8.0
 NOISE = 0.05
-WORTH = Worth()
+WORTH = Worth(gap=0.05, torque=0.01)
 SIMPLE = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 

@@ -124,6 +124,18 @@ def is_friction(found: Diagnosis) -> None:
     assert worst.joint == 1
 
 
+def test_the_least_worthwhile_size_is_the_users():
+    """A friction of half a per cent of the joint's torque, well above the noise of its mean."""
+    small = replace(ROBOT, effects=({"effect": "coulomb_friction", "joint": 2, "Fc": 0.025},))
+    searched = replace(QUICK, parameters="trusted", effects=("coulomb_friction", "torque_offset"))
+    names = []
+    for share, of_torque in ((0.05, 0.01), (0.0, 0.0)):
+        settings = replace(searched, worthwhile=share, worthwhile_torque=of_torque)
+        found = diagnose(ROBOT, logged(small), settings=settings)
+        names.append([(f.effect.name, f.joints) for f in found.findings])
+    assert names == [[], [("coulomb_friction", (1,))]]
+
+
 def test_no_effect_no_gap():
     found = case("none")
     assert found.status == "no_gap"

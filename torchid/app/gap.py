@@ -50,6 +50,10 @@ def gap_command(
             help="Least share of a joint's held-out error that a cause must take away to be named.",
         ),
     ] = 0.05,
+    worthwhile_torque: Annotated[
+        float,
+        typer.Option(min=0, max=0.99, help="The same, as a share of the joint's torque."),
+    ] = 0.01,
     max_effects: Annotated[
         int, typer.Option(min=1, help="Number of effects accepted at most.")
     ] = 20,
@@ -97,6 +101,7 @@ def gap_command(
         parameters=parameters,
         cutoff=opt.auto_hz(cutoff),
         worthwhile=worthwhile,
+        worthwhile_torque=worthwhile_torque,
         max_effects=max_effects,
         held_out_fraction=held_out_fraction,
         rollout=rollout,

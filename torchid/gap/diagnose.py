@@ -132,7 +132,9 @@ def diagnose(
     data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
-    rules = Rules(settings.alpha, Worth(settings.worthwhile), settings.max_effects)
+    rules = Rules(
+        settings.alpha, Worth(settings.worthwhile, settings.worthwhile_torque), settings.max_effects
+    )
     block = _blocks(data, start)
     found = explained(start, data, wanted, rules, folds.parts, block)
 
@@ -446,7 +448,7 @@ def _beyond(found: Explanation) -> str:
     return (
         f"{len(found.unworthy)} more terms have evidence but are not worth a name"
         + (f"; together they would lower the error of {said}" if said else "")
-        + ": --worthwhile"
+        + ": --worthwhile, --worthwhile-torque"
     )
 
 

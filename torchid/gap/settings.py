@@ -25,6 +25,7 @@ class GapSettings:
         alpha: family-wise level at which an effect is accepted.
         worthwhile: least share of a joint's gap by which a cause must lower its held-out error to
             be worth a name.
+        worthwhile_torque: the same as a share of the joint's torque.
         folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.
         held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
@@ -41,6 +42,7 @@ class GapSettings:
     report_band: float = 20.0
     alpha: float = 0.01
     worthwhile: float = 0.05
+    worthwhile_torque: float = 0.01
     folds: int = 5
     max_effects: int = 20
     held_out_fraction: float = 0.0
@@ -68,8 +70,9 @@ class GapSettings:
             _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
         _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
         _between("alpha", self.alpha, 0.0, 1.0, "0..1")
-        if self.worthwhile != 0:
-            _between("the least worthwhile share", self.worthwhile, 0.0, 1.0, "0..1")
+        for share in (self.worthwhile, self.worthwhile_torque):
+            if share != 0:
+                _between("the least worthwhile share", share, 0.0, 1.0, "0..1")
         if self.held_out_fraction != 0:
             _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
         _whole("the number of folds", self.folds, 2)

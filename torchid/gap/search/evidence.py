@@ -80,8 +80,8 @@ class Worth:
         torque: share of a joint's torque [1].
     """
 
-    gap: float = 0.05
-    torque: float = 0.01
+    gap: float
+    torque: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Question:
     candidates: Candidates
     normal: Normal
     alpha: float
-    worth: Worth = Worth()
+    worth: Worth
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
     seen: dict[int, int] = field(default_factory=dict, repr=False)
 
