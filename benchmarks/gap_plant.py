@@ -100,6 +100,9 @@ class Scene:
         starts: the clock at the first sample of each [s].
         motions: of each, coarser, with t from 0 and the nominal torque.
         noise: (n,) standard deviation of the torque noise [N m; N].
+        rate: of the motions [Hz].
+        band: below which sizes are measured [Hz].
+        lasting: length of the shortest motion [s].
     """
 
     robot: Robot
@@ -107,6 +110,9 @@ class Scene:
     starts: tuple[float, ...]
     motions: tuple[Motion, ...]
     noise: Tensor
+    rate: float = RATE / COARSE
+    band: float = BAND
+    lasting: float = DURATION
 
     @property
     def together(self) -> Motion:
@@ -193,7 +199,7 @@ def gap(scene: Scene, effects: Sequence[Valued]) -> list[Tensor]:
     robot, nominal = scene.robot, nominal_effects(scene.robot)
     out = []
     for motion, start in zip(scene.motions, scene.starts, strict=True):
-        own = on_clock(effects, start)
+        own = on_clock(effects, start, scene.lasting)
         arm = robot
         for effect, values in own:
             if isinstance(effect, ModelEffect):
@@ -214,12 +220,14 @@ def _is_body(effect: Effect) -> bool:
 
 def ratios(scene: Scene, effects: Sequence[Valued]) -> Tensor:
     """(n,) size of effects on every joint, see the module."""
-    low = ZeroPhaseFilter(RATE / COARSE, BAND)
+    low = ZeroPhaseFilter(scene.rate, scene.band)
     every = torch.cat([low.apply(x.T).T for x in gap(scene, effects)])
     size = every.square().mean(0).sqrt() / scene.noise
     for effect, _ in effects:
         if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
-            size = size * math.sqrt(len(scene.motions) * DURATION / (effect.stop - effect.start))
+            size = size * math.sqrt(
+                len(scene.motions) * scene.lasting / (effect.stop - effect.start)
+            )
     return size
 
 
@@ -498,7 +506,7 @@ def _saturation(scene: Scene, g: torch.Generator, joint: int) -> Sized:
 def _contact(scene: Scene, g: torch.Generator, joint: int) -> Sized:
     length = uniform(g, 0.5, 2.0)
     k = pick(g, len(scene.starts))
-    start = scene.starts[k] + uniform(g, 1.0, DURATION - 1.0 - length)
+    start = scene.starts[k] + uniform(g, 1.0, scene.lasting - 1.0 - length)
     force = torch.randn(3, generator=g, dtype=torch.float64)
     return _times(Contact(start, start + length), (force / force.norm()).tolist())
 

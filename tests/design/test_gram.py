@@ -23,7 +23,7 @@ class Problem:
         self.y = random(2, ROWS, seed=7)
         self.keep = random(2, ROWS, seed=8) > -1
         self.part = (random(ROWS, seed=9) > 0).long() + (random(ROWS, seed=10) > 1).long()
-        self.gram = Gram(COMMON, OWN, PARTS)
+        self.gram = Gram(COMMON, len(OWN), PARTS)
         for j, a in enumerate(self.columns):
             # In pieces, as effects come, and in two goes, as logs do.
             pieces = [a[:COMMON], a[COMMON : COMMON + 1], a[COMMON + 1 :]]
@@ -134,7 +134,7 @@ def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Prob
 def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
     """They share what either would have, and nothing becomes large."""
     a = problem.columns[0][:1]
-    gram = Gram(0, (2,), 1)
+    gram = Gram(0, 1, 1)
     gram.add(0, [a, a], problem.y[0], problem.keep[0], torch.zeros(ROWS, dtype=torch.long))
     both = OnJoint(torch.arange(2), torch.arange(2), torch.tensor([0.0, 0.0, 1.0]))
     found = gram.over().of(Subset(2, (both,))).solve(WEIGHT[:1]).x

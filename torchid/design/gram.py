@@ -23,22 +23,16 @@ class Gram:
 
     Args:
         common: number of columns that act on all joints.
-        own: per joint the number of its own columns.
+        n: number of joints.
         parts: P.
     """
 
-    def __init__(self, common: int, own: Sequence[int], parts: int):
+    def __init__(self, common: int, n: int, parts: int):
         self.common = common
-        self.own = tuple(own)
+        self.n = n
         self.parts = parts
-        sizes = [common + k + 1 for k in own]
-        self.g = [torch.zeros(parts, s, s, dtype=torch.float64) for s in sizes]
-        self.rows = torch.zeros(parts, len(own), dtype=torch.float64)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.own)
+        self.g = [torch.zeros(parts, 0, 0, dtype=torch.float64)] * n
+        self.rows = torch.zeros(parts, n, dtype=torch.float64)
 
     def add(
         self,
@@ -48,8 +42,11 @@ class Gram:
         keep: Bool[Tensor, " N"],
         part: Int[Tensor, " N"],
     ) -> None:
-        """Samples of one joint: its columns in pieces, the common ones first."""
+        """Samples of one joint: its columns in pieces, the common ones first; all of them each
+        time."""
         a = torch.cat([*columns, y.unsqueeze(0)])
+        if not self.g[joint].numel():
+            self.g[joint] = torch.zeros(self.parts, len(a), len(a), dtype=torch.float64)
         for p in part.unique().tolist():
             own = a[:, keep & (part == p)]
             self.g[joint][p] += own @ own.T

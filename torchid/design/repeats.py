@@ -219,7 +219,7 @@ def _difference(
 
 def _spread(q: Samples) -> Float[Tensor, " n"]:
     """Standard deviation of each joint, a tenth of the liveliest joint's at least."""
-    spread = q[:: max(1, len(q) // 20_000)].std(0)
+    spread = q[:: max(1, len(q) // 2_000)].std(0)
     return spread.clamp(min=max(1e-12, 0.1 * float(spread.max())))
 
 
@@ -227,6 +227,9 @@ def _stretches(a: int, one: Segment, b: int, two: Segment, lag: int) -> list[Pai
     """Where two segments agree at a lag, which is refined on the way."""
     total = float(lag)
     pairs: list[Pair] = []
+    # Most lags are none: whole samples and loose tolerances tell so at the least cost.
+    if not _agreeing(a, one, b, two, total, looser=10.0):
+        return []
     for _ in range(_REFINEMENTS):
         pairs = _agreeing(a, one, b, two, total)
         if not pairs:
@@ -257,6 +260,8 @@ def _agreeing(
         gap = (there - x[start:stop:step]) / _spread(x)
         limit = (looser * tolerance) ** 2
         agrees &= (_local_mean(gap.square().T, one.rate / step) < limit).all(0)
+        if not bool(agrees.any()):
+            return []
     shortest, margin = round(SHORTEST * one.rate), round(_MARGIN * one.rate)
     out = []
     for first, last in _runs(agrees):
@@ -272,6 +277,8 @@ def _agreeing(
 def _read(x: Float[Tensor, "_ n"], rows: slice, shift: float) -> Float[Tensor, "_ n"]:
     """Rows of a smooth signal, later by a fraction of a sample: cubic (Catmull-Rom) is enough for
     positions, and touches only what is read."""
+    if shift == 0.0:
+        return x[rows]
     index = torch.arange(rows.start, rows.stop, rows.step or 1)
     before, here, after, beyond = (
         x[(index + k + (0 if shift >= 0 else -1)).clamp(0, x.shape[0] - 1)] for k in range(-1, 3)

@@ -193,7 +193,7 @@ def candidates_of(
     """
     n, robot = columns.n, columns.model.robot
     common: list[Tensor] = [columns.regressor.flatten(0, 1)]
-    local: list[list[Tensor]] = [[] for _ in range(n)]
+    local: dict[int, list[Tensor]] = {joint: [] for joint in range(n)}
     terms: list[Term] = _bodies(columns, wanted)
     filled = common[0].shape[0]
     own = [0] * n
@@ -221,7 +221,9 @@ def candidates_of(
         if KINDS[name].shared:
             every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
             terms.append(put(every, None, sum(columns.on_all_joints(e) for e in every)))  # type: ignore[arg-type]
-    # Effects of one joint: all shapes of the grid, and some that no grid holds.
+    # Effects of one joint: all shapes of the grid, and some that no grid holds. Once they are in
+    # the joint's matrix, its columns are not needed any more.
+    gram = Gram(filled, n, int(parts.max()) + 1)
     for joint in range(n):
         for kind in _joint_kinds(wanted, data, joint):
             shapes = kind.grid(columns.motions, joint, columns.samples.cutoff)
@@ -233,14 +235,11 @@ def candidates_of(
             terms += [put((e,), joint, x) for e, x in zip(effects, found, strict=True)]
         for shaped in _own_shapes(wanted, given, joint, extra):
             terms.append(put((shaped,), joint, columns.of(shaped)[1]))
+        rows = [*(x[:, joint] for x in common), *local.pop(joint)]
+        gram.add(joint, rows, gap[joint], data.keep[joint], parts)
     # Own columns stand behind the common ones.
     terms = [t if t.place is None else replace(t, at=t.at + filled) for t in terms]
     terms = _standing_in(terms, given)
-    # The joints' matrices; columns of one joint are not needed any more.
-    gram = Gram(filled, own, int(parts.max()) + 1)
-    for j in range(n):
-        gram.add(j, [*(x[:, j] for x in common), *local[j]], gap[j], data.keep[j], parts)
-        local[j] = []
     # What is always in the model is no candidate, nor are bodies beside free base parameters.
     asked = [(t.name, t.effects) for t in fixed_terms(columns, wanted)]
     fixed = tuple(t for t in terms if (t.name, t.effects) in asked)

@@ -1,0 +1,281 @@
+"""Effects planted into the second half of real logs, the first half being the model's.
+
+    python benchmarks/gap_planted.py DATA --work DIR [--logs panda,ur10e] [--sizes 2]
+                                     [--effects coulomb_friction,...] [--part 1/2]
+    python benchmarks/gap_planted.py DATA --work DIR --score
+
+Each log is cut in two. From the first half a model is fitted (base parameters, friction, and what
+the diagnosis names). The second half is diagnosed with that model as it is: whatever is named there
+is a false name, or a change of the arm between the halves. Then an effect of the library is added
+to its torque, `size` times as large as what the model leaves on the joint, and it is diagnosed again.
+
+An answer is right if it names the effect on its joint; in its set, if it says that what it names
+cannot be told from it; a name that is neither there nor in the unplanted half's answer is false.
+Answers are kept in DIR, so that a run can be taken up again.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gap_plant import Scene, gap, generator, plant
+from real_logs import UR10E_GAINS
+
+from torchid.effects.registry import model_torque, nominal_effects
+from torchid.gap.data import prepare
+from torchid.gap.diagnose import diagnose
+from torchid.gap.record import record
+from torchid.gap.settings import GapSettings
+from torchid.log.model import Log
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.robot.writer import write_robot
+from torchid.statistics.proportion import wilson
+
+FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+FINEST = 125.0
+"""Rate at which sizes are measured [Hz]."""
+
+PLANTED = (
+    "viscous_friction",
+    "power_law_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "load_dependent_friction",
+    "torque_offset",
+    "joint_spring",
+    "rotor_inertia",
+    "presliding_hysteresis",
+    "cogging",
+    "motor_ripple",
+    "position_dependent_friction",
+    "torque_gain",
+    "torque_crosstalk",
+    "encoder_offset",
+    "payload",
+    "link_inertia",
+    "filter_lag",
+    "contact",
+    "gear_coupling",
+)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A real log.
+
+    Attributes:
+        robot, logs: files below the data folder.
+        gains: torque per current [N m/A] where the log has currents.
+        tip: last link, where the model has more.
+        cutoff: of the fit [Hz], where the default is not the arm's.
+    """
+
+    robot: str
+    logs: tuple[str, ...]
+    gains: tuple[float, ...] | None = None
+    tip: str | None = None
+    cutoff: float | None = None
+
+
+SOURCES = {
+    "panda": Source("panda_gaz/robot.yaml", ("panda_gaz/log_exciting_traj1.parquet",)),
+    "ur10e": Source("ur10e/robot.urdf", ("ur10e/log_exc_40s_12harm.parquet",), UR10E_GAINS),
+    "ur10": Source("ur10_unisa/robot.yaml", ("ur10_unisa/log_exciting.parquet",)),
+    "xmate": Source(
+        "xmate7p/robot.urdf", ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet")
+    ),
+    "unisa": Source("panda_unisa/robot.yaml", ("panda_unisa/log_exciting.parquet",)),
+    "airbot": Source("airbot_play/robot.urdf", ("airbot_play/log_trapez_real.parquet",)),
+    "baxter": Source("baxter_left/robot.urdf", ("baxter_left/log_random.parquet",), cutoff=3.0),
+    "tiago": Source("tiago/robot.urdf", ("tiago/log_identification.parquet",), tip="arm_7_link"),
+}
+
+
+def halves(source: Source, data: Path) -> tuple[Robot, Log, Log]:
+    """The arm without parameters, and both halves of its log."""
+    read = [read_log(data / name) for name in source.logs]
+    if source.gains is not None:
+        read = [log.with_torque(torch.tensor(source.gains, dtype=torch.float64)) for log in read]
+    log = read[0] if len(read) == 1 else Log.concatenate(read)
+    robot = load_robot(str(data / source.robot), tip=source.tip)
+    return replace(robot, parameters=None, effects=()), *log.split(0.5)
+
+
+def settings_of(source: Source, **more: Any) -> GapSettings:
+    return GapSettings(rollout=False, cutoff=source.cutoff or "auto", **more)
+
+
+def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
+    """The diagnosis' JSON, with its CPU seconds; of what was refused or failed, the error."""
+    started = time.process_time()
+    try:
+        found = record(diagnose(robot, log, settings=settings))
+    except Exception as error:  # one case must not end a night's run
+        found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
+    return {**found, "seconds": time.process_time() - started}
+
+
+def scene_of(robot: Robot, log: Log, noise: Sequence[float], band: float, finest: float) -> Scene:
+    """Measured motions as a scene, in which effects are drawn."""
+    segments = prepare(robot, log, None).segments
+    step = max(1, round(segments[0].rate / finest))
+    motions, starts = [], []
+    for s in segments:
+        q, dq, ddq, t = (x[::step] for x in (*s.motion.state, s.motion.require("t", "a scene")))
+        motion = s.motion._replace(q=q, dq=dq, ddq=ddq, t=t - t[0], direction=None, age=None)
+        motion = motion._replace(torque=model_torque(robot, nominal_effects(robot), motion))
+        motions.append(motion)
+        starts.append(float(t[0]))
+    rate = segments[0].rate / step
+    return Scene(
+        robot,
+        (log,),
+        tuple(starts),
+        tuple(motions),
+        torch.tensor(noise, dtype=torch.float64),
+        rate,
+        min(band, 0.4 * rate),
+        min(m.q.shape[0] for m in motions) / rate,
+    )
+
+
+def with_torque(log: Log, scene: Scene, added: Sequence[torch.Tensor]) -> Log:
+    """The log with torques on the scene's grid added at its own stamps."""
+    assert log.tau is not None
+    tau = log.tau.clone()
+    for rows, torque in zip(log.slices(), added, strict=True):
+        t = (log.t[rows] - log.t[rows][0]).numpy()
+        grid = np.arange(len(torque)) / scene.rate
+        columns = [np.interp(t, grid, x) for x in torque.T.numpy()]
+        tau[rows] += torch.from_numpy(np.stack(columns, 1))
+    return log.replace(tau=tau)
+
+
+def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
+    """All cases of one log that are not there yet."""
+    rigid, first, second = halves(source, data)
+    folder = work / label
+    folder.mkdir(parents=True, exist_ok=True)
+    model = folder / "model.yaml"
+    if not model.exists():
+        found = diagnose(rigid, first, settings=settings_of(source, background=FRICTION))
+        write_robot(found.corrected, model)
+    robot = load_robot(str(model))
+    empty = folder / "none.json"
+    if not empty.exists():
+        empty.write_text(json.dumps(answer(robot, second, settings_of(source))))
+    unplanted = json.loads(empty.read_text())
+    noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
+    band = args.band
+    coarse = scene_of(robot, second, noise, band, FINEST)
+    fine = scene_of(robot, second, noise, band, 1e6)
+    part, of = (int(x) for x in args.part.split("/"))
+    for number, name in enumerate(args.effects):
+        for size in args.sizes:
+            file = folder / f"{name}-{size:g}.json"
+            if number % of != part - 1 or file.exists():
+                continue
+            g = generator("planted", label, name)
+            moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
+            joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
+            try:
+                planted = plant(coarse, name, size, g, joint, usual=2.0)
+            except ValueError:  # no place for it on this arm
+                continue
+            log = with_torque(second, fine, gap(fine, [planted.valued]))
+            found = answer(robot, log, settings_of(source))
+            key = {
+                "effect": name,
+                "joint": joint,
+                "joints": list(planted.effect.joints),
+                "felt_by": list(planted.joints),
+                "values": planted.values,
+                "size": planted.size,
+            }
+            file.write_text(json.dumps({"planted": key, "answer": found}))
+            names = [(w["effect"], w["joints"]) for w in found["which"]]
+            print(label, name, joint + 1, f"{planted.size:.1f}", found["status"], names, flush=True)
+
+
+def score(work: Path, sizes: Sequence[float]) -> None:
+    """A table, a line a size; and a line a log of what is named without anything planted."""
+    logs = sorted(p.parent for p in work.glob("*/none.json"))
+    print("| planted, times what the model leaves | named first on its joint | named | in a set |")
+    print("|---|---|---|---|")
+    false = []
+    for size in sizes:
+        rows = []
+        for folder in logs:
+            none = json.loads((folder / "none.json").read_text())
+            before = {(w["effect"], tuple(w["joints"])) for w in none["which"]}
+            for file in sorted(folder.glob(f"*-{size:g}.json")):
+                case = json.loads(file.read_text())
+                if abs(case["planted"]["size"] / size - 1) > 0.3:
+                    continue  # no plausible value is as large
+                rows.append(judged(case, before))
+                false.append(rows[-1][3])
+        if rows:
+            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(3)]
+            print(f"| {size:g} | {' | '.join(cells)} |")
+    low, high = wilson(sum(map(bool, false)), len(false))
+    print(
+        f"\nnames that are neither planted nor there without: {sum(false)} in {len(false)} cases,"
+    )
+    print(f"in {sum(map(bool, false))} of them ({low:.0%} - {high:.0%})\n")
+    for folder in logs:
+        none = json.loads((folder / "none.json").read_text())
+        names = ", ".join(f"{w['effect']} {w['joints']}" for w in none["which"])
+        print(f"- {folder.name}: {none['status']}: {names or 'nothing'}")
+
+
+def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tuple[bool, ...]:
+    """Whether the first new name is right, any name is, any set holds it; number of false names."""
+    key = case["planted"]
+    places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
+    new = [w for w in case["answer"]["which"] if (w["effect"], tuple(w["joints"])) not in before]
+
+    def is_it(w: dict[str, Any]) -> bool:
+        return w["effect"] == key["effect"] and (not w["joints"] or bool(places & set(w["joints"])))
+
+    def holds_it(w: dict[str, Any]) -> bool:
+        near = not w["joints"] or bool(places & set(w["joints"]))
+        return is_it(w) or (near and key["effect"] in w["ambiguous_with"])
+
+    named = [w for w in case["answer"]["which"] if is_it(w)]
+    held = [w for w in case["answer"]["which"] if holds_it(w)]
+    # Known on the joint before it was planted, it can only change its size.
+    known = any(e == key["effect"] and places & set(j) for e, j in before)
+    first = (bool(new) and is_it(new[0])) or (known and bool(named))
+    wrong = [w for w in new if not holds_it(w)]
+    return first, bool(named), bool(held), len(wrong)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
+    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 5.0])
+    parser.add_argument("--effects", type=lambda s: s.split(","), default=list(PLANTED))
+    parser.add_argument("--band", type=float, default=8.0, help="sizes are measured below it [Hz]")
+    parser.add_argument("--part", default="1/1", help="k/n: the k-th of n parts of the effects")
+    parser.add_argument("--score", action="store_true")
+    args = parser.parse_args()
+    if args.score:
+        score(args.work, args.sizes)
+        return
+    torch.set_num_threads(1)
+    for label in args.logs:
+        run(label, SOURCES[label], args.data, args.work, args)
+
+
+if __name__ == "__main__":
+    main()
