@@ -7,12 +7,15 @@ yet noise; they are fitted in the narrow one.
 import math
 
 import torch
+from scipy.signal import welch
 
-from torchid.design.motion import Measurement, direction, fast_speed
-from torchid.design.segments import Samples, Segment, widened
+from torchid.design.motion import MOVING, Measurement, direction, fast_speed
+from torchid.design.segments import HARDLY, Samples, Segment, widened
+from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
+from torchid.robot.model import Robot
 from torchid.statistics.robust import robust_std
 from torchid.typing import Float, Tensor
 
@@ -22,6 +25,13 @@ and share the encoder's noise with the residual."""
 
 WIDE_BAND = 40.0
 """Band [Hz] of the motion from which columns are computed, at the default cut-off."""
+
+ATTENUATED = 0.01
+"""Share of the torque's variance that may be noise of the positions, twice differentiated. Noise in
+a column shrinks its coefficient by its share: here by 1 %, which is no torque worth a name."""
+
+LOWEST = 2.0
+"""Cut-off below which little is left of a motion [Hz], whatever the positions' noise."""
 
 REVERSAL = 0.004
 """Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
@@ -33,8 +43,44 @@ DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
 
 
-def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
-    """Cut-off and wide band [Hz] that the log allows: by default 8 Hz, and five times as much.
+def resolved(log: Log, robot: Robot) -> float:
+    """Highest frequency [Hz] up to which the log resolves the model's torque on every joint that
+    slides: below it, the positions' noise makes up no more than `ATTENUATED` of its variance.
+
+    The noise is taken to be white at the level that the positions' spectra end with (Welch 1967);
+    through M(q) and two derivatives its variance below f is S M^2 (2 pi)^4 f^5 / 5.
+
+    Args:
+        log: on a uniform grid, with torque.
+        robot: whose inertia it is; without parameters nothing is known, and infinity returned.
+    """
+    if robot.parameters is None or log.tau is None:
+        return math.inf
+    # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length; and how
+    # much of the time it moves, over steps that its noise does not reach.
+    level = torch.zeros(robot.n, dtype=torch.float64)
+    moving = torch.zeros_like(level)
+    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+        q = log.q[rows].double()
+        frequency, power = welch(q.numpy(), rate, nperseg=min(len(q), round(4 * rate)), axis=0)
+        top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
+        if top.any():
+            level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values
+        step = max(1, round(DWELL * rate))
+        moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
+    # Inertia in some postures, against what the torque varies by.
+    mass = mass_matrix(robot, log.q[:: max(1, log.samples // 50)].double()).square().mean(0)
+    slides = moving >= HARDLY
+    if not bool(slides.any()):
+        return math.inf
+    noise = (mass @ level) * (2 * math.pi) ** 4 / 5
+    highest = (ATTENUATED * log.tau.double().var(0) / noise.clamp(min=1e-300)) ** 0.2
+    return max(LOWEST, float(highest[slides].min()))
+
+
+def bands(log: Log, cutoff: float | None, highest: float = math.inf) -> tuple[float, float]:
+    """Cut-off and wide band [Hz] that the log allows: by default 8 Hz or what positions resolve,
+    if that is less, and five times as much.
 
     Raises:
         LogError: trajectories at different rates, or a cut-off that the log cannot hold.
@@ -49,7 +95,7 @@ def bands(log: Log, cutoff: float | None) -> tuple[float, float]:
             expected="one rate",
             hint="diagnose them one by one, or resample them to the lowest rate",
         )
-    chosen = min(CUTOFF, rate / 6) if cutoff is None else cutoff
+    chosen = min(CUTOFF, rate / 6, highest) if cutoff is None else cutoff
     if chosen > 0.4 * rate:
         raise LogError(
             "the cut-off is outside the log's band.",

@@ -4,7 +4,14 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.design.bands import bands, reversal_speed, sharp_direction
+from torchid.design.bands import (
+    ATTENUATED,
+    CUTOFF,
+    bands,
+    resolved,
+    reversal_speed,
+    sharp_direction,
+)
 from torchid.design.held import held_ages_of
 from torchid.design.motion import MOVING, measurements
 from torchid.design.segments import (
@@ -37,6 +44,7 @@ class Data:
         slides: (n,) joints that move more than hardly ever.
         missing: what effects may need and the log does not hold: `velocity`, `age`.
         still: joints, from 0, that never move.
+        resolved: frequency up to which positions resolve the model's torque [Hz].
         warnings: sentences for the user.
     """
 
@@ -45,6 +53,7 @@ class Data:
     slides: Bool[Tensor, " n"]
     missing: frozenset[str]
     still: tuple[int, ...]
+    resolved: float
     warnings: tuple[str, ...]
 
     @property
@@ -78,7 +87,8 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     """
     even, warnings = prepared(log, robot)
     # Differentiated in a wide band, from which all is filtered later.
-    narrow, wide = bands(even, cutoff)
+    highest = resolved(even, robot)
+    narrow, wide = bands(even, cutoff, highest)
     measured = measurements(even, wide)
     segments = segments_of(measured, wide, clock)
     # Torques that a logger repeats, and the direction of motion, sharper than the filter has it.
@@ -111,6 +121,13 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     if still:
         names = ", ".join(str(j + 1) for j in still)
         said.append(f"joint {names} never moves: its friction and inertia cannot be told")
+    if highest < CUTOFF:
+        said.append(
+            f"above {highest:.2g} Hz noise of the positions, twice differentiated, is more than "
+            f"{ATTENUATED:.0%} of a joint's torque: the gap is "
+            + ("fitted and " if cutoff is None else "")
+            + "reported below it"
+        )
     left_out = [s.name for s in segments if s not in long]
     if left_out:
         said.append("left out, too short for the filter: " + ", ".join(left_out))
@@ -121,4 +138,6 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     missing = frozenset() if own_velocity else frozenset({"velocity"})
     if any(s.motion.age is None for s in long):
         missing |= {"age"}
-    return Data(samples, moving_samples(samples), moves >= HARDLY, missing, still, tuple(said))
+    return Data(
+        samples, moving_samples(samples), moves >= HARDLY, missing, still, highest, tuple(said)
+    )

@@ -374,7 +374,7 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
 
 
 def _band(data: Data, settings: GapSettings) -> float:
-    return report_band(data.samples, settings.report_band)
+    return report_band(data.samples, min(settings.report_band, data.resolved))
 
 
 def warnings_of(

@@ -115,7 +115,8 @@ class Finding:
         ambiguous_with: names of effects the data do not separate it from.
         std: block-robust standard deviations of the coefficients.
         p_value: family-wise, by the test that judged it.
-        share: of the closable gap that is lost without it, the others refitted.
+        share: of the closable gap that it closes in its turn: at every turn that cause joins which
+            closes most, all refitted, so that the shares add up to one.
         first: of the closable gap that it closes alone.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
