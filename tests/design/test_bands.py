@@ -1,13 +1,25 @@
 """Bands that a log's rate allows, and the direction of motion."""
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
 from tests.gap.motions import ROBOT, motion_at, segment_of, times
-from torchid.design.bands import bands, report_band, sharp_direction
-from torchid.design.segments import Samples
+from torchid.design.bands import (
+    bands,
+    position_noise,
+    report_band,
+    resolved,
+    sharp_direction,
+)
+from torchid.design.motion import measurements
+from torchid.design.segments import Samples, segments_of
 from torchid.effects.base import Motion
+from torchid.effects.registry import model_torque
 from torchid.errors import LogError
+from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -34,6 +46,43 @@ def test_the_report_s_band_is_no_wider_than_the_segments():
     assert report_band(samples, 20.0) == 20.0
     assert report_band(samples, 1e4) < samples.segments[0].band
     assert report_band(samples, 0.1) == samples.cutoff
+
+
+def counted(step: float, rate: float = 100.0) -> tuple[Log, Log]:
+    """A motion with its torque, and the same with positions counted in steps [rad]."""
+    m = motion_at(torch.arange(0, 40, 1 / rate, dtype=torch.float64), seed=0)
+    exact = Log(m.t, m.q, tau=model_torque(ROBOT, [], m))
+    return exact, exact.replace(q=(m.q / step).round() * step)
+
+
+@pytest.mark.parametrize("step", [5e-4, 5e-3])
+def test_noise_of_counted_positions_in_the_torque_is_foretold(step):
+    """Against the model's torque along counted positions less that along exact ones."""
+    torques = []
+    for log in counted(step):
+        (segment,) = segments_of(measurements(log, 40.0), 40.0, 0.0)
+        torque = model_torque(ROBOT, [], segment.motion)
+        torques.append(ZeroPhaseFilter(100.0, 8.0).apply(torque.T))
+    # The filter's ends are no part of it.
+    error = (torques[1] - torques[0])[:, 100:-100].square().mean(1).sqrt()
+    foretold = position_noise(counted(step)[1], ROBOT) * 8.0**2.5
+    assert bool((foretold > 0.75 * error).all())
+    assert bool((foretold < 1.5 * error).all())
+
+
+def test_coarse_positions_resolve_less_of_the_torque():
+    highest = []
+    for step in (5e-5, 5e-4, 5e-3):
+        log = counted(step)[1]
+        highest.append(resolved(log, position_noise(log, ROBOT)))
+    # The noise grows with the step, its torque with f^2.5.
+    assert highest[0] / highest[1] == pytest.approx(10**0.4, rel=0.1)
+    assert highest[1] / highest[2] == pytest.approx(10**0.4, rel=0.1)
+    log = counted(5e-3)[1]
+    assert bands(log, None, highest[2])[0] == min(8.0, highest[2])
+    assert bands(log, 6.0, highest[2])[0] == 6.0
+    unknown = replace(ROBOT, parameters=None)
+    assert resolved(log, position_noise(log, unknown)) == math.inf
 
 
 @pytest.mark.parametrize("amplitude", [0.01, 1.0])

@@ -183,6 +183,16 @@ def test_the_corrected_model_has_no_gap():
     assert nominal_effects(again.corrected) == nominal_effects(corrected)
 
 
+def test_coarse_encoders_are_no_gap():
+    """Positions in steps of 0.2 degrees, differentiated twice, are no torque that the arm lacks."""
+    log, step = logged(ROBOT, (0, 1, 2)), 4e-3
+    found = diagnose(ROBOT, log.replace(q=(log.q / step).round() * step, dq=None), settings=QUICK)
+    assert found.status == "no_gap"
+    assert found.cutoff < 8.0
+    assert found.band == found.cutoff
+    assert any("noise of the positions" in w for w in found.warnings)
+
+
 def test_wrong_parameters_are_no_effects():
     found = case("parameters")
     assert found.status == "parametric_only"

@@ -43,38 +43,51 @@ DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
 
 
-def resolved(log: Log, robot: Robot) -> float:
-    """Highest frequency [Hz] up to which the log resolves the model's torque on every joint that
-    slides: below it, the positions' noise makes up no more than `ATTENUATED` of its variance.
+def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
+    """Noise that the positions bring into the model's torque, which differentiates them twice.
 
-    The noise is taken to be white at the level that the positions' spectra end with (Welch 1967);
-    through M(q) and two derivatives its variance below f is S M^2 (2 pi)^4 f^5 / 5.
+    It is taken to be white at the level S that the positions' spectra end with (Welch 1967).
+    Through M(q) its variance below a frequency f is S M^2 (2 pi)^4 f^5 / 5.
 
     Args:
-        log: on a uniform grid, with torque.
-        robot: whose inertia it is; without parameters nothing is known, and infinity returned.
+        log: on a uniform grid.
+        robot: whose inertia it is; of one without parameters nothing is known, and zero returned.
+
+    Returns:
+        (n,) standard deviation below 1 Hz; it grows with f^2.5 [N m; N].
     """
-    if robot.parameters is None or log.tau is None:
-        return math.inf
-    # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length; and how
-    # much of the time it moves, over steps that its noise does not reach.
     level = torch.zeros(robot.n, dtype=torch.float64)
-    moving = torch.zeros_like(level)
+    if robot.parameters is None:
+        return level
+    # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length.
     for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
-        q = log.q[rows].double()
-        frequency, power = welch(q.numpy(), rate, nperseg=min(len(q), round(4 * rate)), axis=0)
+        q = log.q[rows].double().numpy()
+        frequency, power = welch(q, rate, nperseg=min(len(q), round(4 * rate)), axis=0)
         top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
         if top.any():
             level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values
-        step = max(1, round(DWELL * rate))
-        moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
-    # Inertia in some postures, against what the torque varies by.
+    # Inertia in some postures.
     mass = mass_matrix(robot, log.q[:: max(1, log.samples // 50)].double()).square().mean(0)
-    slides = moving >= HARDLY
-    if not bool(slides.any()):
+    return ((mass @ level) * (2 * math.pi) ** 4 / 5).sqrt()
+
+
+def resolved(log: Log, noise: Float[Tensor, " n"]) -> float:
+    """Highest frequency [Hz] up to which the log resolves the model's torque on every joint that
+    slides: below it, `position_noise` makes up no more than `ATTENUATED` of the torque's variance.
+
+    Args:
+        log: on a uniform grid, with torque.
+        noise: (n,) of the positions, below 1 Hz [N m; N].
+    """
+    # How much of the time each joint moves, over steps that its noise does not reach.
+    moving = torch.zeros_like(noise)
+    for rows, rate in zip(log.slices(), sampling_rate(log), strict=True):
+        q, step = log.q[rows], max(1, round(DWELL * rate))
+        moving += ((q[step:] - q[:-step]).abs() > MOVING * step / rate).sum(0) / log.samples
+    slides = (moving >= HARDLY) & (noise > 0)
+    if log.tau is None or not bool(slides.any()):
         return math.inf
-    noise = (mass @ level) * (2 * math.pi) ** 4 / 5
-    highest = (ATTENUATED * log.tau.double().var(0) / noise.clamp(min=1e-300)) ** 0.2
+    highest = (ATTENUATED * log.tau.double().var(0) / noise.square()) ** 0.2
     return max(LOWEST, float(highest[slides].min()))
 
 

@@ -8,6 +8,7 @@ from torchid.design.bands import (
     ATTENUATED,
     CUTOFF,
     bands,
+    position_noise,
     resolved,
     reversal_speed,
     sharp_direction,
@@ -27,7 +28,7 @@ from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
@@ -44,6 +45,7 @@ class Data:
         slides: (n,) joints that move more than hardly ever.
         missing: what effects may need and the log does not hold: `velocity`, `age`.
         still: joints, from 0, that never move.
+        position_noise: (n,) that positions bring into the model's torque below 1 Hz [N m; N].
         resolved: frequency up to which positions resolve the model's torque [Hz].
         warnings: sentences for the user.
     """
@@ -53,6 +55,7 @@ class Data:
     slides: Bool[Tensor, " n"]
     missing: frozenset[str]
     still: tuple[int, ...]
+    position_noise: Float[Tensor, " n"]
     resolved: float
     warnings: tuple[str, ...]
 
@@ -87,7 +90,8 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     """
     even, warnings = prepared(log, robot)
     # Differentiated in a wide band, from which all is filtered later.
-    highest = resolved(even, robot)
+    noise = position_noise(even, robot)
+    highest = resolved(even, noise)
     narrow, wide = bands(even, cutoff, highest)
     measured = measurements(even, wide)
     segments = segments_of(measured, wide, clock)
@@ -139,5 +143,12 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     if any(s.motion.age is None for s in long):
         missing |= {"age"}
     return Data(
-        samples, moving_samples(samples), moves >= HARDLY, missing, still, highest, tuple(said)
+        samples,
+        moving_samples(samples),
+        moves >= HARDLY,
+        missing,
+        still,
+        noise,
+        highest,
+        tuple(said),
     )

@@ -301,7 +301,14 @@ def check(
     band = _band(data, settings)
     columns = Columns(solution.model, data.samples)
     noise = noise_of(
-        columns, solution.start, solution.left, data.keep, band, repeats, settings.seed
+        columns,
+        solution.start,
+        solution.left,
+        data.keep,
+        band,
+        repeats,
+        settings.seed,
+        data.position_noise * band**2.5,
     )
     if judged is None:
         # Each fold is shown by models that were fitted on the others.

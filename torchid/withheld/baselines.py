@@ -86,7 +86,14 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     keep = sliding_only(columns, given.keep, samples.cutoff, repeats)
     given, gap = replace(given, keep=keep), columns.gap()
     noise = noise_of(
-        columns, columns.model, gap * keep, keep, samples.cutoff, repeats, settings.seed
+        columns,
+        columns.model,
+        gap * keep,
+        keep,
+        samples.cutoff,
+        repeats,
+        settings.seed,
+        given.position_noise * samples.cutoff**2.5,
     )
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
     wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))

@@ -15,6 +15,7 @@ from torchid.gap.noise.floor import Noise, noise_of
 from torchid.typing import Tensor
 
 CUTOFF, REPORT = 8.0, 20.0
+EXACT = torch.zeros(ROBOT.n, dtype=torch.float64)  # what positions without noise bring
 COLOURS = [None, 5.0, 1.0]
 
 
@@ -37,7 +38,8 @@ def found_with(
     columns = Columns(Model(ROBOT, ()), samples)
     repeats = find_repeats(real) if repeats is None else repeats
     keep = moving_samples(samples)
-    return noise_of(columns, columns.model, columns.gap() * keep, keep, REPORT, repeats, seed)
+    gap = columns.gap() * keep
+    return noise_of(columns, columns.model, gap, keep, REPORT, repeats, seed, EXACT)
 
 
 def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
@@ -78,7 +80,7 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
         ROBOT, ((ThermalFrictionDrift(1, T=30.0), [0.0, 20 * float(size(segments, z)[1])]),)
     )
     columns = Columns(drifting, samples)
-    found = noise_of(columns, given, columns.gap() * keep, keep, REPORT, repeats, 0).floor
+    found = noise_of(columns, given, columns.gap() * keep, keep, REPORT, repeats, 0, EXACT).floor
     alone = found_with(segments, z).floor
     torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 

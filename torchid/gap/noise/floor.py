@@ -72,6 +72,7 @@ def noise_of(
     band: float,
     repeats: Repeats,
     seed: int,
+    positions: Float[Tensor, " n"],
 ) -> Noise:
     """Noise beside a model.
 
@@ -83,6 +84,7 @@ def noise_of(
         band: of the report [Hz].
         repeats: among the segments.
         seed: of the flexible predictor.
+        positions: (n,) noise that they bring into the model's torque in that band [N m; N].
     """
     samples, model = columns.samples, columns.model
     segments = samples.segments
@@ -117,10 +119,11 @@ def noise_of(
     unpredicted = (predicted + beyond).sqrt()
     if floor is None:
         # Without repeats the bracket: what lies beyond the cut-off, continued as white; and what
-        # cannot be predicted.
+        # cannot be predicted. The predictor sees the positions' own noise, which is none the less.
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
-        floor = NoiseFloor(low, unpredicted, "bracket")
+        low, high = (torch.maximum(x, positions) for x in (low, unpredicted))
+        floor = NoiseFloor(low, high, "bracket")
     # Joints of which a note says that their noise is uneven.
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which structure is looked for where joints surely slide.
