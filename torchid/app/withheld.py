@@ -1,6 +1,7 @@
 """`torchid withheld`: check the diagnosis on data whose cause was withheld from it."""
 
 import os
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -104,9 +105,7 @@ def run_command(
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
     output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
     output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
-    statuses: dict[str, int] = {}
-    for answer in answers.values():
-        statuses[answer["status"]] = statuses.get(answer["status"], 0) + 1
+    statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
 
 

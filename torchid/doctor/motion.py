@@ -44,15 +44,11 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             # Radians per count from dq in rad/s; a power of two per turn where that is near.
             measured = ratio.get(k)
             if measured is None or measured > 0.05:
-                scale = None
+                unknown.append(k)
             else:
                 turn = 2.0 * math.pi / measured
                 power = 2.0 ** round(math.log2(turn))
-                scale = 2.0 * math.pi / (power if near(turn, power) else round(turn))
-            if scale is None:
-                unknown.append(k)
-            else:
-                factors[k] = scale
+                factors[k] = 2.0 * math.pi / (power if near(turn, power) else round(turn))
             evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: encoder counts")
         else:
             factors[k] = 1.0 / DEGREES
@@ -60,11 +56,10 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
     # Where most joints are in degrees, the others are too: they only stayed near zero.
     in_degrees = sum(f == 1.0 / DEGREES for f in factors)
-    if not (in_degrees == 0 or in_degrees == len(factors)):
+    if len(factors) <= 2 * in_degrees < 2 * len(factors):
         clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
         factors = [
-            1.0 / DEGREES if f == 1.0 and (2 * in_degrees >= len(factors)) and k not in clear else f
-            for k, f in enumerate(factors)
+            1.0 / DEGREES if f == 1.0 and k not in clear else f for k, f in enumerate(factors)
         ]
     if not evidence:
         size = float(log.q.abs().max())

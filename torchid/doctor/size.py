@@ -65,29 +65,19 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     block = judge.samples.block.numpy()
     rows = []
     for j in judge.live(hypothesis):
+        use = moving[:, j]
         columns = [x[:, j] for x in (nominal, dq, sign, ddq, torch.ones_like(q))]
-        x = torch.stack(columns, -1).numpy()
-        found = _slope(x, tau[:, j], block, moving[:, j])
-        if found is not None:
-            rows.append((j, *found))
+        x, y = torch.stack(columns, -1).numpy()[use], tau[use, j]
+        owner = np.unique(block[use], return_inverse=True)[1]
+        # Says nothing where the nominal torque is constant, or in fewer than three blocks of time.
+        if x[:, 0].std() == 0.0 or owner.max() < 2:
+            continue
+        values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
+        found = fit_statistics(*(torch.from_numpy(a) for a in (x, y - x @ values, owner)))
+        low, high = found.interval(torch.from_numpy(values))[0].tolist()
+        rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)
     return Slopes(tuple(r[0] for r in rows), *table.T)
-
-
-def _slope(
-    x: np.ndarray, y: np.ndarray, block: np.ndarray, use: np.ndarray
-) -> tuple[float, float, float] | None:
-    """Slope of y on the first column over the rows in use, with its 95 % interval; None where that
-    column is constant or the rows fall into fewer than three blocks of time."""
-    columns, owner = x[use], np.unique(block[use], return_inverse=True)[1]
-    if columns[:, 0].std() == 0.0 or owner.max() < 2:
-        return None
-    values = np.linalg.lstsq(columns, y[use], rcond=1e-9)[0]
-    found = fit_statistics(
-        *(torch.from_numpy(a) for a in (columns, y[use] - columns @ values, owner))
-    )
-    low, high = found.interval(torch.from_numpy(values))[0].tolist()
-    return float(values[0]), low, high
 
 
 def check_size(
