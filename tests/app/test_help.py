@@ -61,3 +61,10 @@ def test_completion_names_the_commands() -> None:
     }
     shown = CliRunner().invoke(app, [], prog_name="torchid", env=environment)
     assert "identify" in shown.output.split()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_says_what_it_is(name: str) -> None:
+    params = [p for p in COMMANDS[name].params if "--help" not in p.opts]
+    assert params
+    assert not [p.opts for p in params if not p.help]

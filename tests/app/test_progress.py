@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from torchid.app.output import open_output, progress_bar
+from torchid.app.output import Results, progress_bar
 
 LINE = re.compile(r"\[ *\d+ s\] \S.*")
 
@@ -31,9 +31,9 @@ def test_a_line_a_stage(command, folder, types_unchecked, arguments) -> None:
 
 
 def test_other_commands_are_silent_without_a_terminal(capsys) -> None:
-    with progress_bar(open_output(None, None, False)) as report:
+    with progress_bar(Results().open()) as report:
         assert report is None
-    with progress_bar(open_output(None, None, False), lines=True) as report:
+    with progress_bar(Results().open(), lines=True) as report:
         assert report is not None
         # An error of the first stage is all that is said.
         for done in range(3):

@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean, log_faults
-from torchid.doctor.conclusion import conclusion, untold
 from torchid.doctor.examine import examine
-from torchid.doctor.record import record
+from torchid.doctor.record import conclusion, record, untold
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
 

@@ -5,8 +5,16 @@ import torch
 
 from tests.doctor.synthetic import clean
 from torchid.doctor.flag import columns_flag
-from torchid.doctor.repair import MOTION, TORQUE, DropRows, DropSignal, Reorder, Scale, repaired
-from torchid.doctor.retime import ScaleTime
+from torchid.doctor.repair import (
+    MOTION,
+    TORQUE,
+    DropRows,
+    DropSignal,
+    Reorder,
+    Scale,
+    ScaleTime,
+    repaired,
+)
 from torchid.log.readers import read_log, write_log
 
 DEGREE = torch.pi / 180

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output
+from torchid.app.output import Computed
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
 
@@ -20,59 +21,19 @@ if TYPE_CHECKING:
     from torchid.robot.model import Robot
 
 
+@command
 def check_command(
-    params: Annotated[
-        str,
-        typer.Argument(
-            metavar="PARAMS",
-            help="A file of parameter sets (.json), or a robot (built-in name, .yaml, .urdf, "
-            ".xml), whose nominal parameters are checked.",
-        ),
-    ],
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="ROBOT",
-            help="Robot whose bounds, shapes and limits count; PARAMS itself where it is a robot.",
-        ),
-    ] = None,
-    geometry: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUP|none",
-            help="Bounds whose boxes of the centres of mass are the links' geometry. Without it: "
-            "`normal` where the robot has it, else the shapes in its file, else none.",
-        ),
-    ] = None,
-    shapes: Annotated[
-        bool, typer.Option("--shapes", help="Check the yaml's cylinders and spheres too.")
-    ] = False,
-    total_mass: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LO,HI|none", help="Interval of the sum of the masses [kg]; the yaml's."
-        ),
-    ] = None,
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUP|from-robot", help="Also tell which parameters lie on these bounds."
-        ),
-    ] = None,
-    nearest: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the feasible set nearest in torque to each infeasible one.",
-        ),
-    ] = None,
+    *,
+    params: Annotated[str, typer.Argument(metavar="PARAMS")],
+    robot: opt.RobotOption = None,
+    geometry: opt.Group = None,
+    shapes: Switch = False,
+    total_mass: Annotated[str | None, typer.Option(metavar="LO,HI|none")] = None,
+    bounds: opt.Bounds = None,
+    nearest: opt.File = None,
     tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Computed,
 ) -> None:
     """Check whether parameters can belong to a real arm: by how much, and why not.
 
@@ -80,8 +41,19 @@ def check_command(
 
     Example: `torchid check kuka_lwr4_friction`, `torchid check sets.json --robot panda.yaml
     --nearest repaired.json`
+
+    Args:
+        params: A file of parameter sets (.json), or a robot (built-in name, .yaml, .urdf, .xml),
+            whose nominal parameters are checked.
+        robot: Robot whose bounds, shapes and limits count; PARAMS itself where it is a robot.
+        geometry: Bounds whose boxes of the centres of mass are the links' geometry. Without it:
+            `normal` where the robot has it, else the shapes in its file, else none.
+        shapes: Check the yaml's cylinders and spheres too.
+        total_mass: Interval of the sum of the masses [kg]; the yaml's.
+        bounds: Also tell which parameters lie on these bounds.
+        nearest: Write the feasible set nearest in torque to each infeasible one.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = results.open()
     if nearest is not None and not nearest.parent.is_dir():
         raise TorchidError(f"the folder of '{nearest}' does not exist.")
     from rich.markup import escape

@@ -6,19 +6,17 @@ from typing import Annotated
 import typer
 
 from torchid import __version__
-from torchid.app.atlas import atlas_command
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
 from torchid.app.demo import demo_command
-from torchid.app.effects import effects_command
 from torchid.app.excite import excite_command
 from torchid.app.export import export_command
-from torchid.app.extract import extract_command
+from torchid.app.extract import atlas_command, extract_command
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
 from torchid.app.log import log_app
 from torchid.app.payload import payload_command
-from torchid.app.robot import robot_command
+from torchid.app.show import effects_command, robot_command
 from torchid.app.simulate import simulate_command
 from torchid.app.study import study_command
 from torchid.app.withheld import withheld_app
@@ -30,25 +28,16 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="What a robot arm's dynamics really are, and why the simulator disagrees with the arm.",
 )
-app.command("robot")(robot_command)
-app.command("excite")(excite_command)
-app.command("simulate")(simulate_command)
-app.add_typer(log_app, name="log")
-app.command("identify")(identify_command)
-app.command("extract")(extract_command)
-app.command("check")(check_command)
-app.command("atlas")(atlas_command)
-app.command("wrenches")(wrenches_command)
-app.command("payload")(payload_command)
-app.command("gap")(gap_command)
-app.command("effects")(effects_command)
-app.command("export")(export_command)
-app.command("compare")(compare_command)
-app.command("study")(study_command)
-app.add_typer(withheld_app, name="withheld")
-app.command("demo")(demo_command)
+for _one in (
+    robot_command, excite_command, simulate_command, log_app, identify_command, extract_command,
+    check_command, atlas_command, wrenches_command, payload_command, gap_command, effects_command,
+    export_command, compare_command, study_command, withheld_app, demo_command,
+):  # fmt: skip
+    if isinstance(_one, typer.Typer):
+        app.add_typer(_one, name=_one.info.name)
+    else:
+        app.command(_one.__name__.removesuffix("_command"))(_one)
 
 
 def _version(asked: bool) -> bool:

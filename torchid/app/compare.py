@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output
+from torchid.app.output import Computed
+from torchid.app.signature import command
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
@@ -17,44 +18,29 @@ if TYPE_CHECKING:
     from torchid.robot.model import Robot
 
 
+@command
 def compare_command(
-    results: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RESULT...",
-            help="Two or more identification.json, gap.json or sets.json, in the order of time.",
-        ),
-    ],
-    on: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--on",
-            metavar="LOG",
-            help="Compare torque along this log, in place of random motion. May be given several "
-            "times.",
-        ),
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option("--robot", metavar="ROBOT", help="Where the results do not record it."),
-    ] = None,
-    columns: opt.Columns = None,
-    topic: opt.Topic = None,
-    gain: opt.Gain = None,
+    *,
+    results: Annotated[list[Path], typer.Argument(metavar="RESULT...")],
+    on: opt.LogFiles = None,
+    robot: opt.RobotOption = None,
+    logs: opt.Reading,
     tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    where: Computed,
 ) -> None:
     """Which parameters agree between results within their intervals, which drift, which are never
     determined; whether standard deviations hold from run to run; how far apart the torques are.
 
     Example: `torchid compare monday/identification.json tuesday/identification.json
     friday/identification.json --on test.parquet --out compared`
+
+    Args:
+        results: Two or more identification.json, gap.json or sets.json, in the order of time.
+        on: Compare torque along this log, in place of random motion. May be given several times.
+        robot: Where the results do not record it.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = where.open()
     from torchid.compare import reading
     from torchid.compare.diagnoses import compare_diagnoses
     from torchid.compare.identifications import compare_identifications
@@ -73,7 +59,7 @@ def compare_command(
             return None
         if arm is None:
             raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
-        return opt.read_logs(on, gain, arm, columns, topic)
+        return logs.read(on, arm)
 
     compared: "Comparison | GapComparison | SetComparison"
     if read[0].schema == reading.IDENTIFICATION:

@@ -3,31 +3,30 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from torchid.app import options as opt
-from torchid.app.output import Output, open_output, progress_bar, stage
+from torchid.app.output import Output, Results, progress_bar, stage
+from torchid.app.signature import Fields, command
 
 
+@command
 def demo_command(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for results.")] = Path(
-        "demo"
-    ),
-    json_file: opt.Json = None,
+    *,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Annotated[Results, Fields("json_file", "quiet", "threads", out=Path("demo"))],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
 
     Example: `torchid demo --out demo`
+
+    Args:
+        out: Folder for results.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = results.open()
     report = _paper(output)
     kuka = _kuka(output, seed, opt.device(device_name))
     output.write_json({"schema": "torchid.demo/1", "paper_3r": report, "kuka": kuka}, "demo.json")
-    output.say(f"\nfigures and JSON are in {out}")
+    output.say(f"\nfigures and JSON are in {results.out}")
 
 
 def _paper(output: Output) -> dict[str, Any]:

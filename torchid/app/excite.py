@@ -1,81 +1,98 @@
 """`torchid excite`: trajectories that make the parameters visible."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.excite_for import designed_for, read_result, torque_use
-from torchid.app.output import Output, open_output, progress_bar, stage
+from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.signature import command
 from torchid.errors import TorchidError
-from torchid.json_data import plain
+from torchid.json_data import plain, read_json
 
 if TYPE_CHECKING:
     from torchid.excitation.fourier import FourierTrajectory
     from torchid.excitation.torque import TorqueLimits
+    from torchid.excitation.trajectories import Sinusoid
     from torchid.robot.model import Robot
 
+    Designed = tuple[Sequence[FourierTrajectory | Sinusoid], dict[str, Any], TorqueLimits | None]
+    """Motions, their record and the torque limits that were kept."""
 
+EVALUATIONS = 75
+"""Trajectories that the search for a separating motion tries a restart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """What motions are asked for.
+
+    Attributes:
+        result: The next motion for an identification.json (fixes the parameters it knows least)
+            or a gap.json (separates what it cannot tell apart, or shows what it could not test).
+        kind: Optimised Fourier series, random ones, sinusoids for validation, or the report's
+            table 5.1 (3R only).
+        count: How many trajectories.
+        criterion: What to improve: the condition number (default) or the determinant of the
+            information; with --for an identification, its least known parameters (a_optimal,
+            default) or all (d_optimal).
+        effects: Effects to be identified with it, comma-separated; `none`.
+        duration: Seconds.
+        rate: Samples per second in the file [Hz].
+        harmonics: Harmonics of the series.
+        restarts: Random starts of the design.
+        usage: Share of the limits that may be used.
+    """
+
+    result: Annotated[Path | None, typer.Option("--for", metavar="RESULT")] = None
+    kind: Literal["optimised", "random", "sinusoid", "paper"] = "optimised"
+    count: opt.Count = 1
+    criterion: Literal["condition", "d_optimal", "a_optimal"] | None = None
+    effects: str = "viscous_friction,coulomb_friction,torque_offset"
+    duration: float = 20.0
+    rate: float = 100.0
+    harmonics: opt.Count = 5
+    restarts: opt.Count = 8
+    usage: float = 1.0
+    seed: opt.Seed = 0
+    device_name: opt.Device = "cpu"
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "rate", "usage"):
+            if not getattr(self, name) > 0:
+                raise TorchidError(f"--{name} must be positive.", got=getattr(self, name))
+        if self.usage > 1:
+            raise TorchidError("--usage is a share of the limits.", got=self.usage, expected="0..1")
+        if self.duration * self.rate > 1e7:
+            raise TorchidError(
+                "the trajectory would have more than ten million samples.",
+                got=f"{self.duration:g} s at {self.rate:g} Hz",
+            )
+        if self.result is not None and (self.kind != "optimised" or self.count != 1):
+            raise TorchidError(
+                "--for RESULT designs one optimised trajectory.",
+                got=f"--kind {self.kind} --count {self.count}",
+            )
+
+    @property
+    def series(self) -> dict[str, Any]:
+        """Of the Fourier series."""
+        return {"harmonics": self.harmonics, "duration": self.duration, "usage": self.usage}
+
+
+@command
 def excite_command(
-    robot: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[ROBOT]",
-            help="Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file; with --for, the one "
-            "that the result records if absent.",
-        ),
-    ] = None,
-    result: Annotated[
-        Path | None,
-        typer.Option(
-            "--for",
-            metavar="RESULT",
-            help="The next motion for an identification.json (fixes the parameters it knows least) "
-            "or a gap.json (separates what it cannot tell apart, or shows what it could not test).",
-        ),
-    ] = None,
-    kind: Annotated[
-        Literal["optimised", "random", "sinusoid", "paper"],
-        typer.Option(
-            help="Optimised Fourier series, random ones, sinusoids for validation, or the "
-            "report's table 5.1 (3R only).",
-        ),
-    ] = "optimised",
-    to: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trajectory file (.csv, .parquet, .npz)."),
-    ] = None,
-    count: Annotated[int, typer.Option(min=1, help="How many trajectories.")] = 1,
-    criterion: Annotated[
-        Literal["condition", "d_optimal", "a_optimal"] | None,
-        typer.Option(
-            help="What to improve: the condition number (default) or the determinant of the "
-            "information; with --for an identification, its least known parameters (a_optimal, "
-            "default) or all (d_optimal)."
-        ),
-    ] = None,
-    effects: Annotated[
-        str,
-        typer.Option(help="Effects to be identified with it, comma-separated; `none`."),
-    ] = "viscous_friction,coulomb_friction,torque_offset",
-    duration: Annotated[float, typer.Option(help="Seconds.")] = 20.0,
-    rate: Annotated[float, typer.Option(help="Samples per second in the file [Hz].")] = 100.0,
-    harmonics: Annotated[int, typer.Option(min=1, help="Harmonics of the series.")] = 5,
-    restarts: Annotated[int, typer.Option(min=1, help="Random starts of the design.")] = 8,
-    usage: Annotated[float, typer.Option(help="Share of the limits that may be used.")] = 1.0,
-    max_velocity: Annotated[
-        str | None,
-        typer.Option(metavar="V|V1,V2,..", help="Velocity limits, in place of the robot's."),
-    ] = None,
-    max_acceleration: opt.MaxAcceleration = None,
+    *,
+    robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]")] = None,
+    motion: Motion,
+    to: opt.File = None,
+    max_velocity: opt.Velocities = None,
+    max_acceleration: opt.Accelerations = None,
     tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
-    device_name: opt.Device = "cpu",
+    results: Computed,
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -84,65 +101,95 @@ def excite_command(
     Example: `torchid excite kuka_lwr4 --out motion`
 
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
+
+    Args:
+        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file; with --for, the one
+            that the result records if absent.
+        to: Trajectory file (.csv, .parquet, .npz).
+        max_velocity: Velocity limits, in place of the robot's.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = results.open()
+    from torchid.excitation.trajectories import trajectory_log
+    from torchid.log.model import Log
+    from torchid.log.readers import write_log
+    from torchid.report.excitation import (
+        not_checked,
+        torque_record,
+        torque_table,
+        trajectory_figure,
+    )
     from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
 
-    target = to
-    if to is None and out is not None:
-        target = out / "trajectory.csv"
+    target = to or (output.folder and output.folder / "trajectory.csv")
     if target is None and output.json_file is None:
         raise TorchidError(
             "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
         )
-    for name, value in (("--duration", duration), ("--rate", rate), ("--usage", usage)):
-        if not value > 0:
-            raise TorchidError(f"{name} must be positive.", got=value)
-    if usage > 1:
-        raise TorchidError("--usage is a share of the limits.", got=usage, expected="0..1")
-    if duration * rate > 1e7:
-        raise TorchidError(
-            "the trajectory would have more than ten million samples.",
-            got=f"{duration:g} s at {rate:g} Hz",
-        )
-    settings: dict[str, Any] = {"harmonics": harmonics, "duration": duration, "usage": usage}
     found = None if robot is None else load_robot(robot, tip=tip)
-    if result is not None:
-        if kind != "optimised" or count != 1:
-            raise TorchidError(
-                "--for RESULT designs one optimised trajectory.",
-                got=f"--kind {kind} --count {count}",
-            )
-        data = read_result(result)
-        found = found or recorded_robot(data, str(result))
+    data = None if motion.result is None else _read_result(motion.result)
+    if data is not None:
+        found = found or recorded_robot(data, str(motion.result))
     if found is None:
-        if result is not None:
+        if data is not None:
             raise TorchidError(
-                f"'{result}' does not record its robot.", expected="torchid excite ROBOT"
+                f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
             )
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
     arm = opt.limited(found, max_velocity, max_acceleration)
-    if result is not None:
-        best, record, torque = designed_for(
-            result, data, arm, seed, criterion, restarts, settings, output
-        )
-        made: list[Any] = [best]
-        record |= {"result": result.name, "trajectories": _coefficients([best])}
+    kind: str = motion.kind
+    if data is not None:
+        kind = "next"
+        made, record, torque = _next(arm, motion, data, output)
     elif kind == "optimised":
-        settings |= {"restarts": restarts, "criterion": criterion or "condition"}
-        settings["device"] = opt.device(device_name)
-        names = opt.effect_names(effects)
-        made, record, torque = _optimised(arm, names, seed, count, settings, output)
+        made, record, torque = _optimised(arm, motion, output)
     else:
-        made, record, torque = _given(arm, kind, seed, count, settings)
-    record |= torque_use(arm, torque, made, output)
-    _write(arm, "next" if result else kind, made, rate, record, target, output)
+        made, record, torque = _given(arm, motion)
+
+    # What the motions ask of the drives, or that it is not known.
+    use = None if torque is None else torque.use(made)
+    if use is not None:
+        output.say(torque_table(arm, use))
+    elif reason := not_checked(arm):
+        output.warn((reason,))
+
+    logs = [trajectory_log(x, motion.rate) for x in made]
+    log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
+    output.warn(log.warnings)
+    written = []
+    if target is not None:
+        write_log(log, target)
+        written.append(target)
+    title = f"{arm.name}: {kind} trajectory"
+    drawn = output.draw(
+        lambda: {
+            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
+            for k, part in enumerate(log.trajectories(), start=1)
+        }
+    )
+    written += [output.folder / name for name in drawn if output.folder is not None]
+    output.write_json(
+        {
+            "schema": "torchid.excitation/1",
+            "robot": arm.name,
+            "kind": kind,
+            "file": None if target is None else target.name,
+            **record,
+            "torque": torque_record(arm, use),
+            "warnings": list(log.warnings),
+        },
+        "excitation.json",
+    )
+    if written:
+        output.say("written: " + ", ".join(str(path) for path in written))
 
 
-def _given(
-    robot: "Robot", kind: str, seed: int, count: int, settings: dict[str, Any]
-) -> "tuple[list[Any], dict[str, Any], TorqueLimits | None]":
+def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]:
+    names = ("a", "b", "q0", "w_f", "duration", "ramp")
+    return [{name: plain(getattr(s, name)) for name in names} for s in series]
+
+
+def _given(robot: "Robot", motion: Motion) -> "Designed":
     from torchid.excitation.torque import nominal_torque_limits
     from torchid.excitation.trajectories import (
         paper_trajectories_3r,
@@ -150,14 +197,14 @@ def _given(
         sinusoid,
     )
 
-    torque = nominal_torque_limits(robot, usage=settings["usage"])
-    if kind == "sinusoid":
-        made = [
-            sinusoid(robot, seed + k, duration=settings["duration"], usage=settings["usage"])
-            for k in range(count)
+    seeds = range(motion.seed, motion.seed + motion.count)
+    torque = nominal_torque_limits(robot, usage=motion.usage)
+    if motion.kind == "sinusoid":
+        waves = [
+            sinusoid(robot, seed, duration=motion.duration, usage=motion.usage) for seed in seeds
         ]
-        return [torque.within(x) for x in made] if torque else made, {}, torque
-    if kind == "paper":
+        return [torque.within(x) for x in waves] if torque else waves, {}, torque
+    if motion.kind == "paper":
         if not robot.name.startswith("3r"):
             raise TorchidError(
                 "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
@@ -165,30 +212,28 @@ def _given(
         series = paper_trajectories_3r()
         three = _coefficients([series.select(k) for k in range(3)])
         return [series], {"trajectories": three}, torque
-    series_list = [random_trajectory(robot, seed + k, fill=True, **settings) for k in range(count)]
+    made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
     if torque is not None:
-        series_list = [torque.within(x) for x in series_list]
-    return list(series_list), {"trajectories": _coefficients(series_list)}, torque
+        made = [torque.within(x) for x in made]
+    return made, {"trajectories": _coefficients(made)}, torque
 
 
-def _optimised(
-    robot: "Robot",
-    effects: tuple[str, ...],
-    seed: int,
-    count: int,
-    settings: dict[str, Any],
-    output: Output,
-) -> "tuple[list[Any], dict[str, Any], TorqueLimits | None]":
+def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
     from torchid.effects.registry import on_every_joint
     from torchid.excitation.design import optimise_trajectory
 
+    every = on_every_joint(opt.effect_names(motion.effects), robot.n)
+    settings = motion.series | {
+        "restarts": motion.restarts,
+        "criterion": motion.criterion or "condition",
+        "device": opt.device(motion.device_name),
+    }
     found = []
     with progress_bar(output) as progress:
-        for k in range(count):
-            told = stage(progress, f"trajectory {k + 1} of {count}")
-            every = on_every_joint(effects, robot.n)
+        for k in range(motion.count):
+            told = stage(progress, f"trajectory {k + 1} of {motion.count}")
             found.append(
-                optimise_trajectory(robot, every, seed=seed + k, progress=told, **settings)
+                optimise_trajectory(robot, every, seed=motion.seed + k, progress=told, **settings)
             )
     for k, design in enumerate(found, start=1):
         output.say(
@@ -204,51 +249,85 @@ def _optimised(
     return [f.trajectory for f in found], record, found[0].torque
 
 
-def _coefficients(series: "list[FourierTrajectory]") -> list[dict[str, Any]]:
-    names = ("a", "b", "q0", "w_f", "duration", "ramp")
-    return [{name: plain(getattr(s, name)) for name in names} for s in series]
+def _read_result(path: Path) -> Mapping[str, Any]:
+    """What a motion can be designed for.
 
+    Raises:
+        TorchidError: another kind of file, or of another version.
+    """
+    from torchid.identification.record import SCHEMA as IDENTIFICATION
+    from torchid.next_motion.ambiguity import SCHEMA as GAP
 
-def _write(
-    robot: "Robot",
-    kind: str,
-    trajectories: list[Any],
-    rate: float,
-    record: dict[str, Any],
-    target: Path | None,
-    output: Output,
-) -> None:
-    """The log of the motions, their figures and their record."""
-    from torchid.excitation.trajectories import trajectory_log
-    from torchid.log.model import Log
-    from torchid.log.readers import write_log
-    from torchid.report.excitation import trajectory_figure
-
-    logs = [trajectory_log(x, rate) for x in trajectories]
-    log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
-    output.warn(log.warnings)
-    written = []
-    if target is not None:
-        write_log(log, target)
-        written.append(target)
-    title = f"{robot.name}: {kind} trajectory"
-    drawn = output.draw(
-        lambda: {
-            f"trajectory_{k}": trajectory_figure(robot, part, f"{title} {k}")
-            for k, part in enumerate(log.trajectories(), start=1)
-        }
+    data = read_json(path, "a result")
+    schema = data.get("schema")
+    if schema in (IDENTIFICATION, GAP):
+        return data
+    kind = str(schema).partition("/")[0]
+    commands = {GAP.partition("/")[0]: "gap", IDENTIFICATION.partition("/")[0]: "identify"}
+    again = f"it is of another version: torchid {commands.get(kind)} ROBOT LOG... --json FILE"
+    raise TorchidError(
+        f"'{path}' is not a result that a motion can be designed for.",
+        got=f"schema {schema}",
+        available=[IDENTIFICATION, GAP],
+        hint=again if kind in commands else None,
     )
-    written += [output.folder / name for name in drawn if output.folder is not None]
-    output.write_json(
-        {
-            "schema": "torchid.excitation/1",
-            "robot": robot.name,
-            "kind": kind,
-            "file": None if target is None else target.name,
-            **record,
-            "warnings": list(log.warnings),
-        },
-        "excitation.json",
-    )
-    if written:
-        output.say("written: " + ", ".join(str(path) for path in written))
+
+
+def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Output) -> "Designed":
+    """The motion for a result, by its kind.
+
+    Raises:
+        TorchidError: a result that asks for no motion.
+    """
+    from torchid.excitation.design import optimise_trajectory
+    from torchid.excitation.informed import design_for
+    from torchid.excitation.torque import corrected_torque_limits
+    from torchid.identification.reading import read_prior
+    from torchid.next_motion.ambiguity import SCHEMA as GAP
+    from torchid.next_motion.ambiguity import read_open
+    from torchid.next_motion.rivals import rivals
+    from torchid.next_motion.separating_motion import design_separation
+    from torchid.report import next_motion as words
+
+    assert motion.result is not None
+    seed, restarts, usage = motion.seed, motion.restarts, motion.usage
+    if data["schema"] != GAP:
+        goal = motion.criterion or "a_optimal"
+        if goal == "condition":
+            raise TorchidError(
+                "--for an identification has other criteria.",
+                got=goal,
+                available=["a_optimal", "d_optimal"],
+            )
+        prior = read_prior(motion.result, robot)
+        with progress_bar(output) as progress:
+            best = design_for(
+                robot, prior, seed=seed, goal=goal, restarts=restarts, **motion.series,
+                progress=stage(progress, "designing"),
+            )  # fmt: skip
+        output.verdict(words.informed_verdict(best))
+        output.say(words.informed_table(best))
+        trajectory, torque, record = best.trajectory, best.torque, words.informed_record(best)
+    else:
+        if motion.criterion is not None:
+            raise TorchidError(
+                "for a gap diagnosis motions are designed to separate.", got=motion.criterion
+            )
+        found = read_open(motion.result, data, robot)
+        limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
+        with progress_bar(output) as progress:
+            ordinary = optimise_trajectory(
+                robot, seed=seed, restarts=restarts, torque=limits, **motion.series,
+                progress=stage(progress, "a plain motion to compare with"),
+            ).trajectory  # fmt: skip
+            made = design_separation(
+                found.setting, rivals(found, ordinary), ordinary, seed=seed, usage=usage,
+                evaluations=EVALUATIONS * restarts, progress=stage(progress, "separating"),
+            )  # fmt: skip
+        output.verdict(words.separation_verdict(made, found.kind))
+        output.say(words.separation_table(made, found.kind))
+        output.warn(found.notes)
+        record = {**words.separation_record(made, found.kind), "notes": list(found.notes)}
+        trajectory, torque = made.trajectory, made.torque
+    record |= {"result": motion.result.name, "trajectories": _coefficients([trajectory])}
+    return [trajectory], record, torque

@@ -6,58 +6,23 @@ from typing import Annotated, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output
+from torchid.app.output import Computed
+from torchid.app.signature import Switch, command
 
 
+@command
 def export_command(
-    result: Annotated[
-        str,
-        typer.Argument(
-            metavar="RESULT",
-            help="JSON of `torchid identify` or `extract`, a file of parameter sets, the .yaml of "
-            "`torchid gap --save-model`, or any robot.",
-        ),
-    ],
-    to: Annotated[
-        Literal["urdf", "mjcf", "yaml", "csv", "c"], typer.Option("--to", help="Format to write.")
-    ],
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="ROBOT",
-            help="Robot of the result, and the file that a copy is edited of; the one that RESULT "
-            "records.",
-        ),
-    ] = None,
-    chosen: Annotated[
-        str | None,
-        typer.Option(
-            "--set",
-            metavar="ID",
-            help="Set of a file of several; the feasible one of least loss.",
-        ),
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Of the file, without suffix; the robot's name."),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write infeasible parameters, too.")
-    ] = False,
-    geometry: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUP|none",
-            help="Bounds of the centres of mass that count in the check, as for `torchid check`.",
-        ),
-    ] = None,
+    *,
+    result: Annotated[str, typer.Argument(metavar="RESULT")],
+    to: Literal["urdf", "mjcf", "yaml", "csv", "c"],
+    robot: opt.RobotOption = None,
+    chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
+    name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    force: Switch = False,
+    geometry: opt.Group = None,
     tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Computed,
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -66,8 +31,19 @@ def export_command(
     the present folder.
 
     Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
+
+    Args:
+        result: JSON of `torchid identify` or `extract`, a file of parameter sets, the .yaml of
+            `torchid gap --save-model`, or any robot.
+        to: Format to write.
+        robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
+            records.
+        chosen: Set of a file of several; the feasible one of least loss.
+        name: Of the file, without suffix; the robot's name.
+        force: Write infeasible parameters, too.
+        geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = results.open()
     from rich.markup import escape
 
     from torchid.export.export import export_dynamics
@@ -96,7 +72,7 @@ def export_command(
     done = export_dynamics(
         dynamics,
         to,
-        Path() if out is None else out,
+        output.folder or Path(),
         name,
         nominal=nominal,
         original=original,

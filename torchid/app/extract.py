@@ -1,90 +1,122 @@
-"""`torchid extract`: physical parameter sets from base parameters."""
+"""`torchid extract` and `torchid atlas`: physical parameters from base parameters."""
 
 import sys
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.output import Output, open_output, progress_bar, stage
-from torchid.app.problems import (
-    BoundsOption,
-    GeometryOption,
-    LossOption,
-    ResultArgument,
-    ShapesOption,
-    TotalMassOption,
-    build_problem,
-)
+from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
+from torchid.extraction.settings import EngineName, SearchSettings
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.certificate import Certificate
-    from torchid.extraction.extract import SearchSettings
-    from torchid.extraction.problem import Problem
+    from torchid.extraction.problem import LossName, Problem
+    from torchid.identification.values import BaseValues
     from torchid.report.extraction import Found
 
 
+@dataclass(frozen=True, kw_only=True)
+class Sought:
+    """Whose base parameters, under which bounds and conditions.
+
+    Attributes:
+        result: JSON of `torchid identify`; without it, the base parameters of the robot's nominal
+            parameters.
+        bounds: Group of bounds in the robot's yaml, or bounds derived from its nominal parameters
+            and shapes. Default: normal, else from-robot.
+        geometry: Bounds whose boxes of the centres of mass are the links' geometry. Default:
+            normal where there is one, else the bounds' own.
+        shapes: Centres of mass inside the links' cylinders and spheres.
+        total_mass: Interval of the total mass.
+    """
+
+    result: Annotated[Path | None, typer.Argument(metavar="[RESULT]")] = None
+    bounds: opt.Bounds = None
+    geometry: opt.Group = None
+    shapes: Switch = False
+    total_mass: Annotated[str | None, typer.Option(metavar="LO,HI")] = None
+
+    def problem(
+        self, arm: opt.Arm, loss: "LossName" = "two-step"
+    ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
+        """The problem that the options describe, the base parameters, and notes for the user."""
+        from torchid.extraction.from_identification import problem_of
+        from torchid.identification.reading import read_base
+        from torchid.identification.values import nominal_base
+
+        robot = arm.load()
+        found = nominal_base(robot) if self.result is None else read_base(self.result, robot)
+        mass = None if self.total_mass is None else opt.interval("--total-mass", self.total_mass)
+        problem, notes = problem_of(
+            robot,
+            found,
+            bounds=self.bounds,
+            geometry=self.geometry,
+            shapes=self.shapes,
+            total_mass=mass,
+            loss=loss,
+        )
+        return problem, found, notes
+
+
+@command
 def extract_command(
-    robot: opt.RobotArgument,
-    result: ResultArgument = None,
-    method: Annotated[
-        Literal["cma-es", "log-cholesky", "sdp"],
-        typer.Option(help="Population search (Algorithm 1), gradient, or convex optimum."),
-    ] = "cma-es",
-    bounds: BoundsOption = None,
-    penalty: Annotated[
-        Literal["full", "partial"],
-        typer.Option(help="Full loss phi + xi gamma, or phi alone (sets may be infeasible)."),
-    ] = "full",
-    loss: LossOption = "two-step",
-    geometry: GeometryOption = None,
-    shapes: ShapesOption = False,
-    total_mass: TotalMassOption = None,
-    runs: Annotated[int, typer.Option(help="Independent starts.")] = 30,
-    stages: Annotated[int, typer.Option(help="Stages of Algorithm 1.")] = 25,
-    generations: Annotated[int, typer.Option(help="Generations of each stage.")] = 100,
-    population: Annotated[
-        int | None, typer.Option(help="Of each run (default: 4 + 3 ln D).")
-    ] = None,
-    schedule: Annotated[
-        Literal["linear", "geometric"], typer.Option(help="xi = 10 k, or ten times more a stage.")
-    ] = "linear",
-    engine: Annotated[
-        Literal["batched", "cma"],
-        typer.Option(help="Ours, all runs at once; or pycma."),
-    ] = "batched",
-    polish: Annotated[bool, typer.Option(help="Gradient polish after the search.")] = True,
-    proof: Annotated[
-        bool, typer.Option("--certificate/--no-certificate", help="Least loss possible, beside it.")
-    ] = True,
-    search_anyway: Annotated[
-        bool,
-        typer.Option("--search-anyway", help="Also where no point of the bounds can be feasible."),
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue from the checkpoint in --out.")
-    ] = False,
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    *,
+    arm: opt.Arm,
+    sought: Sought,
+    method: Literal["cma-es", "log-cholesky", "sdp"] = "cma-es",
+    loss: Literal["two-step", "one-step"] = "two-step",
+    settings: Annotated[
+        SearchSettings,
+        Fields(
+            "runs",
+            "stages",
+            "population",
+            "penalty",
+            "schedule",
+            "polish",
+            generations=100,
+            engine=EngineName,
+            seed=opt.Seed,
+        ),
+    ],
+    certificate: bool = True,
+    search_anyway: Switch = False,
+    resume: Switch = False,
+    results: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Extract physical parameter sets that give the identified base parameters, and classify them.
 
     Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
-    """
-    output = open_output(json_file, out, quiet, threads)
-    from rich.markup import escape
 
+    Args:
+        method: Population search (Algorithm 1), gradient, or convex optimum.
+        loss: Distance to the coefficients (2.28), or to the torques of the log (2.29), by the
+            fit's triangular factor.
+        stages: Stages of Algorithm 1.
+        generations: Generations of each stage.
+        population: Of each run (default: 4 + 3 ln D).
+        penalty: Full loss phi + xi gamma, or phi alone (sets may be infeasible).
+        schedule: xi = 10 k, or ten times more a stage.
+        engine: Ours, all runs at once; or pycma.
+        polish: Gradient polish after the search.
+        certificate: Least loss possible, beside it.
+        search_anyway: Also where no point of the bounds can be feasible.
+        resume: Continue from the checkpoint in --out.
+    """
+    output = results.open()
     from torchid.errors import MissingExtraError
     from torchid.extraction.convex.certificate import certificate_where_possible
-    from torchid.extraction.extract import SearchSettings, require_possible
+    from torchid.extraction.extract import require_possible
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
     from torchid.feasibility.sets import to_record
     from torchid.report.extraction import (
@@ -96,22 +128,14 @@ def extract_command(
         search_figure,
         tables,
     )
-    from torchid.robot.library import load_robot
 
-    settings = SearchSettings(
-        runs, stages, generations, population, penalty, schedule, engine, polish, seed
-    )
-    if resume and out is None:
+    if resume and output.folder is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
-    arm = load_robot(robot, tip=tip)
-    problem, values, notes = build_problem(
-        arm, result, bounds=bounds, geometry=geometry, shapes=shapes, total_mass=total_mass,
-        loss=loss,
-    )  # fmt: skip
-    if penalty == "full" and not search_anyway:
+    problem, values, notes = sought.problem(arm, loss)
+    if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
     proven = None
-    if proof or method == "sdp":
+    if certificate or method == "sdp":
         try:
             proven, told = certificate_where_possible(problem)
             notes = (*notes, *told)
@@ -121,7 +145,7 @@ def extract_command(
         found = _convex(problem, proven, search_anyway)
     elif method == "log-cholesky":
         began = time.monotonic()
-        made = extract_log_cholesky(problem, runs=runs, seed=seed)
+        made = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
         sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
         done = zip(sets.ids, made.converged.tolist(), strict=True)
         short = ", ".join(name for name, converged in done if not converged)
@@ -137,8 +161,8 @@ def extract_command(
     output.warn(notes)
     output.say(f"\n{escape(headline(found, proven))}")
     output.write_json(extraction_record(found, proven, notes), "extraction.json")
-    if out is not None:
-        write_json(to_record(found.sets, problem.robot), out / "sets.json")
+    if output.folder is not None:
+        write_json(to_record(found.sets, problem.robot), output.folder / "sets.json")
     search = found.search
     if search is not None:
         output.draw(lambda: {"search": search_figure(search, proven)})
@@ -207,3 +231,38 @@ def _searched(
                 )
             raise
     return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
+
+
+@command
+def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results: Computed) -> None:
+    """The range of every physical parameter over all feasible sets with the same torque.
+
+    Example: `torchid atlas kuka_lwr4 --bounds normal --out atlas`
+
+    Args:
+        level: Of the confidence region of identified base parameters.
+    """
+    output = results.open()
+    from torchid.extraction.convex.atlas import atlas
+    from torchid.extraction.record import atlas_record
+    from torchid.report.atlas import atlas_figure, atlas_table, headline
+
+    problem, found, notes = sought.problem(arm)
+    covariance = found.covariance
+    if covariance is not None:
+        # Values that the fit held have no variance, which does not make them sure.
+        held = ((covariance.diagonal() == 0) & found.known).tolist()
+        names = ", ".join(n for n, is_held in zip(found.base.names, held, strict=True) if is_held)
+        if names:
+            notes = (*notes, f"held by the identification, and taken for exact here: {names}")
+        covariance = covariance.clone()
+        covariance[~found.known, ~found.known] = float("inf")
+    with progress_bar(output) as progress:
+        ranges = atlas(
+            problem, covariance=covariance, level=level, progress=stage(progress, "ends")
+        )
+    output.say(atlas_table(ranges))
+    output.warn(notes)
+    output.say(f"\n{escape(headline(ranges, problem))}")
+    output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
+    output.draw(lambda: {"atlas": atlas_figure(ranges, problem)})

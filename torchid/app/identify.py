@@ -1,13 +1,15 @@
 """`torchid identify`: base parameters from logs."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output, progress_bar
-from torchid.app.page import hashed, log_inputs, robot_input, write_report
+from torchid.app.output import Results, progress_bar, write_report
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
+from torchid.identification.settings import Settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,82 +17,53 @@ if TYPE_CHECKING:
     from torchid.identification.identify import Identification
 
 
+@command
 def identify_command(
-    robot: opt.RobotArgument,
-    logs: opt.LogArguments,
-    effects: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME[:joint=J,SHAPE=V],..",
-            help="Effects, comma-separated: on every joint, or at one place; shapes that are not "
-            "given are searched. `none` for the rigid body.",
+    *,
+    trials: opt.Trials,
+    effects: Annotated[str, typer.Option(metavar="NAME[:joint=J,SHAPE=V],..")] = opt.FITTED,
+    cutoff: opt.FilterCutoff = "auto",
+    reversal: Annotated[str, typer.Option(metavar="FRACTION|auto")] = "auto",
+    settings: Annotated[
+        Settings,
+        Fields(
+            "rows",
+            "covariance",
+            "signs",
+            held_out_fraction=opt.HeldOutFraction,
+            method=opt.Method,
+            essential=Switch,
+            error_cutoff=opt.Hertz,
+            compiled=Annotated[bool, typer.Option("--compile")],
         ),
-    ] = opt.FITTED,
-    held_out: opt.HeldOut = None,
-    held_out_fraction: opt.HeldOutFraction = 0.0,
-    cutoff: Annotated[
-        str, typer.Option(metavar="HZ|auto|none", help="Cut-off of the zero-phase filter.")
-    ] = "auto",
-    reversal: Annotated[
-        str,
-        typer.Option(
-            metavar="FRACTION|auto",
-            help="Speed at which a joint's direction counts as reversed, as a fraction of its "
-            "99 % speed.",
-        ),
-    ] = "auto",
-    rows: Annotated[
-        Literal["all", "moving"],
-        typer.Option(help="Rows fitted: all, or while the own joint moves."),
-    ] = "all",
-    columns: opt.Columns = None,
-    topic: opt.Topic = None,
-    gain: opt.Gain = None,
-    method: opt.Method = "huber",
-    covariance: Annotated[
-        Literal["diagonal", "full"],
-        typer.Option(help="Noise between joints, for wls and huber."),
-    ] = "diagonal",
-    signs: Annotated[
-        Literal["bounded", "free"],
-        typer.Option(
-            help="Coefficients physics forbids to be negative: hold at zero or above, or only "
-            "report them.",
-        ),
-    ] = "bounded",
-    essential: Annotated[
-        bool, typer.Option("--essential", help="Drop parameters that cannot be told from zero.")
-    ] = False,
-    error_cutoff: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Report errors under this filter, not the fit's."),
-    ] = None,
-    compiled: Annotated[
-        bool,
-        typer.Option(
-            "--compile", help="Compile the regressor (needs a C++ compiler); for very long logs."
-        ),
-    ] = False,
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    report: opt.Report = None,
+    ],
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Results,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Identify base parameters and friction from logs, with standard deviations and validation.
 
     Example: `torchid identify panda.yaml run1.parquet run2.parquet --held-out run3.parquet
     --out result --report result.html`
+
+    Args:
+        effects: Effects, comma-separated: on every joint, or at one place; shapes that are not
+            given are searched. `none` for the rigid body.
+        cutoff: Cut-off of the zero-phase filter.
+        reversal: Speed at which a joint's direction counts as reversed, as a fraction of its 99 %
+            speed.
+        rows: Rows fitted: all, or while the own joint moves.
+        covariance: Noise between joints, for wls and huber.
+        signs: Coefficients physics forbids to be negative: hold at zero or above, or only report
+            them.
+        error_cutoff: Report errors under this filter, not the fit's.
+        compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
-    output = open_output(json_file, out, quiet, threads, report)
-    from torchid.identification.identify import Settings, identify
+    output = results.open()
+    from torchid.identification.identify import identify
     from torchid.identification.record import record
     from torchid.report.identification import headline, tables
     from torchid.report.page.identification import identification_page
-    from torchid.robot.library import load_robot
 
     fraction: float | Literal["auto"] = "auto"
     if reversal != "auto":
@@ -99,22 +72,10 @@ def identify_command(
             raise TorchidError(
                 "--reversal is a fraction of the 99 % speed.", got=reversal, expected="0..1"
             )
-    settings = Settings(
-        effects=_effects(effects),
-        cutoff=opt.cutoff_hz(cutoff),
-        reversal=fraction,
-        rows=rows,
-        method=method,
-        covariance=covariance,
-        signs=signs,
-        essential=essential,
-        held_out_fraction=held_out_fraction,
-        error_cutoff=error_cutoff,
-        compiled=compiled,
+    settings = replace(
+        settings, effects=_effects(effects), cutoff=opt.cutoff_hz(cutoff), reversal=fraction
     )
-    found = load_robot(robot, tip=tip)
-    files = hashed(output, [robot_input(robot), *log_inputs(logs, held_out)])
-    log, apart = opt.read_both(logs, held_out, gain, found, columns, topic)
+    found, log, apart, files = trials.open(output)
     with progress_bar(output, lines=True) as progress:
         result = identify(
             found,
@@ -129,10 +90,9 @@ def identify_command(
     output.say(f"\n{headline(result)}")
     data = {**record(result), "seed": seed}
     output.write_json(data, "identification.json")
-    if out is not None:
-        for old in (*out.glob("fit_*.png"), *out.glob("held_out_*.png")):
-            old.unlink()  # of an earlier run, whose trajectories may have had other names
-    output.draw(lambda: _figures(result), "identification.json")
+    # Trajectories of an earlier run may have had other names.
+    old = ["fit_*.png", "held_out_*.png"]
+    output.draw(lambda: _figures(result), "identification.json", old=old)
     write_report(
         output,
         lambda origin: identification_page(result, origin),

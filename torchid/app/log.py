@@ -1,55 +1,103 @@
-"""`torchid log`: what a log is, before anything is computed from it."""
+"""`torchid log`: what a log is, and what is wrong with it, before anything is computed from it."""
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.log_doctor import doctor_command
-from torchid.app.output import open_output
+from torchid.app.output import Computed, Printed
+from torchid.app.signature import Fields, command
+from torchid.errors import TorchidError
 
 log_app = typer.Typer(
     name="log", no_args_is_help=True, help="What a log is, before anything is computed from it."
 )
 
 
-log_app.command("doctor")(doctor_command)
+@log_app.command("doctor")
+@command
+def doctor_command(
+    *,
+    arm: opt.ArmAndLogs,
+    apply: opt.File = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
+    seed: opt.Seed = 0,
+    results: Computed,
+) -> None:
+    """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
+    lag, velocities, clock, dropouts, saturation, excitation; with evidence, and what to change.
+
+    Example: `torchid log doctor panda.yaml run1.parquet --apply mended.parquet`
+
+    Args:
+        apply: Write a copy of the log, all trajectories, with the fixes applied (.parquet, .csv,
+            .npz). The logs themselves are never changed.
+        fix: Of fixes that are equally good, the one to take, by the name that is said. May be
+            given several times; without it --apply takes none of them.
+    """
+    output = results.open()
+    if apply is not None and any(
+        apply.exists() and log.exists() and apply.samefile(log) for log in arm.logs
+    ):
+        raise TorchidError(
+            f"--apply would write over the log '{apply}'.", expected="the name of a new file"
+        )
+    from torchid.doctor.examine import examine
+    from torchid.doctor.flag import columns_flag
+    from torchid.doctor.record import conclusion, record
+    from torchid.log.readers import open_log, write_log
+    from torchid.log.table import Request
+    from torchid.report.doctor import choices, fine, tables, torque_figure
+
+    found = arm.load()
+    result = examine(found, arm.read(arm.logs, found), fix or ())
+    if apply is not None:
+        write_log(result.mended(), apply)
+    # The fixes as --columns, where the logs have columns of our names.
+    flag = None
+    if result.repairs and not (arm.columns or arm.topic):
+        read = [open_log(log, Request())[0] for log in arm.logs]
+        own = [set() if table is None else set(table.columns) for table in read]
+        flag = columns_flag(result.repairs, found.n, set.intersection(*own))
+    output.say(*tables(result), fine(result), f"\n{escape(conclusion(result))}")
+    if result.undecided:
+        output.say(escape(choices(result)))
+    if apply is not None:
+        count = len(result.repairs)
+        output.say(f"written to {apply}: a copy with {count} fix{'es' if count != 1 else ''}")
+    elif result.repairs:
+        output.say("--apply FILE writes a copy with the fixes that can be applied")
+    if flag is not None:
+        output.say(escape(f'or read the log with --columns "{flag}"'))
+    output.write_json({**record(result, flag), "seed": seed}, "doctor.json")
+    output.draw(
+        lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure},
+        "doctor.json",
+    )
 
 
 @log_app.command("show")
+@command
 def show_command(
+    *,
     logs: opt.LogArguments,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="ROBOT",
-            help="The robot it is of: joints by name, and what only a robot can tell is checked.",
-        ),
-    ] = None,
-    columns: opt.Columns = None,
-    topic: opt.Topic = None,
+    robot: opt.RobotOption = None,
+    reading: Annotated[opt.Reading, Fields("columns", "topic")],
     tip: opt.Tip = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Write what was read as .parquet, .csv or .npz, in our columns and units.",
-        ),
-    ] = None,
-    json_file: opt.Json = None,
-    quiet: opt.Quiet = False,
+    out: opt.File = None,
+    results: Printed,
 ) -> None:
     """Print what a log is seen as: format, joints, sampling, ranges, units, and what is odd.
 
     Example: `torchid log show run1.csv --columns "q=pos_{j} deg,tau=eff_{j},t=time ms" --out
     run1.parquet`
-    """
-    output = open_output(json_file, None, quiet)
-    from rich.markup import escape
 
+    Args:
+        robot: The robot it is of: joints by name, and what only a robot can tell is checked.
+        out: Write what was read as .parquet, .csv or .npz, in our columns and units.
+    """
+    output = results.open()
     from torchid.design.repeats import repeated_motion
     from torchid.log.mapping import read_mapping
     from torchid.log.overview import look_at, overview_record
@@ -71,7 +119,8 @@ def show_command(
             "torque_limits": found.limits.torque,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
         }
-    request = Request(None if columns is None else read_mapping(columns), topic, joints)
+    mapping = None if reading.columns is None else read_mapping(reading.columns)
+    request = Request(mapping, reading.topic, joints)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     output.verdict(headline(seen))

@@ -1,24 +1,32 @@
-"""Options that every computing command takes, and what they do."""
+"""Options that several commands take, and what they do."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from torchid.app.output import Output, hashed
 from torchid.errors import TorchidError
+from torchid.identification.settings import DEFAULT_EFFECTS
 
 if TYPE_CHECKING:
     from torchid.log.model import Log
+    from torchid.report.page.origin import InputFile
     from torchid.robot.model import Robot
 
-RobotArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="ROBOT", help="Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file."
-    ),
+FITTED = ",".join(DEFAULT_EFFECTS)
+"""Effects that a fit has by default."""
+LARGEST_SEED = 2**63 - 1
+"""That torch's generators take."""
+_SEED = typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed of everything random.")
+Seed = Annotated[int, _SEED]
+Device = Annotated[str, typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ...")]
+Tip = Annotated[
+    str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of the chain.")
 ]
+RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT")]
 LogArguments = Annotated[
     list[Path],
     typer.Argument(
@@ -27,94 +35,114 @@ LogArguments = Annotated[
         "dq1.., tau1.. or i1.., or --columns. Several are several trajectories.",
     ),
 ]
-Columns = Annotated[
-    str | None,
-    typer.Option(
-        "--columns",
-        metavar="MAP|FILE.yaml",
-        help="Which columns of the logs are what, where they have other names: "
-        "`q=pos_{j} deg,tau=-eff_{j} mNm,t=stamp ns`, `q=state[:,0:7]`.",
-    ),
+File = Annotated[Path | None, typer.Option(metavar="FILE")]
+LogFiles = Annotated[list[Path] | None, typer.Option(metavar="LOG")]
+Group = Annotated[str | None, typer.Option(metavar="GROUP|none")]
+Bounds = Annotated[str | None, typer.Option(metavar="GROUP|from-robot")]
+Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
+Names = Annotated[str, typer.Option(metavar="A,B,C")]
+Count = Annotated[int, typer.Option(min=1)]
+LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
+FittedEffects = Annotated[
+    str, typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body.")
 ]
-Topic = Annotated[
-    str | None,
-    typer.Option("--topic", metavar="NAME", help="ROS bags: the topic of joint states."),
-]
-HeldOut = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--held-out",
-        metavar="LOG",
-        help="Whole trajectories that take part in no choice. May be given several times.",
-    ),
-]
+FilterCutoff = Annotated[str, typer.Option(metavar="HZ|auto|none")]
 HeldOutFraction = Annotated[
     float,
-    typer.Option(
-        "--held-out-fraction",
-        help="Without --held-out: the last part of each trajectory kept for validation.",
-    ),
-]
-FITTED = "viscous_friction,coulomb_friction,torque_offset,rotor_inertia"
-"""Effects that a fit has by default."""
-FittedEffects = Annotated[
-    str,
-    typer.Option(
-        "--effects", help="Effects on every joint, comma-separated; `none` for the rigid body."
-    ),
+    typer.Option(help="Without --held-out: the last part of each trajectory kept for validation."),
 ]
 Method = Annotated[
     Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
 ]
-Gain = Annotated[
-    str | None,
-    typer.Option("--gain", metavar="K1,K2,..", help="Drive gains [N m/A], for logs of currents."),
-]
-Tip = Annotated[
-    str | None,
-    typer.Option("--tip", metavar="LINK", help="URDF, MJCF: last link of the chain."),
-]
-Json = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write the result as JSON; - for standard output, alone."
-    ),
-]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for JSON, tables and figures.")
-]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report",
-        metavar="FILE.html",
-        help="Write one self-contained page: verdict, pictures, tables, how it was obtained "
-        "(needs torchid's extra `report`).",
-    ),
-]
-LARGEST_SEED = 2**63 - 1
-"""That torch's generators take."""
-Seed = Annotated[
-    int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed of everything random.")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Threads = Annotated[
-    int | None,
-    typer.Option(
-        "--threads",
-        min=1,
-        help="Threads of torch and BLAS (default 1: fastest on shared machines).",
-    ),
-]
-MaxAcceleration = Annotated[
+Velocities = Annotated[str | None, typer.Option(metavar="V|V1,V2,..")]
+Accelerations = Annotated[
     str | None,
     typer.Option(
-        "--max-acceleration",
         metavar="A|A1,A2,..",
         help="Acceleration limits, in place of the robot's (a URDF has none).",
     ),
 ]
-Device = Annotated[str, typer.Option("--device", help="Where tensors live: cpu, cuda, cuda:1, ...")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How logs are read.
+
+    Attributes:
+        columns: Which columns of the logs are what, where they have other names:
+            `q=pos_{j} deg,tau=-eff_{j} mNm,t=stamp ns`, `q=state[:,0:7]`.
+        topic: ROS bags: the topic of joint states.
+        gain: Drive gains [N m/A], for logs of currents.
+    """
+
+    columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None
+    topic: Annotated[str | None, typer.Option(metavar="NAME")] = None
+    gain: Annotated[str | None, typer.Option(metavar="K1,K2,..")] = None
+
+    def read(self, paths: list[Path], robot: "Robot") -> "Log":
+        """Files as the trajectories of one log; currents times the drive gains, if given."""
+        import torch
+
+        from torchid.log.readers import read_log
+
+        gains = None if self.gain is None else numbers("--gain", self.gain, robot.n)
+        names = robot.joint_names
+        log = read_log(paths, columns=self.columns, topic=self.topic, joints=names)
+        return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """One robot.
+
+    Attributes:
+        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file.
+    """
+
+    robot: Annotated[str, typer.Argument(metavar="ROBOT")]
+    tip: Tip = None
+
+    def load(self) -> "Robot":
+        """The robot."""
+        from torchid.robot.library import load_robot
+
+        return load_robot(self.robot, tip=self.tip)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmAndLogs(Arm, Reading):
+    """One robot and its logs."""
+
+    logs: LogArguments
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trials(ArmAndLogs):
+    """One robot and its logs, some of which may be held out.
+
+    Attributes:
+        held_out: Whole trajectories that take part in no choice. May be given several times.
+    """
+
+    held_out: LogFiles = None
+
+    def open(self, output: Output) -> "tuple[Robot, Log, Log | None, tuple[InputFile, ...]]":
+        """The robot, the logs, those held out, and, for a page, what these files are.
+
+        Raises:
+            TorchidError: an input cannot be read, or the page would take its place.
+        """
+        from torchid.robot.library import robot_file
+
+        robot = self.load()
+        named = [("robot", self.robot, robot_file(self.robot))]
+        for role, paths in (("log", self.logs), ("held-out log", self.held_out or ())):
+            for path in paths:  # of one that is a folder, the files in it
+                inside = sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else []
+                named += [(role, str(file), file) for file in inside or [path]]
+        files = hashed(output, named)
+        log = self.read(self.logs, robot)
+        return robot, log, self.read(self.held_out, robot) if self.held_out else None, files
 
 
 def device(name: str) -> str:
@@ -165,48 +193,18 @@ def interval(option: str, text: str) -> tuple[float, float]:
     return parts[0], parts[1]
 
 
-def effect_names(text: str) -> tuple[str, ...]:
-    """Names of effects separated by commas; `none` for none."""
-    from torchid.effects.registry import column_kind
-
-    return tuple(column_kind(name).name for name in names(text))
-
-
-def read_logs(
-    paths: list[Path],
-    gain: str | None,
-    robot: "Robot",
-    columns: str | None = None,
-    topic: str | None = None,
-) -> "Log":
-    """Several files as the trajectories of one log; currents times the drive gains, if given."""
-    import torch
-
-    from torchid.log.readers import read_log
-
-    gains = None if gain is None else numbers("--gain", gain, robot.n)
-    log = read_log(paths, columns=columns, topic=topic, joints=robot.joint_names)
-    return log if gains is None else log.with_torque(torch.tensor(gains, dtype=torch.float64))
-
-
-def read_both(
-    logs: list[Path],
-    held_out: list[Path] | None,
-    gain: str | None,
-    robot: "Robot",
-    columns: str | None = None,
-    topic: str | None = None,
-) -> "tuple[Log, Log | None]":
-    """The logs, and those held out, if any."""
-    log = read_logs(logs, gain, robot, columns, topic)
-    return log, read_logs(held_out, gain, robot, columns, topic) if held_out else None
-
-
 def names(text: str) -> tuple[str, ...]:
     """Names separated by commas; `none` for none. The settings check that they exist."""
     if text.strip() in ("", "none"):
         return ()
     return tuple(name.strip() for name in text.split(","))
+
+
+def effect_names(text: str) -> tuple[str, ...]:
+    """Names of effects separated by commas; `none` for none."""
+    from torchid.effects.registry import column_kind
+
+    return tuple(column_kind(name).name for name in names(text))
 
 
 def searched(text: str) -> tuple[str, ...] | None:
@@ -225,11 +223,6 @@ def searched(text: str) -> tuple[str, ...] | None:
     return found
 
 
-def cutoff_hz(text: str) -> float | Literal["auto"] | None:
-    """The --cutoff option: a frequency [Hz], `auto`, or None for `none`."""
-    return None if text == "none" else auto_hz(text, "a frequency in Hz, `auto` or `none`")
-
-
 def auto_hz(text: str, expected: str = "a frequency in Hz, or `auto`") -> float | Literal["auto"]:
     """A --cutoff that cannot be left out."""
     if text == "auto":
@@ -238,6 +231,11 @@ def auto_hz(text: str, expected: str = "a frequency in Hz, or `auto`") -> float 
     if value <= 0:
         raise TorchidError("--cutoff must be positive.", got=text)
     return value
+
+
+def cutoff_hz(text: str) -> float | Literal["auto"] | None:
+    """The --cutoff option: a frequency [Hz], `auto`, or None for `none`."""
+    return None if text == "none" else auto_hz(text, "a frequency in Hz, `auto` or `none`")
 
 
 def load_both(params: str, robot: str | None, tip: str | None) -> "tuple[Robot, Robot]":

@@ -3,20 +3,25 @@
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.markup import escape
 
+from torchid.app.signature import Fields
 from torchid.errors import TorchidError
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from torchid.report.page.document import Page
+    from torchid.report.page.origin import InputFile, Origin
 
 Progress = Callable[[str, int, int], None]
 """Takes stage, done, total."""
@@ -63,8 +68,15 @@ class Output:
         for warning in warnings:
             self.say(f"[yellow]![/] {escape(warning)}")
 
-    def draw(self, make: "Callable[[], Mapping[str, Figure]]", *files: str) -> list[str]:
+    def draw(
+        self, make: "Callable[[], Mapping[str, Figure]]", *files: str, old: Sequence[str] = ()
+    ) -> list[str]:
         """Write figures into DIR, if it is given, and say what is there: other files, and they.
+
+        Args:
+            make: the figures by name.
+            files: that were written before.
+            old: patterns of pictures that an earlier run may have left under other names.
 
         Returns:
             Names of the pictures.
@@ -73,60 +85,83 @@ class Output:
             return []
         from torchid.report.panels import save
 
+        for pattern in old:
+            for file in self.folder.glob(pattern):
+                file.unlink()
         drawn = [save(figure, self.folder / f"{name}.png").name for name, figure in make().items()]
         if files:
             self.say(f"written to {self.folder}: {', '.join((*files, *drawn))}")
         return drawn
 
 
-def open_output(
-    json_file: Path | None,
-    folder: Path | None,
-    quiet: bool,
-    threads: int | None = None,
-    page_file: Path | None = None,
-) -> Output:
-    """Check that results can be written before any work is done, and set torch's threads.
+@dataclass(frozen=True)
+class Results:
+    """Options that say where results go.
 
-    Raises:
-        TorchidError: a folder that does not exist or cannot be written; a page that is no .html.
-        MissingExtraError: a page is asked for, and what makes it is not installed.
+    Attributes:
+        json_file: Write the result as JSON; - for standard output, alone.
+        out: Folder for JSON, tables and figures.
+        report: Write one self-contained page: verdict, pictures, tables, how it was obtained
+            (needs torchid's extra `report`).
+        quiet: Print errors only.
+        threads: Threads of torch and BLAS (default 1: fastest on shared machines).
     """
-    import torch
 
-    started = time.monotonic()
-    if str(json_file) == "-":
-        json_file, quiet = Path("/dev/stdout"), True
-    if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise TorchidError(
-                f"the output folder '{folder}' cannot be made: {error.strerror or error}."
-            ) from error
-        _probe(folder)
-    _check_file("--json", json_file)
-    if page_file is not None:
-        if json_file is not None and page_file.resolve() == json_file.resolve():
-            raise TorchidError("--report and --json name the same file.", got=page_file)
-        _check_file("--report", page_file)
-        if page_file.suffix.lower() not in (".html", ".htm"):
-            raise TorchidError(
-                "--report writes an HTML page.",
-                got=page_file,
-                expected="FILE.html",
-                hint="a browser prints it as PDF",
-            )
-        from torchid.report.page.render import require_templates
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE")] = None
+    out: Annotated[Path | None, typer.Option(metavar="DIR")] = None
+    report: Annotated[Path | None, typer.Option(metavar="FILE.html")] = None
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
+    threads: Annotated[int | None, typer.Option(min=1)] = None
 
-        require_templates()
-    torch.set_num_threads(threads or 1)
-    logging.basicConfig(level=logging.ERROR if quiet else logging.WARNING, format="%(message)s")
-    # As wide as the terminal; wide enough for the tables where there is none.
-    console = _Console(highlight=False)
-    if not console.is_terminal:
-        console = _Console(highlight=False, width=120)
-    return Output(json_file, folder, quiet, console, page_file, started)
+    def open(self) -> Output:
+        """Check that results can be written before any work is done, and set torch's threads.
+
+        Raises:
+            TorchidError: a folder that does not exist or cannot be written; a page that is no
+                .html.
+            MissingExtraError: a page is asked for, and what makes it is not installed.
+        """
+        import torch
+
+        started = time.monotonic()
+        json_file, quiet = self.json_file, self.quiet
+        if str(json_file) == "-":
+            json_file, quiet = Path("/dev/stdout"), True
+        if self.out is not None:
+            try:
+                self.out.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise TorchidError(
+                    f"the output folder '{self.out}' cannot be made: {error.strerror or error}."
+                ) from error
+            _probe(self.out)
+        _check_file("--json", json_file)
+        if self.report is not None:
+            if json_file is not None and self.report.resolve() == json_file.resolve():
+                raise TorchidError("--report and --json name the same file.", got=self.report)
+            _check_file("--report", self.report)
+            if self.report.suffix.lower() not in (".html", ".htm"):
+                raise TorchidError(
+                    "--report writes an HTML page.",
+                    got=self.report,
+                    expected="FILE.html",
+                    hint="a browser prints it as PDF",
+                )
+            from torchid.report.page.render import require_templates
+
+            require_templates()
+        torch.set_num_threads(self.threads or 1)
+        logging.basicConfig(level=logging.ERROR if quiet else logging.WARNING, format="%(message)s")
+        # As wide as the terminal; wide enough for the tables where there is none.
+        console = _Console(highlight=False)
+        if not console.is_terminal:
+            console = _Console(highlight=False, width=120)
+        return Output(json_file, self.out, quiet, console, self.report, started)
+
+
+Printed = Annotated[Results, Fields("json_file", "quiet")]
+Kept = Annotated[Results, Fields("json_file", "out", "quiet")]
+Computed = Annotated[Results, Fields("json_file", "out", "quiet", "threads")]
 
 
 def _check_file(option: str, path: Path | None) -> None:
@@ -170,22 +205,14 @@ def progress_bar(output: Output, *, lines: bool = False) -> Iterator[Progress | 
         lines: without a terminal write one line a stage to standard error, for a log file or a
             program that waits.
     """
-    if output.quiet:
-        yield None
-    elif output.console.is_terminal:
-        with _bar(output.console) as report:
-            yield report
-    else:
-        yield _line_a_stage(output.started) if lines else None
-
-
-@contextmanager
-def _bar(console: Console) -> Iterator[Progress]:
+    if output.quiet or not output.console.is_terminal:
+        yield _line_a_stage(output.started) if lines and not output.quiet else None
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Bars(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+    with Bars(*columns, TimeElapsedColumn(), console=output.console, transient=True) as bars:
         task = bars.add_task("", total=None)
 
         def report(stage: str, done: int, total: int) -> None:
@@ -228,3 +255,41 @@ def stage(progress: Progress | None, name: str) -> Callable[[int, int], None] | 
     if progress is None:
         return None
     return lambda done, total: progress(name, done, total)
+
+
+def hashed(output: Output, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
+    """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if no
+    page is asked for.
+
+    Raises:
+        TorchidError: an input cannot be read, or the page would take its place.
+    """
+    if output.page_file is None:
+        return ()
+    for role, name, path in named:
+        if path.resolve() == output.page_file.resolve():
+            raise TorchidError(f"--report would overwrite the {role} '{name}'.")
+    from torchid.report.page.origin import input_files
+
+    return input_files(named)
+
+
+def write_report(
+    output: Output,
+    build: "Callable[[Origin], Page]",
+    *,
+    files: "Sequence[InputFile]",
+    seeds: Mapping[str, object],
+    settings: Mapping[str, object],
+) -> None:
+    """Write the page that `build` makes of the result's origin, if one is asked for."""
+    if output.page_file is None:
+        return
+    from torchid.report.page.origin import origin
+    from torchid.report.page.render import write_page
+
+    made = origin(
+        arguments=sys.argv, started=output.started, seeds=seeds, settings=settings, files=files
+    )
+    write_page(build(made), output.page_file)
+    output.say(f"report written to {output.page_file}")

@@ -7,50 +7,22 @@ from typing import Annotated, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output, progress_bar
+from torchid.app.output import Computed, progress_bar
+from torchid.app.signature import Fields, command
+from torchid.identification.settings import Settings
 
 
+@command
 def payload_command(
-    robot: opt.RobotArgument,
-    logs: opt.LogArguments,
-    loaded: Annotated[
-        list[Path],
-        typer.Option(
-            "--loaded", metavar="LOG", help="Logs with the payload. May be given several times."
-        ),
-    ],
+    *,
+    arm: opt.ArmAndLogs,
+    loaded: Annotated[list[Path], typer.Option(metavar="LOG")],
     effects: opt.FittedEffects = opt.FITTED,
-    model: Annotated[
-        Literal["general", "symmetric", "point_mass"],
-        typer.Option(help="All ten parameters; symmetric about the tool's z axis; a point mass."),
-    ] = "general",
-    cutoff: Annotated[
-        str,
-        typer.Option(
-            metavar="HZ|auto|none",
-            help="Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.",
-        ),
-    ] = "auto",
-    columns: opt.Columns = None,
-    topic: opt.Topic = None,
-    gain: opt.Gain = None,
-    rows: Annotated[
-        Literal["all", "moving"],
-        typer.Option(
-            help="Rows fitted. At rest friction can hold any torque, and so part of a payload's."
-        ),
-    ] = "moving",
-    method: opt.Method = "huber",
-    signs: Annotated[
-        Literal["bounded", "free"],
-        typer.Option(help="Coefficients physics forbids to be negative: hold at zero, or leave."),
-    ] = "bounded",
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
+    model: Literal["general", "symmetric", "point_mass"] = "general",
+    cutoff: opt.FilterCutoff = "auto",
+    settings: Annotated[Settings, Fields("signs", rows="moving", method=opt.Method)],
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Estimate mass, centre of mass and inertia of what the last link carries.
@@ -59,23 +31,22 @@ def payload_command(
 
     Example: `torchid payload panda.yaml empty1.parquet empty2.parquet --loaded full1.parquet
     --loaded full2.parquet --out result`
+
+    Args:
+        loaded: Logs with the payload. May be given several times.
+        model: All ten parameters; symmetric about the tool's z axis; a point mass.
+        cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
+        rows: Rows fitted. At rest friction can hold any torque, and so part of a payload's.
+        signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
-    output = open_output(json_file, out, quiet, threads)
-    from torchid.identification.identify import Settings, identify
+    output = results.open()
+    from torchid.identification.identify import identify
     from torchid.identification.payload import estimate_payload, record
     from torchid.report.payload import headline, tables
-    from torchid.robot.library import load_robot
 
-    settings = Settings(
-        effects=opt.effect_names(effects),
-        cutoff=opt.cutoff_hz(cutoff),
-        rows=rows,
-        method=method,
-        signs=signs,
-    )
-    found = load_robot(robot, tip=tip)
-    empty = opt.read_logs(logs, gain, found, columns, topic)
-    full = opt.read_logs(loaded, gain, found, columns, topic)
+    settings = replace(settings, effects=opt.effect_names(effects), cutoff=opt.cutoff_hz(cutoff))
+    found = arm.load()
+    empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
     where = opt.device(device_name)
     with progress_bar(output) as progress:
         without = identify(found, empty, settings=settings, device=where, progress=progress)

@@ -1,78 +1,41 @@
 """`torchid simulate`: a synthetic log along a trajectory."""
 
 import math
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output
+from torchid.app.output import Computed
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.effects.registry import Valued
     from torchid.excitation.synthetic import NoiseModel
-    from torchid.log.model import Log
     from torchid.robot.model import Robot
 
 
+@command
 def simulate_command(
-    robot: opt.RobotArgument,
-    trajectory: Annotated[
-        Path, typer.Argument(metavar="TRAJECTORY", help="File with t, q1.., dq1.., ddq1.. .")
-    ],
-    to: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Log file (.parquet, .csv, .npz).")
-    ] = None,
-    noise: Annotated[
-        Literal["none", "paper", "honest"],
-        typer.Option(
-            help="`paper`: on the trajectory, torque computed from it. `honest`: encoder steps, "
-            "torque noise, no accelerations.",
-        ),
-    ] = "honest",
-    snr: Annotated[float, typer.Option(help="paper: signal-to-noise ratio [dB].")] = 30.0,
-    torque_noise: Annotated[
-        float, typer.Option(help="honest: torque noise, share of each joint's RMS torque.")
-    ] = 0.01,
-    encoder_bits: Annotated[
-        int, typer.Option(help="honest: encoder counts a turn, as a power of 2; 0 for exact.")
-    ] = 18,
-    colour: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="honest: low-pass the torque noise; white if absent."),
-    ] = None,
-    velocity_noise: Annotated[
-        float | None,
-        typer.Option(help="honest: measured velocities, with this noise as a share of their RMS."),
-    ] = None,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME:KEY=VALUE,..",
-            help="An effect the model lacks, e.g. coulomb_friction:joint=2,Fc=0.6; once for each. "
-            "The arm then moves under control, and effects change its motion.",
-        ),
-    ] = None,
-    closed_loop: Annotated[
-        bool, typer.Option("--closed-loop", help="Move under control, without effects too.")
-    ] = False,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ", help="under control: samples per second; the trajectory's if absent."
-        ),
-    ] = None,
-    control_frequency: Annotated[
-        float, typer.Option(metavar="HZ", help="under control: natural frequency of the PD.")
-    ] = 5.0,
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
+    *,
+    arm: opt.Arm,
+    trajectory: Annotated[Path, typer.Argument(metavar="TRAJECTORY")],
+    to: opt.File = None,
+    noise: Literal["none", "paper", "honest"] = "honest",
+    snr: float = 30.0,
+    torque_noise: float = 0.01,
+    encoder_bits: int = 18,
+    colour: opt.Hertz = None,
+    velocity_noise: float | None = None,
+    effect: Annotated[list[str] | None, typer.Option(metavar="NAME:KEY=VALUE,..")] = None,
+    closed_loop: Switch = False,
+    rate: opt.Hertz = None,
+    control_frequency: Annotated[float, typer.Option(metavar="HZ")] = 5.0,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Write the log that the robot would give along a trajectory.
@@ -85,14 +48,33 @@ def simulate_command(
 
     Example: `torchid simulate 3r motion/trajectory.csv --effect coulomb_friction:joint=2,Fc=0.6
     --effect torque_gain:joint=1,gain=0.05 --to log.parquet`
-    """
-    output = open_output(json_file, out, quiet, threads)
-    from torchid.app.effect_option import effect_from_text
-    from torchid.excitation.synthetic import HonestNoise, PaperNoise, synthetic_log
-    from torchid.log.readers import read_log, write_log
-    from torchid.robot.library import load_robot
 
-    target = to if to is not None else (None if out is None else out / "log.parquet")
+    Args:
+        trajectory: File with t, q1.., dq1.., ddq1.. .
+        to: Log file (.parquet, .csv, .npz).
+        noise: `paper`: on the trajectory, torque computed from it. `honest`: encoder steps, torque
+            noise, no accelerations.
+        snr: paper: signal-to-noise ratio [dB].
+        torque_noise: honest: torque noise, share of each joint's RMS torque.
+        encoder_bits: honest: encoder counts a turn, as a power of 2; 0 for exact.
+        colour: honest: low-pass the torque noise; white if absent.
+        velocity_noise: honest: measured velocities, with this noise as a share of their RMS.
+        effect: An effect the model lacks, e.g. coulomb_friction:joint=2,Fc=0.6; once for each. The
+            arm then moves under control, and effects change its motion.
+        closed_loop: Move under control, without effects too.
+        rate: under control: samples per second; the trajectory's if absent.
+        control_frequency: under control: natural frequency of the PD.
+    """
+    output = results.open()
+    from torchid.effects.registry import nominal_effects
+    from torchid.excitation.synthetic import HonestNoise, PaperNoise, synthetic_log
+    from torchid.log.model import Log
+    from torchid.log.readers import read_log, write_log
+    from torchid.simulation.closed_loop import closed_loop as simulated
+    from torchid.simulation.controller import Controller
+    from torchid.simulation.sensors import Sensors, measured_log, sensed_log
+
+    target = to or (output.folder and output.folder / "log.parquet")
     if target is None:
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model: "NoiseModel" = None
@@ -108,12 +90,26 @@ def simulate_command(
             include_velocity=velocity_noise is not None,
             velocity_relative=velocity_noise or 0.0,
         )
-    found = load_robot(robot, tip=tip)
-    effects = [effect_from_text(text, found) for text in effect or []]
+    found = arm.load()
+    effects = [_effect(text, found) for text in effect or []]
     moves = closed_loop or bool(effects)
     if moves:
-        planned = read_log(trajectory)
-        log = _under_control(found, planned, effects, model, seed, rate, control_frequency)
+        if isinstance(model, PaperNoise):
+            raise TorchidError(
+                "paper noise is for a torque that is computed from the trajectory.",
+                got="--noise paper with --effect or --closed-loop",
+                available=["--noise none", "--noise honest"],
+            )
+        # Each trajectory from its own beginning.
+        parts = read_log(trajectory).trajectories()
+        controller = Controller(control_frequency)
+        logs = simulated(found, parts, [effects] * len(parts), rate=rate, controller=controller)
+        true = Log.concatenate(logs).replace(source=logs[0].source)
+        sensed = [*nominal_effects(found), *effects]
+        if model is None:
+            log = sensed_log(true, sensed)
+        else:
+            log = measured_log(found, true, sensed, Sensors(model), seed)
     elif rate is not None:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
     else:
@@ -140,35 +136,48 @@ def simulate_command(
     )
 
 
-def _under_control(
-    robot: "Robot",
-    references: "Log",
-    effects: "list[Valued]",
-    noise: "NoiseModel",
-    seed: int,
-    rate: float | None,
-    frequency: float,
-) -> "Log":
-    """The log of the arm with effects, each trajectory from its own beginning."""
-    from torchid.effects.registry import nominal_effects
-    from torchid.excitation.synthetic import PaperNoise
-    from torchid.log.model import Log
-    from torchid.simulation.closed_loop import closed_loop
-    from torchid.simulation.controller import Controller
-    from torchid.simulation.sensors import Sensors, measured_log, sensed_log
+def _effect(text: str, robot: "Robot") -> "Valued":
+    """An effect and its coefficients, e.g. from `coulomb_friction:joint=2,Fc=0.6`.
 
-    if isinstance(noise, PaperNoise):
+    Joints count from 1. Shape parameters and other settings may be left out where they have a
+    default.
+
+    Raises:
+        TorchidError: an unknown effect or key, a value that is no number, a missing coefficient.
+        RobotError: a joint that the robot does not have.
+    """
+    from torchid.effects.base import PLACES, Coefficient, Shape
+    from torchid.effects.registry import effect_from_record, effect_kind
+    from torchid.effects.written import name_and_pairs
+    from torchid.robot.model import JointType
+
+    name, given = name_and_pairs(text, "--effect")
+    kind = effect_kind(name)
+    # Where it is, what its coefficients are, then shapes and other settings.
+    own = [f for f in fields(kind) if f.name not in PLACES]
+    first = [f.name for f in fields(kind) if f.name in PLACES]
+    first += [c.name for c in kind.coefficients]
+    keys = [*first, *(f.name for f in own)]
+    needed = [*first, *(f.name for f in own if f.default is MISSING)]
+    unknown = [key for key in given if key not in keys]
+    if unknown:
         raise TorchidError(
-            "paper noise is for a torque that is computed from the trajectory.",
-            got="--noise paper with --effect or --closed-loop",
-            available=["--noise none", "--noise honest"],
+            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
         )
-    parts = references.trajectories()
-    logs = closed_loop(
-        robot, parts, [effects] * len(parts), rate=rate, controller=Controller(frequency)
-    )
-    true = Log.concatenate(logs).replace(source=logs[0].source)
-    sensed = [*nominal_effects(robot), *effects]
-    if noise is None:
-        return sensed_log(true, sensed)
-    return measured_log(robot, true, sensed, Sensors(noise), seed)
+    missing = [key for key in needed if key not in given]
+    if missing:
+        key = missing[0]
+        what = f"{key} (1 to {robot.n})" if key in PLACES else key
+        every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
+        for entry in (entry for entry in every if entry.name == key):
+            # With its unit on the given joint.
+            joint = given.get("joint", 1)
+            there = joint in range(1, robot.n + 1)
+            prismatic = there and robot.joint_types[joint - 1] is JointType.PRISMATIC
+            unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
+            what = f"{key} [{unit}] ({entry.meaning})"
+        raise TorchidError(
+            f"--effect {text}: {what} is missing.",
+            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
+        )
+    return effect_from_record({"effect": kind.name, **given}, robot)

@@ -2,16 +2,17 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Output, of, open_output, progress_bar
-from torchid.app.page import hashed, robot_input, write_report
+from torchid.app.output import Output, Results, hashed, of, progress_bar, write_report
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
+from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
@@ -22,57 +23,54 @@ if TYPE_CHECKING:
 _CHECKPOINTS = "checkpoints"
 
 
+@dataclass(frozen=True)
+class Changes:
+    """Of a study's search.
+
+    Attributes:
+        runs, stages, generations, schedule, engine: Instead of the study's own.
+        seed: Of the searches.
+    """
+
+    runs: int | None = None
+    stages: int | None = None
+    generations: int | None = None
+    schedule: Schedule | None = None
+    engine: EngineName | None = None
+    seed: Annotated[int | None, typer.Option(min=0, max=opt.LARGEST_SEED)] = None
+
+
+@command
 def study_command(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME",
-            help="3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all; or a study's yaml file.",
-        ),
-    ],
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A fifth of the runs, stages and generations.")
-    ] = False,
-    runs: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
-    stages: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
-    generations: Annotated[int | None, typer.Option(help="Instead of the study's own.")] = None,
-    schedule: Annotated[
-        Literal["linear", "geometric"] | None, typer.Option(help="Instead of the study's own.")
-    ] = None,
-    engine: Annotated[
-        Literal["batched", "cma"] | None, typer.Option(help="Instead of the study's own.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue from the checkpoints in --out.")
-    ] = False,
-    figures: Annotated[bool, typer.Option(help="Draw the figures into --out.")] = True,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    report: opt.Report = None,
-    seed: Annotated[
-        int | None,
-        typer.Option("--seed", min=0, max=opt.LARGEST_SEED, help="Of the searches."),
-    ] = None,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    *,
+    name: Annotated[str, typer.Argument(metavar="NAME")],
+    quick: Switch = False,
+    instead: Changes,
+    resume: Switch = False,
+    figures: bool = True,
+    results: Results,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
 
     Example: `torchid study kuka_lwr4 --quick --out study --report study.html`
+
+    Args:
+        name: 3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all; or a study's yaml file.
+        quick: A fifth of the runs, stages and generations.
+        resume: Continue from the checkpoints in --out.
+        figures: Draw the figures into --out.
     """
-    output = open_output(json_file, out, quiet, threads, report)
+    output = results.open()
+    out = output.folder
+    from torchid.robot.library import robot_file
     from torchid.study.settings import load_study, study_file, study_names
     from torchid.study.study import remove_checkpoints, run_study
 
     if resume and out is None:
         raise TorchidError("--resume needs --out, where the checkpoints are.", expected="--out DIR")
     names = study_names() if name == "all" else [name]
-    asked: dict[str, Any] = {
-        "runs": runs, "stages": stages, "generations": generations, "schedule": schedule,
-        "engine": engine, "seed": seed,
-    }  # fmt: skip
-    changed = {key: value for key, value in asked.items() if value is not None}
+    changed = {key: value for key, value in vars(instead).items() if value is not None}
     every = []
     for given in names:
         settings = load_study(given).quick() if quick else load_study(given)
@@ -83,10 +81,11 @@ def study_command(
         folder, own = None if out is None else out / settings.name, output
         if name == "all":
             # Each study has a page of its own: report_3r.html beside report.html.
-            page = report and report.with_name(f"{report.stem}_{settings.name}{report.suffix}")
+            page = output.page_file
+            page = page and page.with_name(f"{page.stem}_{settings.name}{page.suffix}")
             own = replace(output, page_file=page, started=time.monotonic())
-        inputs = [("study", given, study_file(given)), robot_input(settings.robot)]
-        files = hashed(own, inputs)
+        robot_entry = ("robot", settings.robot, robot_file(settings.robot))
+        files = hashed(own, [("study", given, study_file(given)), robot_entry])
         checkpoints = None
         if folder is not None:
             checkpoints = folder / _CHECKPOINTS

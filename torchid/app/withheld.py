@@ -1,16 +1,20 @@
 """`torchid withheld`: check the diagnosis on data whose cause was withheld from it."""
 
 import os
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output, progress_bar
+from torchid.app.output import Kept, Printed, progress_bar
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
 
-PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
+PLANTED = "coulomb_friction,load_dependent_friction,cogging"
 """Effects that are planted by default: a step, one that scales with load, a periodic one."""
 
 withheld_app = typer.Typer(
@@ -22,39 +26,43 @@ withheld_app = typer.Typer(
 SetArgument = Annotated[
     Path, typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`.")
 ]
+Folder = Annotated[Path, typer.Option(metavar="DIR")]
 RequiredSeed = Annotated[
-    int,
-    typer.Option("--seed", min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from."),
+    int, typer.Option(min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from.")
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option("--jobs", min=1, help="Processes, of one thread each (default: all cores)."),
+    typer.Option(min=1, help="Processes, of one thread each (default: all cores)."),
 ]
 Again = Annotated[
     bool,
     typer.Option("--again", help="Replace answers of another torchid, or with other settings."),
 ]
 Keys = Annotated[
-    Path | None,
-    typer.Option("--keys", metavar="FILE", help="What was planted (default: DIR.keys.json)."),
+    Path | None, typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
 ]
 
 
 @withheld_app.command("make")
+@command
 def make_command(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the set.")],
-    cases: Annotated[int, typer.Option("--cases", min=1, max=9999, help="Number of cases.")],
+    *,
+    out: Folder,
+    cases: Annotated[int, typer.Option(min=1, max=9999)],
     seed: RequiredSeed,
     keys: Keys = None,
     jobs: Jobs = None,
-    json_file: opt.Json = None,
-    quiet: opt.Quiet = False,
+    results: Printed,
 ) -> None:
     """Simulate arms with planted effects, independently of torchid, and seal what was planted.
 
     Example: `torchid withheld make --out cases --cases 200 --seed 4711`
+
+    Args:
+        out: Folder of the set.
+        cases: Number of cases.
     """
-    output = open_output(json_file, None, quiet)
+    output = results.open()
     from torchid.withheld.case_set import keys_beside
     from torchid.withheld.make import make
 
@@ -70,25 +78,23 @@ def make_command(
 
 
 @withheld_app.command("run")
+@command
 def run_command(
+    *,
     folder: SetArgument,
-    rollout: Annotated[
-        bool,
-        typer.Option(
-            "--rollout/--no-rollout",
-            help="Simulate short motions with the model before and after; no score needs it.",
-        ),
-    ] = False,
+    rollout: bool = False,
     again: Again = False,
     jobs: Jobs = None,
-    json_file: opt.Json = None,
-    quiet: opt.Quiet = False,
+    results: Printed,
 ) -> None:
     """Diagnose every case of a set; no key is read. What is answered already stays.
 
     Example: `torchid withheld run cases --jobs 2`
+
+    Args:
+        rollout: Simulate short motions with the model before and after; no score needs it.
     """
-    output = open_output(json_file, None, quiet)
+    output = results.open()
     from torchid.withheld.case_set import read_cases
     from torchid.withheld.run import ERROR, default_settings, jobs_of, run
 
@@ -99,43 +105,34 @@ def run_command(
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
     output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
     output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
-    statuses: dict[str, int] = {}
-    for answer in answers.values():
-        statuses[answer["status"]] = statuses.get(answer["status"], 0) + 1
+    statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
 
 
 @withheld_app.command("score")
+@command
 def score_command(
+    *,
     folder: SetArgument,
     keys: Keys = None,
-    baselines: Annotated[
-        bool, typer.Option("--baselines/--no-baselines", help="Three simple methods beside ours.")
-    ] = True,
-    oracle: Annotated[
-        bool,
-        typer.Option("--oracle/--no-oracle", help="The diagnosis that is told what is there."),
-    ] = True,
-    truth: Annotated[
-        bool,
-        typer.Option(
-            "--truth/--no-truth",
-            help="Simulate cases again without noise: how far gaps are really closed.",
-        ),
-    ] = True,
-    partial: Annotated[
-        bool, typer.Option("--partial", help="Leave out cases that have no answer yet.")
-    ] = False,
+    baselines: bool = True,
+    oracle: bool = True,
+    truth: bool = True,
+    partial: Switch = False,
     jobs: Jobs = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    quiet: opt.Quiet = False,
+    results: Kept,
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
 
     Example: `torchid withheld score cases --keys cases.keys.json --out result`
+
+    Args:
+        baselines: Three simple methods beside ours.
+        oracle: The diagnosis that is told what is there.
+        truth: Simulate cases again without noise: how far gaps are really closed.
+        partial: Leave out cases that have no answer yet.
     """
-    output = open_output(json_file, out, quiet)
+    output = results.open()
     from torchid.files import atomic_write
     from torchid.report.withheld import headline, markdown, score_table
     from torchid.report.withheld_figures import figures
@@ -158,34 +155,34 @@ def score_command(
     output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
     output.write_json(result, "score.json")
     drawn = output.draw(lambda: figures(result))
-    if out is not None:
-        with atomic_write(out / "score.md") as text:
+    if output.folder is not None:
+        with atomic_write(output.folder / "score.md") as text:
             text.write(markdown(result, drawn))
-        output.say(f"written to {out}: {', '.join(['score.json', 'score.md', *drawn])}")
+        output.say(f"written to {output.folder}: {', '.join(['score.json', 'score.md', *drawn])}")
 
 
 @withheld_app.command("leave-out")
+@command
 def leave_out_command(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder of cases, answers and the report.")
-    ],
+    *,
+    out: Folder,
     seed: RequiredSeed,
-    effects: Annotated[
-        str, typer.Option(help="Effects to leave out in turn, comma-separated; `all`.")
-    ] = "all",
-    per_effect: Annotated[
-        int, typer.Option("--per-effect", min=1, help="Cases of each effect.")
-    ] = 1,
+    effects: str = "all",
+    per_effect: opt.Count = 1,
     again: Again = False,
     jobs: Jobs = None,
-    json_file: opt.Json = None,
-    quiet: opt.Quiet = False,
+    results: Printed,
 ) -> None:
     """Take every effect out of the library in turn, and diagnose cases that have it.
 
     Example: `torchid withheld leave-out --out left-out --seed 4711 --per-effect 2`
+
+    Args:
+        out: Folder of cases, answers and the report.
+        effects: Effects to leave out in turn, comma-separated; `all`.
+        per_effect: Cases of each effect.
     """
-    output = open_output(json_file, out, quiet)
+    output = replace(results, out=out).open()
     from torchid.files import atomic_write
     from torchid.report.withheld_leave_out import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
@@ -208,35 +205,18 @@ def leave_out_command(
 
 
 @withheld_app.command("own")
+@command
 def own_command(
-    robot: opt.RobotArgument,
-    logs: opt.LogArguments,
-    held_out: opt.HeldOut = None,
-    background: Annotated[
-        str,
-        typer.Option(metavar="A,B,C", help="As for `torchid gap`."),
-    ] = "none",
-    parameters: Annotated[
-        Literal["trusted", "free", "auto"], typer.Option(help="As for `torchid gap`.")
-    ] = "auto",
-    columns: opt.Columns = None,
-    topic: opt.Topic = None,
-    gain: opt.Gain = None,
-    plant: Annotated[
-        str,
-        typer.Option(
-            metavar="A,B,C", help="Effects of one joint to plant in the log; `none` for none."
-        ),
-    ] = ",".join(PLANTED),
-    joints: Annotated[
-        str, typer.Option(metavar="J1,J2,..|all", help="Joints where they are planted.")
-    ] = "all",
+    *,
+    trials: opt.Trials,
+    background: opt.Names = "none",
+    settings: Annotated[
+        GapSettings, Fields(parameters=Literal["trusted", "free", "auto"], seed=opt.Seed)
+    ],
+    plant: opt.Names = PLANTED,
+    joints: Annotated[str, typer.Option(metavar="J1,J2,..|all")] = "all",
     jobs: Jobs = None,
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
+    results: Kept,
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
 
@@ -245,11 +225,14 @@ def own_command(
     added to the measured torque, to see from which size on they are found.
 
     Example: `torchid withheld own panda.urdf run1.parquet run2.parquet --held-out run3.parquet`
+
+    Args:
+        background, parameters: As for `torchid gap`.
+        plant: Effects of one joint to plant in the log; `none` for none.
+        joints: Joints where they are planted.
     """
-    output = open_output(json_file, out, quiet)
-    from torchid.gap.settings import GapSettings
+    output = results.open()
     from torchid.report.withheld_own import own_headline, own_tables
-    from torchid.robot.library import load_robot
     from torchid.withheld.own import check_own, own_record
 
     places = None
@@ -258,9 +241,8 @@ def own_command(
         if not all(part.isdigit() for part in parts):
             raise TorchidError("--joints takes numbers, separated by commas.", got=joints)
         places = [int(part) - 1 for part in parts]
-    settings = GapSettings(background=opt.names(background), parameters=parameters, seed=seed)
-    found = load_robot(robot, tip=tip)
-    log, apart = opt.read_both(logs, held_out, gain, found, columns, topic)
+    settings = replace(settings, background=opt.names(background))
+    found, log, apart, _ = trials.open(output)
     with progress_bar(output) as progress:
         result = check_own(
             found,
@@ -276,7 +258,7 @@ def own_command(
     output.say(*own_tables(result))
     if not result.whole:
         output.say("untouched data: the second half of every trajectory (--held-out for others)")
-    output.write_json({**own_record(result), "seed": seed}, "own.json")
+    output.write_json({**own_record(result), "seed": settings.seed}, "own.json")
 
 
 def processes(jobs: int | None) -> int:

@@ -7,7 +7,8 @@ import typer
 from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.output import Output, open_output, progress_bar
+from torchid.app.output import Computed, Output, progress_bar
+from torchid.app.signature import command
 from torchid.errors import LogError, TorchidError
 
 if TYPE_CHECKING:
@@ -19,87 +20,52 @@ _MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would 
 _CUTOFF = 8.0
 
 
+@command
 def wrenches_command(
-    robot: opt.RobotArgument,
-    sets: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--sets",
-            metavar="FILE",
-            help="Sets to compare with the robot's nominal parameters. May be given several times. "
-            "Without: families of sets with equal torque, feasible and not, are drawn.",
-        ),
-    ] = None,
-    per_kind: Annotated[
-        int, typer.Option("--per-kind", min=15, help="Sets of each kind of violation.")
-    ] = 200,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ID",
-            help="With --sets: compare with this set, not with the nominal one.",
-        ),
-    ] = None,
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LOG",
-            help="Motion to compare on. Default: a sinusoid within the robot's limits.",
-        ),
-    ] = None,
-    max_acceleration: opt.MaxAcceleration = None,
-    geometry: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUP",
-            help="Bounds whose CoM boxes are the links' geometry. Default: normal_corrected, or "
-            "normal.",
-        ),
-    ] = None,
-    total_mass: Annotated[
-        str | None,
-        typer.Option(
-            "--total-mass",
-            metavar="LO,HI",
-            help="Interval of the total mass [kg]. Default: the robot's, or 0.9 to 1.25 times the "
-            "nominal one (not with --sets).",
-        ),
-    ] = None,
-    margin: Annotated[
-        float,
-        typer.Option(
-            help="Where the nominal parameters are not feasible: smallest eigenvalue of the "
-            "pseudo-inertias of the reference [kg m^2, kg]."
-        ),
-    ] = _MARGIN,
-    variants: Annotated[
-        bool, typer.Option(help="Ask the question again with other outer bounds.")
-    ] = True,
-    resamples: Annotated[
-        int, typer.Option(min=1, help="Of the bootstrap of the intervals.")
-    ] = 1000,
-    tip: opt.Tip = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
+    *,
+    arm: opt.Arm,
+    sets: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
+    per_kind: Annotated[int, typer.Option(min=15)] = 200,
+    reference: Annotated[str | None, typer.Option(metavar="ID")] = None,
+    trajectory: Annotated[Path | None, typer.Option(metavar="LOG")] = None,
+    max_acceleration: opt.Accelerations = None,
+    geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
+    total_mass: Annotated[str | None, typer.Option(metavar="LO,HI")] = None,
+    margin: float = _MARGIN,
+    variants: bool = True,
+    resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
-    quiet: opt.Quiet = False,
-    threads: opt.Threads = None,
+    results: Computed,
 ) -> None:
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 
     Examples: `torchid wrenches 3r --per-kind 300 --out result`;
     `torchid wrenches arm.urdf --sets sets/sets.json --reference run_1 --trajectory motion.csv`
+
+    Args:
+        sets: Sets to compare with the robot's nominal parameters. May be given several times.
+            Without: families of sets with equal torque, feasible and not, are drawn.
+        per_kind: Sets of each kind of violation.
+        reference: With --sets: compare with this set, not with the nominal one.
+        trajectory: Motion to compare on. Default: a sinusoid within the robot's limits.
+        geometry: Bounds whose CoM boxes are the links' geometry. Default: normal_corrected, or
+            normal.
+        total_mass: Interval of the total mass [kg]. Default: the robot's, or 0.9 to 1.25 times the
+            nominal one (not with --sets).
+        margin: Where the nominal parameters are not feasible: smallest eigenvalue of the
+            pseudo-inertias of the reference [kg m^2, kg].
+        variants: Ask the question again with other outer bounds.
+        resamples: Of the bootstrap of the intervals.
     """
-    output = open_output(json_file, out, quiet, threads)
+    output = results.open()
     from torchid.report.wrenches.figures import figures
     from torchid.report.wrenches.findings import findings
     from torchid.report.wrenches.tables import tables
-    from torchid.robot.library import load_robot
     from torchid.study.equal_torque.record import study_record
     from torchid.study.equal_torque.setting import equal_torque_setting
     from torchid.study.equal_torque.study import equal_torque_study
 
-    found = opt.limited(load_robot(robot, tip=tip), None, max_acceleration)
+    found = opt.limited(arm.load(), None, max_acceleration)
     total = None
     if total_mass is not None:
         total = opt.interval("--total-mass", total_mass)

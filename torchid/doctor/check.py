@@ -25,6 +25,11 @@ class Choice:
     fix: str
     repairs: tuple[Repair, ...] = ()
 
+    @classmethod
+    def of(cls, name: str, *repairs: Repair) -> "Choice":
+        """A choice that the repairs themselves describe."""
+        return cls(name, "; ".join(map(str, repairs)), repairs)
+
 
 @dataclass(frozen=True)
 class Check:
@@ -63,6 +68,11 @@ class Check:
         """Whether somebody has to choose."""
         return bool(self.choices) and self.chosen is None
 
+    def mended_by(self, *repairs: Repair) -> "Check":
+        """With repairs, which say what to do, before whatever else there is to be done."""
+        said = [*map(str, repairs), *([self.fix] if self.fix else [])]
+        return replace(self, fix="; ".join(said) or None, repairs=repairs)
+
 
 def among(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:
     """A check with one fix, or with several of which `fixes` may choose."""
@@ -84,8 +94,3 @@ def joint_list(joints: Sequence[int]) -> str:
     """`joint 3`, `joints 1, 4`."""
     names = ", ".join(str(k + 1) for k in joints)
     return f"joint{'s' if len(joints) > 1 else ''} {names}"
-
-
-def fix_text(repairs: Sequence[Repair]) -> str:
-    """Repairs as one sentence."""
-    return "; ".join(str(r) for r in repairs)

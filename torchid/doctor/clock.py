@@ -3,9 +3,17 @@
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, fix_text
-from torchid.doctor.repair import Bridge, DropRows, Repair, repaired
-from torchid.doctor.retime import EvenTime, RejoinTime, ScaleTime, SplitRuns
+from torchid.doctor.check import Check
+from torchid.doctor.repair import (
+    Bridge,
+    DropRows,
+    EvenTime,
+    RejoinTime,
+    Repair,
+    ScaleTime,
+    SplitRuns,
+    repaired,
+)
 from torchid.log.checks import FOLLOWS, SLOW_STEP_S, TIME_UNITS, near, velocity_agreement
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
@@ -18,6 +26,10 @@ DROPPED = 0.01
 USUAL_STEPS = 3.0
 """A step of the clock across which no joint moves further than this many usual steps is a jump of
 the clock, not a gap in the log."""
+SMOOTHER = 3.0
+"""Stamps are taken for wrong when positions are this many times smoother over even ones."""
+UNEVEN = 0.1
+"""Steps that spread by less than this share of the median are even."""
 
 
 def check_values(log: Log) -> Check:
@@ -32,16 +44,13 @@ def check_values(log: Log) -> Check:
     rows = bad.nonzero().flatten().tolist()
     if not rows:
         return Check("values", "fine", "every value is a number")
-    repair = DropRows(tuple(rows), "NaN or infinite")
     found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "in t"
     return Check(
         "values",
         "wrong",
         f"{len(rows)} of {log.samples} rows have values that are not numbers ({found})",
         estimate=len(rows) / log.samples,
-        fix=str(repair),
-        repairs=(repair,),
-    )
+    ).mended_by(DropRows(tuple(rows), "NaN or infinite"))
 
 
 def check_clock(log: Log) -> Check:
@@ -80,15 +89,12 @@ def check_clock(log: Log) -> Check:
     split = (SplitRuns(tuple(runs)),) if runs else ()
     now = repaired(log, split)
     rest = _clock_repairs(now, repeated, back + jumped) if repeated or back or jumped else ()
-    repairs = (*split, *rest)
     return Check(
         "clock",
         "wrong",
         f"{', '.join(found)}; the first after row {first + 1}, t = {float(log.t[first]):.6g}",
         estimate=float(len(repeated) + len(back) + len(jumped) + len(runs)),
-        fix=fix_text(repairs),
-        repairs=repairs,
-    )
+    ).mended_by(*split, *rest)
 
 
 def _new_runs(back: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -137,16 +143,9 @@ def check_time_unit(log: Log) -> Check:
 
 
 def _time_in(unit: str, factor: float, why: str, step: float) -> Check:
-    repair = ScaleTime(1.0 / factor)
-    return Check(
-        "time unit",
-        "wrong",
-        f"t is in {unit}: median step {step:.4g}, and {why}",
-        estimate=factor,
-        unit="counts per second",
-        fix=str(repair),
-        repairs=(repair,),
-    )
+    text = f"t is in {unit}: median step {step:.4g}, and {why}"
+    check = Check("time unit", "wrong", text, estimate=factor, unit="counts per second")
+    return check.mended_by(ScaleTime(1.0 / factor))
 
 
 def check_dropouts(log: Log) -> Check:
@@ -197,16 +196,13 @@ def check_held(log: Log) -> Check:
     whole = torch.stack(list(held.values())).all(0)
     rows = (whole & moving).nonzero().flatten() + 1
     if len(rows) / usable > HELD:
-        repair = Bridge(tuple(rows.tolist()))
         return Check(
             "held samples",
             "wrong",
             f"{100 * len(rows) / usable:.3g} % of the rows in motion repeat the row before "
             "(no new sample had come)",
             estimate=len(rows) / usable,
-            fix=str(repair),
-            repairs=(repair,),
-        )
+        ).mended_by(Bridge(tuple(rows.tolist())))
     late = [name for name, share in shares.items() if share > 2 * HELD]
     if late:
         return Check(
@@ -227,3 +223,59 @@ def _held(log: Log, name: str) -> Bool[Tensor, " steps"]:
     if not live.any():
         return torch.zeros(log.samples - 1, dtype=torch.bool)
     return (signal.diff(dim=0)[:, live] == 0).all(1)
+
+
+def check_stamps(log: Log) -> Check:
+    """Are uneven stamps real? Positions are smooth over the time at which they were taken."""
+    steps = time_steps(log)
+    text = "; ".join(dict.fromkeys(str(s) for s in steps[:3]))
+    worst, share = 0.0, 0.0
+    for part in log.trajectories():
+        t = part.t.numpy()
+        step = np.diff(t)
+        inner = step[step < SMALL_GAP * np.median(step)]
+        share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
+        worst = max(worst, _roughness_ratio(t, part.q.numpy()))
+    if share < UNEVEN or worst < SMOOTHER:
+        return Check("stamps", "fine", text, estimate=share)
+    return Check(
+        "stamps",
+        "wrong",
+        f"steps spread by {100 * share:.0f} % of the median, and positions are {worst:.3g} times "
+        f"smoother over even stamps: the stamps are rounded or were given late ({text})",
+        estimate=worst,
+        unit="ratio",
+    ).mended_by(EvenTime())
+
+
+def _roughness_ratio(t: np.ndarray, q: np.ndarray) -> float:
+    """How badly a cubic through four neighbours predicts a position, over the given stamps and
+    over even ones: their ratio, the median over joints."""
+    if len(t) < 50:
+        return 1.0
+    step = np.diff(t)
+    windows = np.lib.stride_tricks.sliding_window_view(step, 4)
+    clean = (windows < SMALL_GAP * np.median(step)).all(1)
+    even = np.arange(len(t), dtype=float)
+    ends = np.ptp(q, 0)
+    moving = ends > 0.1 * ends.max()
+    if not moving.any() or clean.sum() < 20:
+        return 1.0
+    errors = [_cubic_error(x, q[:, moving])[clean] for x in (t, even)]
+    rms = [np.sqrt((e**2).mean(0)) for e in errors]
+    return float(np.median(rms[0] / np.maximum(rms[1], 1e-12)))
+
+
+def _cubic_error(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Each position minus the cubic through its two neighbours on either side (Lagrange)."""
+    offsets = (0, 1, 3, 4)
+    middle = t[2:-2]
+    nodes = [t[k : len(t) - 4 + k] for k in offsets]
+    error = q[2:-2].copy()
+    for a, k in enumerate(offsets):
+        weight = np.ones_like(middle)
+        for b in range(4):
+            if b != a:
+                weight *= (middle - nodes[b]) / (nodes[a] - nodes[b])
+        error -= weight[:, None] * q[k : len(t) - 4 + k]
+    return error

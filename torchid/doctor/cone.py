@@ -64,19 +64,9 @@ class Normal:
         return np.maximum(error, 0.0) / np.maximum(self.count, 1)
 
 
-@dataclass(frozen=True)
-class Cone:
-    """From unknowns that are not negative to parameters.
-
-    Attributes:
-        matrix: (P, U); P = 10 n in the paper's order, then OWN a joint.
-    """
-
-    matrix: np.ndarray
-
-
-def cone(robot: Robot) -> Cone:
-    """Point masses of every link, then each joint's own coefficients."""
+def cone(robot: Robot) -> np.ndarray:
+    """(P, U) from unknowns that are not negative, point masses of every link and each joint's own
+    coefficients, to parameters: P = 10 n in the paper's order, then OWN a joint."""
     n = robot.n
     reach = max(reach_of(robot), _LEAST_REACH)
     axis = np.array([-1.0, 0.0, 1.0])
@@ -94,7 +84,7 @@ def cone(robot: Robot) -> Cone:
         first, own = 10 * n + OWN * link, n * count + (OWN + 1) * link
         matrix[first : first + OWN, own : own + OWN] = np.eye(OWN)
         matrix[first + OWN - 1, own + OWN] = -1.0
-    return Cone(matrix)
+    return matrix
 
 
 def _point(x: np.ndarray) -> np.ndarray:
@@ -124,25 +114,25 @@ class Fit:
     weights: np.ndarray
 
 
-def fit(normal: Normal, bodies: Cone, *, weights: np.ndarray | None = None) -> Fit:
+def fit(normal: Normal, bodies: np.ndarray, *, weights: np.ndarray | None = None) -> Fit:
     """Maximum likelihood with an unknown variance of each joint, by reweighting.
 
     Args:
         normal: rows.
-        bodies: what may be.
+        bodies: (P, U) what may be.
         weights: (n,) of another fit, kept; None to find them.
     """
     gram, cross = normal.gram.sum(0), normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
-    spread = np.where(normal.spread > 0, normal.spread, 1.0)
+    spread = np.where(live, normal.spread, 1.0)
     given = weights
     rounds = _ROUNDS if given is None else 1
     w = live / spread if given is None else np.where(live, given, 0.0) / spread
     x = np.zeros(gram.shape[-1])
     variance = spread.copy()
     for _ in range(rounds):
-        x = _solve(np.tensordot(w, gram, 1), w @ cross, bodies.matrix)
+        x = _solve(np.tensordot(w, gram, 1), w @ cross, bodies)
         square = normal.square.sum(0) - 2 * cross @ x + np.einsum("p,npq,q->n", x, gram, x)
         variance = np.maximum(square, 0.0) / total
         if given is None:
@@ -168,7 +158,7 @@ def _solve(gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray) -> np.ndarra
     return matrix @ (u / norm)
 
 
-def relative(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Errors as a share of the torque's spread, with that of the model."""
+def shares(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Errors as shares of the torque's spread, the model's with them; 1 where it never changes."""
     safe = np.where(spread > 0, spread, 1.0)
-    return np.sqrt(np.maximum(variance, 0.0) / safe + _MODEL**2)
+    return np.where(spread > 0, np.sqrt(np.maximum(variance, 0.0) / safe + _MODEL**2), 1.0)

@@ -11,14 +11,14 @@ from torchid.doctor.clock import (
     check_clock,
     check_dropouts,
     check_held,
+    check_stamps,
     check_time_unit,
     check_values,
 )
 from torchid.doctor.content import check_excitation, check_side
+from torchid.doctor.estimates import check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen
-from torchid.doctor.gravity import check_gravity
 from torchid.doctor.hypothesis import Hypothesis, Judge
-from torchid.doctor.lag import check_lag
 from torchid.doctor.motion import (
     check_jumps,
     check_position_unit,
@@ -28,8 +28,12 @@ from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
-from torchid.doctor.stamps import check_stamps
-from torchid.doctor.torque import check_resolution, check_saturation, check_torque
+from torchid.doctor.torque import (
+    check_resolution,
+    check_saturation,
+    check_torque,
+    torque_or_current,
+)
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
 from torchid.log.model import Log
@@ -62,7 +66,7 @@ class Examination:
     def applied(self) -> tuple[Check, ...]:
         """Checks whose repairs are applied: those before the first that leaves a choice, since
         what comes after rests on it."""
-        return tuple(c for c in itertools.takewhile(lambda c: not c.undecided, self.checks))
+        return tuple(itertools.takewhile(lambda c: not c.undecided, self.checks))
 
     @property
     def repairs(self) -> tuple[Repair, ...]:
@@ -174,7 +178,7 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_velocity(now, fixes))
     add(check_standstill(now))
     add(check_torque(now))
-    if now.tau is not None or now.current is not None:
+    if torque_or_current(now) is not None:
         add(check_saturation(now))
         add(check_resolution(now))
     return checks, now
@@ -196,8 +200,8 @@ def _with_model(
         check_gravity(judge, found, fixes),  # first: if it leaves a choice, the others wait
         *fault_checks(judge, found, fixes),
         check_lag(judge, found),
-        check_size(judge, robot, now, end, fixes),
-        *check_nominal(judge, robot, now, end),
+        check_size(judge, now, end, fixes),
+        *check_nominal(judge, now, end),
         check_side(judge, found),
         check_excitation(judge, end, now),
         *unseen(judge, found),

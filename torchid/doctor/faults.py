@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from torchid.doctor.check import Check, Choice, among, fix_text, joint_list
+from torchid.doctor.check import Check, Choice, among, joint_list
 from torchid.doctor.hypothesis import Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
@@ -45,12 +44,8 @@ _TOLD = 4
 def fault_checks(judge: Judge, result: Search, fixes: Collection[str] = ()) -> list[Check]:
     """One check a fault, and one line for each kind that has none."""
     live = judge.live(result.final.hypothesis)
-    checks = [_explained(result, live)]
-    checks += [
-        _sure(_check(judge, result, f, fixes), result)
-        for f in result.found
-        if f.move.kind in CHECK_OF
-    ]
+    found = [f for f in result.found if f.move.kind in CHECK_OF]
+    checks = [_explained(result, live), *(_check(judge, result, f, fixes) for f in found)]
     names = {c.name for c in checks}
     for name, text in _FINE.items():
         if name in names:
@@ -106,25 +101,11 @@ def _explained(result: Search, live: Sequence[int]) -> Check:
     )
 
 
-def _sure(check: Check, result: Search) -> Check:
-    """The check, or none of its certainty where the torque stays unexplained or a gain may as well
-    be right."""
-    unsure = not result.explained
-    if check.name == "gain of a joint" and isinstance(check.interval, tuple):
-        low, high = check.interval
-        assert isinstance(low, float)
-        assert isinstance(high, float)
-        unsure |= low < LEAST_GAIN and high > 1.0 / LEAST_GAIN
-    if not unsure:
-        return check
-    return replace(check, verdict="cannot tell", fix=None, repairs=(), choices=(), chosen=None)
-
-
 def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -> Check:
     move = found.move
     first, *others = choices_of(found)
     estimate: float | tuple[float, ...] | None = None
-    interval = None
+    interval: tuple[float, float] | None = None
     text = improvement(found)
     if move.kind == "gain":
         # The joint's torque over what it should be, refined with everything else mended.
@@ -136,37 +117,38 @@ def _check(judge: Judge, result: Search, found: Found, fixes: Collection[str]) -
         share = next(r for r in move.repairs if isinstance(r, Scale)).factors[one]
         values = [1.0 / (share * math.exp(x)) for x in (fine.value, fine.high, fine.low)]
         factor, interval = values[0], (min(values[1:]), max(values[1:]))
-        joint = move.joints[0]
-        factors = tuple(1.0 / factor if k == joint else 1.0 for k in range(judge.robot.n))
+        factors = tuple(1.0 / factor if k == one else 1.0 for k in range(judge.robot.n))
         scale = within(Scale(TORQUE, factors), judge.samples.signals)
-        first = replace(first, fix=str(scale), repairs=(scale,))
+        first = Choice.of(first.name, scale)
         estimate = factor
         text = (
             f"torque is {factor:.3g} ({interval[0]:.3g} to {interval[1]:.3g}) times what the other "
             f"joints' torques predict; {text}"
         )
+    unsure = not result.explained
+    if interval is not None:
+        # A gain that may as well be right.
+        unsure |= interval[0] < LEAST_GAIN and interval[1] > 1.0 / LEAST_GAIN
     if found.rivals:
         text += "; as good: " + ", ".join(_name(r) for r in found.rivals)
     check = Check(
         CHECK_OF[move.kind],
-        "wrong",
+        "cannot tell" if unsure else "wrong",
         f"{_name(move)}: {text}",
         joints=move.joints,
         estimate=estimate,
         interval=interval,
         unit="ratio" if move.kind == "gain" else "",
     )
-    return among(check, [first, *others], fixes)
+    return check if unsure else among(check, [first, *others], fixes)
 
 
 def choices_of(found: Found) -> list[Choice]:
     """The fault that was found and those that would explain the log as well."""
     return [
-        Choice(
-            m.name,
-            gravity_fix(m.after.gravity) if m.kind == "gravity" else fix_text(m.repairs),
-            m.repairs,
-        )
+        Choice(m.name, gravity_fix(m.after.gravity), m.repairs)
+        if m.kind == "gravity"
+        else Choice.of(m.name, *m.repairs)
         for m in (found.move, *found.rivals)
     ]
 
@@ -204,8 +186,4 @@ def _name(move: Move) -> str:
         "lag": "torque late or early",
         "gravity": "another direction of gravity",
     }[move.kind]
-    return f"{words} {_joints(move.joints)}".strip()
-
-
-def _joints(joints: Sequence[int]) -> str:
-    return joint_list(joints) if joints else ""
+    return f"{words} {joint_list(move.joints)}" if move.joints else words

@@ -3,8 +3,7 @@
 import math
 from collections.abc import Collection, Sequence
 
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale
-from torchid.doctor.retime import ScaleTime
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.columns import PREFIXES
 from torchid.log.units import UNITS
 

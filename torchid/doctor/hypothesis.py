@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.cone import OWN, Cone, Fit, Normal, cone, fit, relative
+from torchid.doctor.cone import OWN, Fit, Normal, cone, fit, shares
 from torchid.doctor.samples import BLOCKS, Samples
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import Robot
@@ -95,7 +95,7 @@ class Judge:
     def __init__(self, robot: Robot, samples: Samples):
         self.robot = robot
         self.samples = samples
-        self.cone: Cone = cone(robot)
+        self.cone = cone(robot)
         self._columns: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
         self._torques: dict[float, np.ndarray] = {}
         self._members = [(samples.block == b).numpy() for b in range(BLOCKS)]
@@ -104,7 +104,7 @@ class Judge:
         """The fit on all rows; with given weights of a fit that was made, three times faster."""
         normal = self.normal(hypothesis)
         found = fit(normal, self.cone, weights=weights)
-        return Score(hypothesis, found, _shares(found.variance, normal.spread))
+        return Score(hypothesis, found, shares(found.variance, normal.spread))
 
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
@@ -113,8 +113,8 @@ class Judge:
         rows = []
         for b in range(BLOCKS):
             found = fit(normal.without(b), self.cone)
-            shares = _shares(normal.mean_square(found.x)[b], normal.spread)
-            rows.append(np.where(normal.count[b] >= FEWEST, shares, np.nan))
+            error = shares(normal.mean_square(found.x)[b], normal.spread)
+            rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
         return np.stack(rows)
 
     def normal(self, hypothesis: Hypothesis) -> Normal:
@@ -122,25 +122,14 @@ class Judge:
         a, gram = self.columns(hypothesis)
         moving = self.moving(hypothesis)
         tau = self.torque(hypothesis) * moving
-        weighted = [
-            (
-                np.einsum("tnp,tn->np", a[m], tau[m], optimize=True),
-                (tau[m] ** 2).sum(0),
-            )
-            for m in self._members
-        ]
+        cross = [np.einsum("tnp,tn->np", a[m], tau[m], optimize=True) for m in self._members]
+        square = [(tau[m] ** 2).sum(0) for m in self._members]
         counts = np.stack([moving[m].sum(0) for m in self._members])
         total = np.maximum(counts.sum(0), 1)
         spread = (tau**2).sum(0) / total - (tau.sum(0) / total) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (total < FEWEST * BLOCKS)
         spread[dead] = 0.0
-        return Normal(
-            gram,
-            np.stack([w[0] for w in weighted]),
-            np.stack([w[1] for w in weighted]),
-            counts,
-            spread,
-        )
+        return Normal(gram, np.stack(cross), np.stack(square), counts, spread)
 
     def torque(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) torque of the robot's joints."""
@@ -164,7 +153,17 @@ class Judge:
         if key not in self._columns:
             if len(self._columns) > 6:
                 del self._columns[next(iter(self._columns))]
-            a = self.rows(hypothesis) * self.moving(hypothesis)[..., None]
+            n, gravity = self.robot.n, torch.tensor(hypothesis.gravity, dtype=torch.float64)
+            q, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
+            rigid = regressor(replace(self.robot, gravity=gravity), q, dq, ddq)
+            own = rigid.new_zeros(len(q), n, OWN * n)
+            for i in range(n):
+                columns = torch.stack(
+                    [dq[:, i], sign[:, i], ddq[:, i], torch.ones_like(dq[:, i])], -1
+                )
+                own[:, i, OWN * i : OWN * (i + 1)] = columns
+            rows = torch.cat([rigid, own], -1).numpy()
+            a = rows * self.moving(hypothesis)[..., None]
             gram = []
             for m in self._members:
                 joints = np.ascontiguousarray(a[m].transpose(1, 0, 2))
@@ -172,28 +171,8 @@ class Judge:
             self._columns[key] = (a, np.stack(gram))
         return self._columns[key]
 
-    def motion(self, hypothesis: Hypothesis) -> list[torch.Tensor]:
-        """q, dq, ddq and direction (T, n) of the robot's joints."""
-        order = list(hypothesis.q_order)
+    def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
+        """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
         factor = torch.tensor(hypothesis.q_factor, dtype=torch.float64)
-        s = self.samples
-        return [
-            *(x[:, order] * factor for x in (s.q, s.dq, s.ddq)),
-            s.sign[:, order] * factor.sign(),
-        ]
-
-    def rows(self, hypothesis: Hypothesis) -> np.ndarray:
-        """(T, n, P) regressor with each joint's own columns."""
-        q, dq, ddq, sign = self.motion(hypothesis)
-        n = self.robot.n
-        gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
-        rigid = regressor(replace(self.robot, gravity=gravity), q, dq, ddq)
-        own = rigid.new_zeros(len(q), n, OWN * n)
-        for i in range(n):
-            columns = torch.stack([dq[:, i], sign[:, i], ddq[:, i], torch.ones_like(dq[:, i])], -1)
-            own[:, i, OWN * i : OWN * (i + 1)] = columns
-        return torch.cat([rigid, own], -1).numpy()
-
-
-def _shares(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    return np.where(spread > 0, relative(variance, spread), 1.0)
+        factors = torch.stack([factor, factor, factor, factor.sign()], -1)
+        return self.samples.motion[:, list(hypothesis.q_order)] * factors

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from torchid.doctor.check import Check, fix_text, joint_list
+from torchid.doctor.check import Check, joint_list
 from torchid.doctor.repair import Repair, Scale, Unwrap
 from torchid.log.checks import (
     DEGREES,
@@ -27,8 +27,9 @@ IDLE = 0.5
 def check_position_unit(robot: Robot, log: Log) -> Check:
     """Degrees or encoder counts in place of radians."""
     ratio = {a.joint: a.ratio for a in velocity_agreement(log) if a.correlation > FOLLOWS}
-    factors, evidence = [1.0] * robot.n, []
-    unknown = []
+    factors = [1.0] * robot.n
+    evidence: list[str] = []
+    unknown: list[int] = []
     for k, kind in enumerate(robot.joint_types):
         if kind is JointType.PRISMATIC:
             continue
@@ -43,15 +44,11 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             # Radians per count from dq in rad/s; a power of two per turn where that is near.
             measured = ratio.get(k)
             if measured is None or measured > 0.05:
-                scale = None
+                unknown.append(k)
             else:
                 turn = 2.0 * math.pi / measured
                 power = 2.0 ** round(math.log2(turn))
-                scale = 2.0 * math.pi / (power if near(turn, power) else round(turn))
-            if scale is None:
-                unknown.append(k)
-            else:
-                factors[k] = scale
+                factors[k] = 2.0 * math.pi / (power if near(turn, power) else round(turn))
             evidence.append(f"q{k + 1} {low:g} to {high:g}, whole numbers: encoder counts")
         else:
             factors[k] = 1.0 / DEGREES
@@ -59,18 +56,11 @@ def check_position_unit(robot: Robot, log: Log) -> Check:
             evidence.append(f"q{k + 1} {low:.4g} to {high:.4g}: degrees{why}")
     # Where most joints are in degrees, the others are too: they only stayed near zero.
     in_degrees = sum(f == 1.0 / DEGREES for f in factors)
-    if not (in_degrees == 0 or in_degrees == len(factors)):
+    if len(factors) <= 2 * in_degrees < 2 * len(factors):
         clear = [a.joint for a in velocity_agreement(log) if near(a.ratio, 1.0)]
         factors = [
-            1.0 / DEGREES if f == 1.0 and (2 * in_degrees >= len(factors)) and k not in clear else f
-            for k, f in enumerate(factors)
+            1.0 / DEGREES if f == 1.0 and k not in clear else f for k, f in enumerate(factors)
         ]
-    return _position_check(factors, unknown, evidence, log, ratio)
-
-
-def _position_check(
-    factors: list[float], unknown: list[int], evidence: list[str], log: Log, ratio: dict[int, float]
-) -> Check:
     if not evidence:
         size = float(log.q.abs().max())
         return Check("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
@@ -83,11 +73,7 @@ def _position_check(
         moved = tuple(f if both else 1.0 for f, both in zip(factors, also, strict=True))
         if log.dq is not None and any(f != 1.0 for f in moved):
             repairs.append(Scale(("dq",), moved))
-    fix = fix_text(repairs)
-    if unknown:
-        fix = (fix + "; " if fix else "") + (
-            f"say how many counts make a turn in {joint_list(unknown)}: q = 2 pi / counts"
-        )
+    ask = f"say how many counts make a turn in {joint_list(unknown)}: q = 2 pi / counts"
     return Check(
         "position unit",
         "wrong",
@@ -95,9 +81,8 @@ def _position_check(
         joints=joints,
         estimate=tuple(1.0 / factors[k] for k in joints),
         unit="per rad",
-        fix=fix,
-        repairs=tuple(repairs),
-    )
+        fix=ask if unknown else None,
+    ).mended_by(*repairs)
 
 
 def check_jumps(robot: Robot, log: Log) -> Check:
@@ -125,18 +110,13 @@ def check_jumps(robot: Robot, log: Log) -> Check:
             joints.append(k)
     repairs = (Unwrap(tuple(joints)),) if joints else ()
     mended = repairs[0].apply(log) if repairs else log
-    still_there = position_jumps(mended)
-    fix = fix_text(repairs) if repairs else ""
-    if still_there:
-        fix = (fix + "; " if fix else "") + "number the runs in a column traj"
     return Check(
         "position jumps",
         "wrong" if repairs else "doubtful",
         "; ".join(found[:3]),
         joints=tuple(joints),
-        fix=fix,
-        repairs=repairs,
-    )
+        fix="number the runs in a column traj" if position_jumps(mended) else None,
+    ).mended_by(*repairs)
 
 
 def check_standstill(log: Log) -> Check:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.doctor.cone import Normal, fit, relative
+from torchid.doctor.cone import fit, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.samples import BLOCKS
 from torchid.statistics.jackknife import from_left_out
@@ -52,8 +52,9 @@ def profile(
     weights = fit(normals[1], judge.cone).weights
     estimates = []
     for b in range(BLOCKS):
-        losses = [_loss(normal.without(b), judge, weights) for normal in normals]
-        estimates.append(_vertex(values, losses))
+        others = [normal.without(b) for normal in normals]
+        errors = [shares(fit(x, judge.cone, weights=weights).variance, x.spread) for x in others]
+        estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
     left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
     low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
     return Profile(best, low, high, loss(start) - loss(best))
@@ -79,9 +80,3 @@ def _vertex(values: Sequence[float], losses: Sequence[float]) -> float:
     if curve <= 0:
         return values[int(np.argmin(losses))]
     return float(values[1] + np.clip(0.5 * (a - c) / curve, -2.0, 2.0) * step)
-
-
-def _loss(normal: Normal, judge: Judge, weights: np.ndarray) -> float:
-    found = fit(normal, judge.cone, weights=weights)
-    live = normal.spread > 0
-    return float(np.log(relative(found.variance, normal.spread)[live]).sum())

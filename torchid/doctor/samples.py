@@ -30,18 +30,14 @@ class Stretch:
 
     Attributes:
         t: (T,) [s].
-        q, dq, ddq: (T, n), derivatives of the smoothed positions.
-        sign: (T, n) smoothed direction of motion.
+        motion: (T, n, 4) q, dq, ddq, smoothed, and smoothed direction of motion.
         moving: (T, n) whether each joint moves: at rest, static friction holds any torque.
         tau: (T, n) smoothed torque (or current).
         inside: samples at either end that a shift of the torque may use and rows may not.
     """
 
     t: Float[Tensor, " T"]
-    q: Float[Tensor, "T n"]
-    dq: Float[Tensor, "T n"]
-    ddq: Float[Tensor, "T n"]
-    sign: Float[Tensor, "T n"]
+    motion: Float[Tensor, "T n 4"]
     moving: Bool[Tensor, "T n"]
     tau: Float[Tensor, "T n"]
     inside: slice
@@ -61,22 +57,17 @@ class Samples:
 
     Attributes:
         stretches: one a trajectory.
-        q, dq, ddq, sign, moving: (T, n) rows of all of them.
+        motion, moving: (T, n, 4), (T, n) rows of all of them.
         block: (T,) block of each row, 0..BLOCKS-1.
-        period: of the fastest motion kept [s].
         reach: how far torque may be shifted [s].
         step: of the log [s].
         signals: that the log has.
     """
 
     stretches: tuple[Stretch, ...]
-    q: Float[Tensor, "T n"]
-    dq: Float[Tensor, "T n"]
-    ddq: Float[Tensor, "T n"]
-    sign: Float[Tensor, "T n"]
+    motion: Float[Tensor, "T n 4"]
     moving: Bool[Tensor, "T n"]
     block: Int[Tensor, " T"]
-    period: float
     reach: float
     step: float
     signals: tuple[str, ...]
@@ -112,15 +103,11 @@ def samples(log: Log) -> Samples | str:
             f"the log lasts {total:.3g} s; of motion as slow as this it takes {least:.2g} s at "
             "least, better 20 s, with all joints moving"
         )
-    rows = {
-        name: torch.cat([getattr(s, name)[s.inside] for s in kept])
-        for name in ("q", "dq", "ddq", "sign", "moving")
-    }
     return Samples(
         tuple(kept),
-        **rows,
+        torch.cat([s.motion[s.inside] for s in kept]),
+        torch.cat([s.moving[s.inside] for s in kept]),
         block=torch.arange(count) * BLOCKS // count,
-        period=1.0 / cutoff,
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(r for _, r in usable),
         signals=signals,
@@ -156,11 +143,11 @@ def _stretch(log: Log, rate: float, cutoff: float, most_per_second: float) -> St
     picked = slice(0, None, every)
     edge = max(round(rate / cutoff), round(0.25 * rate))
     edge = -(-min(edge, log.samples // 6) // every)
-    ddq, tau = central_difference(dq, rate), low.apply(log.tau.T)
-    q, dq, ddq, sign, moving, tau = (
-        x.T[picked].contiguous() for x in (q, dq, ddq, sign, moving, tau)
+    motion = torch.stack([q, dq, central_difference(dq, rate), sign], -1)
+    motion, moving, tau = (
+        x.transpose(0, 1)[picked].contiguous() for x in (motion, moving, low.apply(log.tau.T))
     )
-    count = len(q)
+    count = len(motion)
     if count < 2 * edge + 10:
         return None
-    return Stretch(log.t[picked], q, dq, ddq, sign, moving, tau, slice(edge, count - edge))
+    return Stretch(log.t[picked], motion, moving, tau, slice(edge, count - edge))

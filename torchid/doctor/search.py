@@ -33,7 +33,6 @@ class Found:
         gain: by how much the sum of log errors fell.
         blocks: blocks of time in which it fell, and of how many.
         rivals: moves that do as well.
-        decided: whether there are none, or this one was chosen.
     """
 
     move: Move
@@ -42,7 +41,6 @@ class Found:
     gain: float
     blocks: tuple[int, int]
     rivals: tuple[Move, ...]
-    decided: bool
 
 
 @dataclass(frozen=True)
@@ -127,9 +125,8 @@ def _best(
     if gain < CLEAR or agreeing < AGREE * judged:
         return None
     rivals = tuple({m.name: m for _, m, _, _ in tied if m.name != move.name}.values())
-    decided = not rivals or move.name in fixes
     before, after = rms(held), rms(errors)
-    return Found(move, before, after, gain, (agreeing, judged), rivals, decided), errors
+    return Found(move, before, after, gain, (agreeing, judged), rivals), errors
 
 
 def rms(errors: np.ndarray) -> np.ndarray:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, Choice, Verdict, among, fix_text, joint_list
+from torchid.doctor.check import Check, Choice, Verdict, among, joint_list
 from torchid.doctor.cone import reach_of
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
 from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType
 from torchid.statistics.jackknife import fit_statistics
 
 WRONG, ODD = 5.0, 2.2
@@ -29,11 +29,7 @@ MOST_OF_LIMIT = 2.0
 _GAINS = "(--gain K1,K2,.. or Log.with_torque) [N m/A]"
 _CHECK_GAINS = f"drive gains for currents {_GAINS}; multiply motor torque by the gear ratio"
 _SMALL_UNITS = {"torque unit mNm": 1e3, "torque unit Ncm": 100.0}
-_UNITS = (
-    (1e3, "N mm or mN m, or mA"),
-    (1e-3, "kN m"),
-    (100.0, "N cm"),
-)
+_UNITS = ((1e3, "N mm or mN m, or mA"), (1e-3, "kN m"), (100.0, "N cm"))
 
 
 @dataclass(frozen=True)
@@ -50,49 +46,45 @@ class Slopes:
     low: np.ndarray
     high: np.ndarray
 
+    @property
+    def clear(self) -> np.ndarray:
+        """(J,) whether they say anything."""
+        return (self.value > 0) & (self.high - self.low < 0.6 * self.value)
+
+    @property
+    def overall(self) -> float | None:
+        """The median of the clear ones."""
+        return float(np.median(self.value[self.clear])) if self.clear.any() else None
+
 
 def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
     """Slope of measured on nominal torque of each joint that moves."""
-    motion = judge.motion(hypothesis)
-    q, dq, ddq, _ = motion
-    nominal = inverse_dynamics(judge.robot, q, dq, ddq).numpy()
+    q, dq, ddq, sign = judge.motion(hypothesis).unbind(-1)
+    nominal = inverse_dynamics(judge.robot, q, dq, ddq)
     tau, moving = judge.torque(hypothesis), judge.moving(hypothesis)
     block = judge.samples.block.numpy()
     rows = []
     for j in judge.live(hypothesis):
-        own = [motion[k][:, j].numpy() for k in (1, 3, 2)]
-        x = np.stack([nominal[:, j], *own, np.ones(len(tau))], 1)
-        found = _slope(x, tau[:, j], block, moving[:, j])
-        if found is not None:
-            rows.append((j, *found))
+        use = moving[:, j]
+        columns = [x[:, j] for x in (nominal, dq, sign, ddq, torch.ones_like(q))]
+        x, y = torch.stack(columns, -1).numpy()[use], tau[use, j]
+        owner = np.unique(block[use], return_inverse=True)[1]
+        # Says nothing where the nominal torque is constant, or in fewer than three blocks of time.
+        if x[:, 0].std() == 0.0 or owner.max() < 2:
+            continue
+        values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
+        found = fit_statistics(*(torch.from_numpy(a) for a in (x, y - x @ values, owner)))
+        low, high = found.interval(torch.from_numpy(values))[0].tolist()
+        rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)
     return Slopes(tuple(r[0] for r in rows), *table.T)
 
 
-def _slope(
-    x: np.ndarray, y: np.ndarray, block: np.ndarray, use: np.ndarray
-) -> tuple[float, float, float] | None:
-    """Slope of y on the first column over the rows in use, with its 95 % interval; None where that
-    column is constant or the rows fall into fewer than three blocks of time."""
-    columns, owner = x[use], np.unique(block[use], return_inverse=True)[1]
-    if columns[:, 0].std() == 0.0 or owner.max() < 2:
-        return None
-    values = np.linalg.lstsq(columns, y[use], rcond=1e-9)[0]
-    found = fit_statistics(
-        *(torch.from_numpy(a) for a in (columns, y[use] - columns @ values, owner))
-    )
-    low, high = found.interval(torch.from_numpy(values))[0].tolist()
-    return float(values[0]), low, high
-
-
 def check_size(
-    judge: Judge,
-    robot: Robot,
-    log: Log,
-    hypothesis: Hypothesis,
-    fixes: Collection[str] = (),
+    judge: Judge, log: Log, hypothesis: Hypothesis, fixes: Collection[str] = ()
 ) -> Check:
     """The unit of the torque as a whole."""
+    robot = judge.robot
     if log.tau is None:
         # Currents without gains; nominal parameters suggest some.
         text = "the log has currents [A] and no drive gains"
@@ -100,13 +92,7 @@ def check_size(
         if robot.parameters is None:
             return Check("torque unit", "doubtful", text, fix=fix.format("K1,K2,.."))
         slopes = nominal_slopes(judge, hypothesis)
-        clear = [
-            (j, 1.0 / v)
-            for j, v, low, high in zip(
-                slopes.joints, slopes.value, slopes.low, slopes.high, strict=True
-            )
-            if v > 0 and high - low < 0.6 * v
-        ]
+        clear = [(slopes.joints[k], 1.0 / slopes.value[k]) for k in np.flatnonzero(slopes.clear)]
         if clear:
             guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
             text += f"; nominal parameters suggest [N m/A] {guess}"
@@ -121,21 +107,15 @@ def check_size(
             fix=fix.format(every if len(clear) == robot.n else "K1,K2,.."),
         )
     if robot.parameters is not None and robot.parameters.pi.abs().sum() > 0:
-        found = _against_nominal(judge, robot, hypothesis)
+        found = _against_nominal(judge, hypothesis)
         if found is not None:
             return found
-    return _against_limits(robot, log, fixes) or _plain_sense(robot, log, judge, hypothesis, fixes)
+    return _against_limits(judge, log, fixes) or _plain_sense(judge, log, hypothesis, fixes)
 
 
-def _overall(slopes: Slopes) -> float | None:
-    """The median size of the clear slopes."""
-    clear = (slopes.value > 0) & (slopes.high - slopes.low < 0.6 * slopes.value)
-    return float(np.median(slopes.value[clear])) if clear.any() else None
-
-
-def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Check | None:
+def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
     slopes = nominal_slopes(judge, hypothesis)
-    overall = _overall(slopes)
+    overall = slopes.overall
     if overall is None:
         return None
     text = f"measured torque is {overall:.3g} times nominal (median of the joints)"
@@ -154,40 +134,28 @@ def _against_nominal(judge: Judge, robot: Robot, hypothesis: Hypothesis) -> Chec
     verdict: Verdict = "wrong" if off > math.log(WRONG) else "doubtful"
     for factor, name in _UNITS:
         if abs(math.log(overall / factor)) < math.log(ODD):
-            repairs = (Scale(("tau",), (1.0 / factor,) * robot.n),)
-            fix = fix_text(repairs)
-            return replace(
-                base, verdict=verdict, evidence=f"{text}: {name}", fix=fix, repairs=repairs
-            )
+            repair = Scale(("tau",), (1.0 / factor,) * judge.robot.n)
+            named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
+            return named.mended_by(repair)
     text += ": a gain, a gear ratio, or another robot's parameters"
     return replace(base, verdict=verdict, evidence=text, fix=_CHECK_GAINS)
 
 
-def _against_limits(robot: Robot, log: Log, fixes: Collection[str]) -> Check | None:
-    limits = robot.limits.torque
+def _against_limits(judge: Judge, log: Log, fixes: Collection[str]) -> Check | None:
+    limits = judge.robot.limits.torque
     assert log.tau is not None
     if limits is None or not bool(torch.isfinite(limits).all()) or not bool((limits != 0).any()):
         return None
     share = float((log.tau.abs().amax(0) / limits.abs().amax(-1).clamp(min=1e-9)).max())
     text = f"the largest torque is {share:.3g} times its limit"
-    if share > BEYOND_LIMIT:
-        return _too_large(robot, text, share, (BELOW_LIMIT, MOST_OF_LIMIT), fixes)
-    if share < BELOW_LIMIT:
-        return Check(
-            "torque unit",
-            "doubtful",
-            f"{text}: amperes, motor side, or kN m?",
-            estimate=share,
-            fix=_CHECK_GAINS,
-        )
-    return Check("torque unit", "fine", text, estimate=share)
+    plausible = (BELOW_LIMIT, MOST_OF_LIMIT)
+    return _by_size(judge, text, share, plausible, fixes, largest=BEYOND_LIMIT)
 
 
-def _plain_sense(
-    robot: Robot, log: Log, judge: Judge, hypothesis: Hypothesis, fixes: Collection[str]
-) -> Check:
+def _plain_sense(judge: Judge, log: Log, hypothesis: Hypothesis, fixes: Collection[str]) -> Check:
     """Is the mass that the largest torque would hold at arm's length one an arm can have?"""
     assert log.tau is not None
+    robot = judge.robot
     gravity = float(robot.gravity.norm())
     reach = reach_of(robot)
     turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
@@ -198,46 +166,45 @@ def _plain_sense(
             "the robot has no nominal parameters, no torque limits and no reach to judge by",
         )
     mass = float(log.tau[:, turning].abs().max()) / (gravity * reach)
-    density = mass / reach**3
     text = f"the largest torque holds {mass:.3g} kg at the arm's length of {reach:.2g} m"
-    if density > DENSITY[1]:
-        return _too_large(robot, text, density, DENSITY, fixes)
-    if density < DENSITY[0]:
-        return Check(
-            "torque unit",
-            "doubtful",
-            f"{text}: amperes, motor side, or kN m?",
-            estimate=density,
-            unit="kg/m^3",
-            fix=_CHECK_GAINS,
-        )
-    return Check("torque unit", "fine", text, estimate=density, unit="kg/m^3")
+    density = mass / reach**3
+    return _by_size(judge, text, density, DENSITY, fixes, largest=DENSITY[1], unit="kg/m^3")
 
 
-def _too_large(
-    robot: Robot,
+def _by_size(
+    judge: Judge,
     text: str,
-    estimate: float,
+    size: float,
     plausible: tuple[float, float],
     fixes: Collection[str],
+    *,
+    largest: float,
+    unit: str = "",
 ) -> Check:
-    """Torque in a smaller unit: in which, if only one leaves a plausible size."""
-    check = Check("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=estimate)
-    choices = []
-    for name, factor in _SMALL_UNITS.items():
-        if plausible[0] < estimate / factor < plausible[1]:
-            repair = Scale(("tau",), (1.0 / factor,) * robot.n)
-            choices.append(Choice(name, str(repair), (repair,)))
-    return among(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
+    """Fine, too small, or torque in a smaller unit: in which, if only one leaves a plausible
+    size."""
+    if size > largest:
+        check = Check("torque unit", "wrong", f"{text}: N mm, N cm or mA?", estimate=size)
+        choices = [
+            Choice.of(name, Scale(("tau",), (1.0 / factor,) * judge.robot.n))
+            for name, factor in _SMALL_UNITS.items()
+            if plausible[0] < size / factor < plausible[1]
+        ]
+        return among(check, choices, fixes) if choices else replace(check, fix=_CHECK_GAINS)
+    check = Check("torque unit", "fine", text, estimate=size, unit=unit)
+    if size < plausible[0]:
+        text = f"{text}: amperes, motor side, or kN m?"
+        return replace(check, verdict="doubtful", evidence=text, fix=_CHECK_GAINS)
+    return check
 
 
-def check_nominal(judge: Judge, robot: Robot, log: Log, hypothesis: Hypothesis) -> list[Check]:
+def check_nominal(judge: Judge, log: Log, hypothesis: Hypothesis) -> list[Check]:
     """Joints whose torque is far from the nominal one, and about which the other joints' torques
     say nothing (such as the first, about a vertical axis)."""
-    if robot.parameters is None or log.tau is None:
+    if judge.robot.parameters is None or log.tau is None:
         return []
     slopes = nominal_slopes(judge, hypothesis)
-    overall = _overall(slopes)
+    overall = slopes.overall
     if overall is None or len(slopes.joints) < 3:
         return []
     low, high = slopes.low / overall, slopes.high / overall

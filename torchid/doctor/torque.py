@@ -4,6 +4,7 @@ import numpy as np
 
 from torchid.doctor.check import Check, joint_list
 from torchid.log.model import Log
+from torchid.typing import Float, Tensor
 
 PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
@@ -15,9 +16,14 @@ COARSE = 0.1
 """Largest step between torque values, as a share of their standard deviation."""
 
 
+def torque_or_current(log: Log) -> Float[Tensor, "T n"] | None:
+    """What a log has of the torque: itself, else the currents."""
+    return log.tau if log.tau is not None else log.current
+
+
 def check_torque(log: Log) -> Check:
     """Columns of torque that are missing, zero or constant."""
-    signal = log.tau if log.tau is not None else log.current
+    signal = torque_or_current(log)
     if signal is None:
         return Check(
             "torque columns",
@@ -41,7 +47,7 @@ def check_torque(log: Log) -> Check:
 
 def check_saturation(log: Log) -> Check:
     """Torque clipped at a level: many samples, in runs, exactly at the largest value."""
-    signal = log.tau if log.tau is not None else log.current
+    signal = torque_or_current(log)
     assert signal is not None
     joints, levels, evidence = [], [], []
     for k in range(log.n):
@@ -114,7 +120,7 @@ def _resolution(x: np.ndarray) -> float:
 
 def check_resolution(log: Log) -> Check:
     """Torque in steps that are coarse against its variation."""
-    signal = log.tau if log.tau is not None else log.current
+    signal = torque_or_current(log)
     assert signal is not None
     shares = []
     for k in range(log.n):

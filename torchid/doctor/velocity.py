@@ -7,9 +7,8 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, Choice, among, fix_text, joint_list
-from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale
-from torchid.doctor.retime import ScaleTime
+from torchid.doctor.check import Check, Choice, among, joint_list
+from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
@@ -58,27 +57,22 @@ def check_velocity(log: Log, fixes: Collection[str] = ()) -> Check:
         joints = sorted({*joints, *worst})
     if not said:
         return Check("velocity", "fine", text, estimate=lag, unit="s")
+    # dq over the derivative of q in these joints, if that is what is wrong.
+    scaled = any(factors[k] != 1.0 for k in joints)
+    ratios = tuple(1.0 / factors[k] for k in joints) if scaled else None
     return Check(
         "velocity",
         "wrong" if joints and not (len(said) == 1 and share > LATE_SHARE) else "doubtful",
         "; ".join(said),
         joints=tuple(joints),
-        estimate=lag if unusable else _ratios(factors, joints),
+        estimate=lag if unusable else ratios,
         unit="s" if unusable else "ratio",
-        fix=fix_text(repairs),
-        repairs=tuple(repairs),
-    )
-
-
-def _ratios(factors: list[float], joints: list[int]) -> tuple[float, ...] | None:
-    """dq over the derivative of q in these joints, if that is what is wrong."""
-    ratios = tuple(1.0 / factors[k] for k in joints)
-    return ratios if any(r != 1.0 for r in ratios) else None
+    ).mended_by(*repairs)
 
 
 def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]) -> Log:
     """Velocity columns back to the positions whose derivative they are."""
-    # Of each position with the integral of each velocity (n, n); NaN where nothing moves.
+    # Correlation of each position with the integral of each velocity (n, n).
     assert log.dq is not None
     moved, positions = [], []
     for part in log.trajectories():
@@ -91,27 +85,20 @@ def _reorder(log: Log, repairs: list[Repair], said: list[str], joints: list[int]
     extent = log.q.amax(0) - log.q.amin(0)
     a, q = a / a.norm(dim=0).clamp(min=1e-300), q / q.norm(dim=0).clamp(min=1e-300)
     matrix = q.T @ a
-    matrix[extent < MOVING] = torch.nan
-    moving = ~torch.isnan(matrix).all(1)
-    usable = torch.nan_to_num(matrix.abs(), nan=0.0)
-    _, order = linear_sum_assignment(-usable.numpy())
-    order = [int(j) for j in order]
+    usable = torch.where(extent[:, None] < MOVING, 0.0, matrix.abs())
+    order = linear_sum_assignment(-usable.numpy())[1].tolist()
     wrong = [
         k
         for k, j in enumerate(order)
-        if j != k
-        and bool(moving[k])
-        and float(usable[k, j]) > max(_CLOSE, float(usable[k, k]) + 0.1)
+        if j != k and float(usable[k, j]) > max(_CLOSE, float(usable[k, k]) + 0.1)
     ]
-    if not wrong:
-        return log
     # Only a permutation of the joints that are clearly exchanged among themselves.
-    if sorted(wrong) != sorted(order[k] for k in wrong):
+    if not wrong or sorted(wrong) != sorted(order[k] for k in wrong):
         return log
     full = tuple(order[k] if k in wrong else k for k in range(log.n))
     said += [
         f"dq{order[k] + 1} is the derivative of q{k + 1} (correlation {usable[k, order[k]]:.3f}; "
-        f"of dq{k + 1}: {float(torch.nan_to_num(matrix[k, k])):.2f})"
+        f"of dq{k + 1}: {float(matrix[k, k]):.2f})"
         for k in wrong
     ]
     joints += wrong
@@ -164,10 +151,10 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
     """The clock, or the unit of all velocities: kinematics cannot tell."""
     plain = float(f"{ratio:.2g}")
     ratio = plain if abs(ratio / plain - 1.0) < 5e-3 else ratio
-    repairs = {
-        "time scale": ScaleTime(1.0 / ratio),
-        "velocity scale": Scale(("dq",), (1.0 / ratio,) * n),
-    }
+    choices = [
+        Choice.of("time scale", ScaleTime(1.0 / ratio)),
+        Choice.of("velocity scale", Scale(("dq",), (1.0 / ratio,) * n)),
+    ]
     check = Check(
         "velocity",
         "wrong",
@@ -177,7 +164,7 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
         estimate=ratio,
         unit="ratio",
     )
-    return check, [Choice(name, str(repair), (repair,)) for name, repair in repairs.items()]
+    return check, choices
 
 
 def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:

@@ -16,7 +16,7 @@ from torchid.files import atomic_write
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
-    from torchid.extraction.extract import SearchSettings
+    from torchid.extraction.settings import SearchSettings
 
 _DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 """What NumPy raises on a file that is none of its own, or half of one."""

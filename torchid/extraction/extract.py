@@ -10,87 +10,27 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.checkpoint import Progress, load, save
-from torchid.extraction.cma.engines import ENGINES, engine
+from torchid.extraction.cma.engines import engine
 from torchid.extraction.cma.search import start
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
 from torchid.extraction.polish.region import Region, region
 from torchid.extraction.problem import Problem
+from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import ParameterSets
 from torchid.typing import Float, Tensor
 
-Schedule = Literal["linear", "geometric"]
-Penalty = Literal["full", "partial"]
 Report = Callable[[int, int], None]
 
-_MOST_GEOMETRIC = 300
-"""Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight."""
 _FIRST_SIGMA = 0.3
 _LEAST_SIGMA = 1e-3
 """Step size with which a stage begins at least: the minimum has moved, and a search that has
 converged on the old one would be stuck there."""
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """How to search.
-
-    Attributes:
-        runs: independent starts.
-        stages: K of Algorithm 1.
-        generations: of each stage.
-        population: of each run; 4 + floor(3 ln D) if None.
-        penalty: `full` loss phi + xi gamma, or `partial`: phi alone.
-        schedule: xi_{k+1} = 10 k (`linear`, as Algorithm 1 prints it) or 10^k (`geometric`, as the
-            text says: ten times more at every stage).
-        engine: `batched` or `cma`.
-        polish: whether a gradient polish follows.
-        seed: of starts and samples.
-
-    Raises:
-        TorchidError: a count below one, an unknown name, or more stages than the schedule
-            `geometric` has numbers for.
-    """
-
-    runs: int = 30
-    stages: int = 25
-    generations: int = 40
-    population: int | None = None
-    penalty: Penalty = "full"
-    schedule: Schedule = "linear"
-    engine: str = "batched"
-    polish: bool = True
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("runs", "stages", "generations"):
-            if getattr(self, name) < 1:
-                raise TorchidError(f"{name}: at least one is needed.", got=getattr(self, name))
-        for name, known in (
-            ("penalty", ("full", "partial")),
-            ("schedule", ("linear", "geometric")),
-            ("engine", tuple(ENGINES)),
-        ):
-            if getattr(self, name) not in known:
-                raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
-        if self.schedule == "geometric" and self.stages > _MOST_GEOMETRIC:
-            raise TorchidError(
-                "too many stages for the schedule 'geometric': each has ten times the weight.",
-                got=self.stages,
-                expected=f"at most {_MOST_GEOMETRIC}",
-            )
-
-    def weight(self, stage: int) -> float:
-        """xi of stage 0, 1, ..., K - 1."""
-        if stage == 0 or self.penalty == "partial":
-            return 0.0
-        return 10.0 * stage if self.schedule == "linear" else 10.0**stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +91,7 @@ def require_possible(problem: Problem) -> None:
 
 def extract(
     problem: Problem,
-    settings: SearchSettings = SearchSettings(),
+    settings: SearchSettings | None = None,
     *,
     checkpoint: Path | None = None,
     resume: bool = False,
@@ -163,7 +103,7 @@ def extract(
 
     Args:
         problem: loss, bounds, conditions.
-        settings: of the search.
+        settings: of the search; the defaults if None.
         checkpoint: file that keeps the state after every stage, and is removed at the end.
         keep: leave the checkpoint, so that a search that is part of something longer can be
             resumed when it is over.
@@ -183,6 +123,7 @@ def extract(
     >>> found.sets.parameters.mass.shape, bool((found.phi < 1e-12).all())
     (torch.Size([2, 3]), True)
     """
+    settings = settings or SearchSettings()
     began = time.monotonic()
     now = load(checkpoint, problem, settings) if resume and checkpoint is not None else None
     if now is None:

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from torchid.effects.registry import column_kind, effect_kind
 from torchid.errors import TorchidError
 
 Parameters = Literal["auto", "trusted", "free"]
@@ -51,6 +50,9 @@ class GapSettings:
     only: tuple[tuple[str, int | None], ...] | None = None
 
     def __post_init__(self) -> None:
+        # Here, so that the command line has the defaults without torch.
+        from torchid.effects.registry import column_kind, effect_kind
+
         if self.parameters not in get_args(Parameters):
             raise TorchidError(
                 "unknown choice for parameters.",

@@ -11,7 +11,6 @@ least squares on R), and are reported by the caller.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -21,13 +20,9 @@ from torchid.errors import IdentificationError
 from torchid.identification.factor import TriangularFactor, combined_factor
 from torchid.identification.rank import independent_columns
 from torchid.identification.rows import RowBlock, RowSource
+from torchid.identification.settings import Covariance, Method
 from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Tensor
-
-Method = Literal["ols", "wls", "huber"]
-METHODS: tuple[Method, ...] = ("ols", "wls", "huber")
-Covariance = Literal["diagonal", "full"]
-COVARIANCES: tuple[Covariance, ...] = ("diagonal", "full")
 
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.05

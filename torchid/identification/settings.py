@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from torchid.errors import TorchidError
-from torchid.identification.least_squares import COVARIANCES, METHODS, Covariance, Method
 
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
+Method = Literal["ols", "wls", "huber"]
+Covariance = Literal["diagonal", "full"]
 Rows = Literal["all", "moving"]
 Signs = Literal["bounded", "free"]
 
@@ -52,8 +53,8 @@ class Settings:
     def __post_init__(self) -> None:
         for name, allowed in (
             ("rows", get_args(Rows)),
-            ("method", METHODS),
-            ("covariance", COVARIANCES),
+            ("method", get_args(Method)),
+            ("covariance", get_args(Covariance)),
             ("signs", get_args(Signs)),
         ):
             if getattr(self, name) not in allowed:

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from torchid.errors import TorchidError
-from torchid.extraction.extract import Penalty, SearchSettings
+from torchid.extraction.settings import Penalty, SearchSettings
 from torchid.robot.config_files import config_folder
 
 _KEYS = (

@@ -1,4 +1,4 @@
-"""`torchid effects`: the library of effects, as a list or as a page."""
+"""`torchid robot` and `torchid effects`: what a robot description says, what effects there are."""
 
 from dataclasses import replace
 from typing import Annotated
@@ -6,24 +6,40 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import open_output
+from torchid.app.output import Kept
+from torchid.app.signature import command
 
 
+@command
+def robot_command(*, arm: opt.Arm, results: Kept) -> None:
+    """Print joints, limits, parameters and warnings of a robot.
+
+    Example: `torchid robot kuka_lwr4`
+    """
+    output = results.open()
+    from torchid.report.robot import robot_record, robot_tables
+
+    found = arm.load()
+    output.say(*robot_tables(found))
+    data = robot_record(found)
+    output.warn(tuple(data["warnings"]))
+    output.write_json(data, "robot.json")
+
+
+@command
 def effects_command(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One effect; all if left out.")
-    ] = None,
-    json_file: opt.Json = None,
-    out: opt.Out = None,
-    quiet: opt.Quiet = False,
+    *, name: Annotated[str | None, typer.Argument(metavar="[NAME]")] = None, results: Kept
 ) -> None:
     """List the effects that can make an arm differ from its simulator, or explain one of them.
 
     With --out, write the catalogue of all: effects.md, and its pictures in img.
 
     Example: `torchid effects stribeck_friction`
+
+    Args:
+        name: One effect; all if left out.
     """
-    output = open_output(json_file, out, quiet)
+    output = results.open()
     from rich.markdown import Markdown
 
     from torchid.effects.registry import KINDS, effect_kind

@@ -1,0 +1,69 @@
+"""How to search for parameter sets."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from torchid.errors import TorchidError
+
+Schedule = Literal["linear", "geometric"]
+Penalty = Literal["full", "partial"]
+EngineName = Literal["batched", "cma"]
+
+_MOST_GEOMETRIC = 300
+"""Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How to search.
+
+    Attributes:
+        runs: independent starts.
+        stages: K of Algorithm 1.
+        generations: of each stage.
+        population: of each run; 4 + floor(3 ln D) if None.
+        penalty: `full` loss phi + xi gamma, or `partial`: phi alone.
+        schedule: xi_{k+1} = 10 k (`linear`, as Algorithm 1 prints it) or 10^k (`geometric`, as the
+            text says: ten times more at every stage).
+        engine: `batched` or `cma`.
+        polish: whether a gradient polish follows.
+        seed: of starts and samples.
+
+    Raises:
+        TorchidError: a count below one, an unknown name, or more stages than the schedule
+            `geometric` has numbers for.
+    """
+
+    runs: int = 30
+    stages: int = 25
+    generations: int = 40
+    population: int | None = None
+    penalty: Penalty = "full"
+    schedule: Schedule = "linear"
+    engine: str = "batched"
+    polish: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("runs", "stages", "generations"):
+            if getattr(self, name) < 1:
+                raise TorchidError(f"{name}: at least one is needed.", got=getattr(self, name))
+        for name, known in (
+            ("penalty", get_args(Penalty)),
+            ("schedule", get_args(Schedule)),
+            ("engine", get_args(EngineName)),
+        ):
+            if getattr(self, name) not in known:
+                raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
+        if self.schedule == "geometric" and self.stages > _MOST_GEOMETRIC:
+            raise TorchidError(
+                "too many stages for the schedule 'geometric': each has ten times the weight.",
+                got=self.stages,
+                expected=f"at most {_MOST_GEOMETRIC}",
+            )
+
+    def weight(self, stage: int) -> float:
+        """xi of stage 0, 1, ..., K - 1."""
+        if stage == 0 or self.penalty == "partial":
+            return 0.0
+        return 10.0 * stage if self.schedule == "linear" else 10.0**stage
