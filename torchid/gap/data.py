@@ -1,5 +1,6 @@
 """From logs to data: checked, resampled, differentiated and filtered before anything is sought."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -9,6 +10,7 @@ from torchid.design.bands import (
     CUTOFF,
     bands,
     position_noise,
+    report_band,
     resolved,
     reversal_speed,
     sharp_direction,
@@ -45,8 +47,8 @@ class Data:
         slides: (n,) joints that move more than hardly ever.
         missing: what effects may need and the log does not hold: `velocity`, `age`.
         still: joints, from 0, that never move.
-        position_noise: (n,) that positions bring into the model's torque below 1 Hz [N m; N].
-        resolved: frequency up to which positions resolve the model's torque [Hz].
+        band: of the report [Hz].
+        positions: (n,) noise that they bring into the model's torque in that band [N m; N].
         warnings: sentences for the user.
     """
 
@@ -55,8 +57,8 @@ class Data:
     slides: Bool[Tensor, " n"]
     missing: frozenset[str]
     still: tuple[int, ...]
-    position_noise: Float[Tensor, " n"]
-    resolved: float
+    band: float
+    positions: Float[Tensor, " n"]
     warnings: tuple[str, ...]
 
     @property
@@ -75,7 +77,9 @@ class Data:
         return len(self.samples) * self.samples.interval
 
 
-def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) -> Data:
+def prepare(
+    robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0, widest: float = math.inf
+) -> Data:
     """Check, resample, differentiate and filter logs.
 
     Args:
@@ -83,6 +87,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
         log: one or several trajectories.
         cutoff: [Hz]; None for the default.
         clock: time at which the log begins [s], at the earliest: held-out logs come afterwards.
+        widest: band of the report at most [Hz].
 
     Raises:
         LogError: what `torchid.identification.identify.prepared` refuses; different rates; a log
@@ -142,13 +147,7 @@ def prepare(robot: Robot, log: Log, cutoff: float | None, clock: float = 0.0) ->
     missing = frozenset() if own_velocity else frozenset({"velocity"})
     if any(s.motion.age is None for s in long):
         missing |= {"age"}
-    return Data(
-        samples,
-        moving_samples(samples),
-        moves >= HARDLY,
-        missing,
-        still,
-        noise,
-        highest,
-        tuple(said),
-    )
+    keep, slides = moving_samples(samples), moves >= HARDLY
+    band = report_band(samples, min(widest, highest))
+    positions = noise * band**2.5
+    return Data(samples, keep, slides, missing, still, band, positions, tuple(said))

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 
 import torch
 
-from torchid.design.bands import SAME_RATE, report_band
+from torchid.design.bands import SAME_RATE
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
@@ -128,7 +128,7 @@ def diagnose(
     start = start_of(robot, data, wanted)
     at_start = Columns(start, data.samples)
     # Where repeats tell the noise, only samples of sliding joints can be held against it.
-    keep = sliding_only(at_start, data.keep, _band(data, settings), repeats)
+    keep = sliding_only(at_start, data.keep, data.band, repeats)
     data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
@@ -159,9 +159,7 @@ def diagnose(
     say("locating", 0, 1)
     # Where the gap lies, and what this log could not have shown.
     hidden = not_testable(found, start.robot, data)
-    joints, regimes = where(
-        checked.shown, checked.noise.floor, settings.seed, band=_band(data, settings)
-    )
+    joints, regimes = where(checked.shown, checked.noise.floor, settings.seed, band=data.band)
     places = {t.key for t in found.question.candidates.terms if not t.inertial}
     places |= {(x.effect, x.joints) for x in hidden}
     poor = len(hidden) > 0.5 * len(places) or data.seconds < SHORTEST
@@ -188,7 +186,7 @@ def diagnose(
         not_testable=tuple(hidden),
         next_experiment=next_experiment(found, said, block),
         traces=tuple(checked.shown),
-        band=_band(data, settings),
+        band=data.band,
         cutoff=data.samples.cutoff,
         settings={**asdict(settings), "refitted": wanted.free},
         warnings=tuple(
@@ -212,10 +210,11 @@ def read(
     """
     if log.tau is not None and (held_out is None or held_out.tau is not None):
         refuse_repeated(log, held_out)
-    data = prepare(robot, log, None if settings.cutoff == "auto" else settings.cutoff)
+    cutoff = None if settings.cutoff == "auto" else settings.cutoff
+    data = prepare(robot, log, cutoff, widest=settings.report_band)
     if held_out is None:
         return data, None
-    judged = prepare(robot, held_out, data.samples.cutoff, clock=data.end + 1.0)
+    judged = prepare(robot, held_out, data.samples.cutoff, data.end + 1.0, data.band)
     if abs(judged.samples.rate / data.samples.rate - 1) > SAME_RATE:
         raise LogError(
             "the held-out logs have another sampling rate.",
@@ -298,7 +297,7 @@ def check(
     """
     solution = found.solution
     base = refitted(solution.start, data, solution.wanted)
-    band = _band(data, settings)
+    band = data.band
     columns = Columns(solution.model, data.samples)
     noise = noise_of(
         columns,
@@ -308,7 +307,7 @@ def check(
         band,
         repeats,
         settings.seed,
-        data.position_noise * band**2.5,
+        data.positions,
     )
     if judged is None:
         # Each fold is shown by models that were fitted on the others.
@@ -378,10 +377,6 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
     if unexplained or not far.improves or far.closed is None:
         return "detected_unexplained"
     return "explained" if said.findings else "parametric_only"
-
-
-def _band(data: Data, settings: GapSettings) -> float:
-    return report_band(data.samples, min(settings.report_band, data.resolved))
 
 
 def warnings_of(

@@ -93,7 +93,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         samples.cutoff,
         repeats,
         settings.seed,
-        given.position_noise * samples.cutoff**2.5,
+        given.positions * (samples.cutoff / given.band) ** 2.5,
     )
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
     wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
