@@ -8,8 +8,8 @@ from scipy.ndimage import uniform_filter1d
 
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import kind_named
-from torchid.withheld.plant.nominal import Nominal, dry, low_passed, rms
 from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene, Signals
+from torchid.withheld.plant.scene import Nominal, dry, low_passed, rms
 from torchid.withheld.plant.sensing import hold
 from torchid.withheld.plant.simulate import Trace, simulated
 
