@@ -60,7 +60,7 @@ def designed_for(
         TorchidError: a result that asks for no motion.
     """
     from torchid.excitation.informed import design_for
-    from torchid.identification.reading import read_prior
+    from torchid.identification.values import read_prior
     from torchid.next_motion.ambiguity import SCHEMA as GAP
     from torchid.report.next_motion import informed_record, informed_table, informed_verdict
 

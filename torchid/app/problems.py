@@ -65,8 +65,7 @@ def build_problem(
 ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
     """The problem that the options describe, the base parameters, and notes for the user."""
     from torchid.extraction.from_identification import problem_of
-    from torchid.identification.reading import read_base
-    from torchid.identification.values import nominal_base
+    from torchid.identification.values import nominal_base, read_base
 
     found = nominal_base(robot) if result is None else read_base(result, robot)
     limits = None if total_mass is None else interval("--total-mass", total_mass)

@@ -18,8 +18,8 @@ import torch
 from scipy.optimize import lsq_linear
 
 from torchid.errors import IdentificationError
+from torchid.identification.base_parameters import independent_columns
 from torchid.identification.factor import TriangularFactor, combined_factor
-from torchid.identification.rank import independent_columns
 from torchid.identification.rows import RowBlock, RowSource
 from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Tensor
@@ -151,26 +151,14 @@ def factor(
     source: RowSource, robust: Float[Tensor, "I n"], whitening: Float[Tensor, "n n"]
 ) -> Float[Tensor, "C C"]:
     """R (B + 1, B + 1) of the weighted rows [W A, W b], one pass over the data."""
-    add = _per_joint if _is_diagonal(whitening) else _jointly
-    return add(source, robust, whitening)
-
-
-def _is_diagonal(w: Tensor) -> bool:
-    return bool((w - torch.diag(w.diagonal())).abs().max() == 0)
-
-
-def _per_joint(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
-    columns = source.layout.columns
-    factors = [TriangularFactor(len(c) + 1) for c in columns]
-    scale = whitening.diagonal()
-    for block in source:
-        weight = robust[block.instant] * scale
-        for i, rows in enumerate(block.augmented):
-            factors[i].add(rows * weight[:, i : i + 1])
-    return combined_factor([f.factor() for f in factors], columns, source.layout.size)
-
-
-def _jointly(source: RowSource, robust: Tensor, whitening: Tensor) -> Tensor:
+    columns, scale = source.layout.columns, whitening.diagonal()
+    if bool((whitening - torch.diag(scale)).abs().max() == 0):
+        factors = [TriangularFactor(len(c) + 1) for c in columns]
+        for block in source:
+            weight = robust[block.instant] * scale
+            for i, rows in enumerate(block.augmented):
+                factors[i].add(rows * weight[:, i : i + 1])
+        return combined_factor([f.factor() for f in factors], columns, source.layout.size)
     total = TriangularFactor(source.layout.size + 1)
     for block in source:
         for rows in whitened_rows(source, block, robust, whitening):
