@@ -103,7 +103,14 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
     if same:
         raise TorchidError("a result is given twice.", got=same[0])
     results = []
-    for label, path in zip(_labels(paths), paths, strict=True):
+    # The shortest ends of the paths that tell them apart; files that a command named itself are
+    # called by their folder.
+    parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
+    if len({p.stem for p in paths}) == 1:
+        parts = [p[:-1] for p in parts]
+    ends = (["/".join(p[-k:]) for p in parts] for k in range(1, max(map(len, parts)) + 1))
+    labels = next((e for e in ends if len(set(e)) == len(e)), [str(p) for p in paths])
+    for label, path in zip(labels, paths, strict=True):
         data = read_json(path, "a result")
         schema = data.get("schema")
         if schema not in KINDS:
@@ -121,19 +128,6 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
             expected="all of one kind",
         )
     return results
-
-
-def _labels(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of the paths that tell them apart; files that a command named itself are
-    called by their folder."""
-    parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
-    if len({p.stem for p in paths}) == 1:
-        parts = [p[:-1] for p in parts]
-    for depth in range(1, max(len(p) for p in parts) + 1):
-        names = ["/".join(p[-depth:]) for p in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(p) for p in paths]
 
 
 def read_identification(result: Result) -> Identified:

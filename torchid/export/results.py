@@ -14,7 +14,7 @@ from typing import Any
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
-from torchid.extraction.torque import FAR
+from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
 from torchid.identification.record import SCHEMA as IDENTIFICATION

@@ -212,11 +212,7 @@ def stacked_regressor(
 
 
 def group_columns(
-    y: Float[Tensor, "R P"],
-    names: Sequence[str],
-    units: Sequence[str],
-    *,
-    n_rigid_parameters: int,
+    y: Float[Tensor, "R P"], names: Sequence[str], units: Sequence[str], *, n_rigid_parameters: int
 ) -> BaseParameters:
     """Base parameters from a stacked regressor: which columns are independent, and the grouping."""
     kept, diagonal = independent_columns(y, RANK_TOLERANCE)

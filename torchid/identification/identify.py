@@ -351,10 +351,7 @@ class _Estimate:
 
 
 def _estimate(
-    training: Training,
-    measured: list[Measurement],
-    settings: Settings,
-    progress: Progress | None,
+    training: Training, measured: list[Measurement], settings: Settings, progress: Progress | None
 ) -> _Estimate:
     """Fit with standard deviations; with `essential`, without parameters that may be zero."""
     source = RowSource(

@@ -23,11 +23,7 @@ from torch.autograd.functional import jacobian
 
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Motion
-from torchid.identification.base_parameters import (
-    RANK_TOLERANCE,
-    BaseParameters,
-    random_states,
-)
+from torchid.identification.base_parameters import RANK_TOLERANCE, BaseParameters, random_states
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, move, paper_order
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -88,10 +84,7 @@ def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10
 
 
 def weighting(
-    robot: Robot,
-    base: BaseParameters,
-    used: Bool[Tensor, " B"],
-    std: Float[Tensor, " R"],
+    robot: Robot, base: BaseParameters, used: Bool[Tensor, " B"], std: Float[Tensor, " R"]
 ) -> Float[Tensor, "R R"]:
     """A root V of the weighting W = V'V of the rigid base parameters that are used.
 
@@ -219,9 +212,7 @@ def _point_mass_solution(general: Tensor, change: Tensor, columns: Tensor, root:
 
 
 def nearest_consistent(
-    parameters: Float[Tensor, "10"],
-    covariance: Float[Tensor, "10 10"],
-    null: Float[Tensor, "10 D"],
+    parameters: Float[Tensor, "10"], covariance: Float[Tensor, "10 10"], null: Float[Tensor, "10 D"]
 ) -> tuple[Float[Tensor, "10"], float, int]:
     """The physically consistent payload nearest in the metric of the covariance.
 

@@ -279,12 +279,7 @@ def _remembers(effect: Effect) -> TypeGuard[JointEffect]:
 
 
 def _columns(
-    m: Measurement,
-    layout: Layout,
-    chunks: Chunks,
-    whole: Mapping[Effect, Tensor],
-    lo: int,
-    hi: int,
+    m: Measurement, layout: Layout, chunks: Chunks, whole: Mapping[Effect, Tensor], lo: int, hi: int
 ) -> Float[Tensor, "C M"]:
     """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
     motion = m.motion.part(slice(lo, hi))

@@ -44,10 +44,7 @@ def each(
         return out
     context = multiprocessing.get_context("spawn")
     count = min(processes, len(jobs))
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(count, context, end_with_parent) as pool,
-    ):
+    with _one_thread_each(), ProcessPoolExecutor(count, context, end_with_parent) as pool:
         waiting = [pool.submit(function, job) for job in jobs]
         try:
             for done, future in enumerate(as_completed(waiting), 1):

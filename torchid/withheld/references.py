@@ -144,11 +144,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
 
 
 def closed_share(
-    robot: Robot,
-    log: Log,
-    corrected: Mapping[str, Any],
-    noise: torch.Tensor,
-    band: float,
+    robot: Robot, log: Log, corrected: Mapping[str, Any], noise: torch.Tensor, band: float
 ) -> float | None:
     """1 - L*/L0 of a corrected model on a log without noise; None where there is no gap.
 

@@ -42,7 +42,6 @@ from torchid.feasibility.margins import feasibility
 from torchid.feasibility.margins import kinds as kinds_of
 from torchid.feasibility.sets import ParameterSets, joined
 from torchid.identification.base_parameters import BaseParameters
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Int, Tensor
 
@@ -57,7 +56,7 @@ STEPS_PER_DIMENSION = 2
 time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the slowest)."""
 
 _BINS = 10
-_NEWTON_STEPS = 80
+_NEWTON_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,47 +83,6 @@ def null_space(base: BaseParameters) -> Float[Tensor, "P D"]:
     return kernel(base.grouping)
 
 
-def interior_reference(
-    robot: Robot,
-    start: ParameterSets | Float[Tensor, " P"],
-    base: BaseParameters,
-    conditions: Conditions,
-    outer: Bounds,
-) -> ParameterSets:
-    """The firmly feasible set with the torque of `start`: the analytic centre of all of them.
-
-    Args:
-        robot: the arm.
-        start: one set; or its vector in the paper's stacking, for a robot without effects. It need
-            not be feasible if some set with its torque is.
-        base: the robot's base parameters, with the set's effects.
-        conditions: to be met.
-        outer: limits of the masses, of |J|, and of CoMs that `conditions` leaves free.
-
-    Returns:
-        One set, named interior.
-
-    Raises:
-        TorchidError: no set with this torque meets the conditions; a coefficient of an effect,
-            which stays, violates its sign; sizes that do not match.
-    """
-    reference = _one_set(robot, start, base)
-    walk = equal_torque_space(reference, base, conditions, outer)
-    limits = walk.limits(1)
-    region = walk.region(limits)
-    z, inside = interior_point(region)
-    if not bool(inside[0]):
-        raise TorchidError(
-            "no set with this torque meets all conditions within the outer bounds.",
-            got=f"set '{reference.ids[0]}'",
-            hint="take the base parameters of the closest feasible set, or wider boxes or bounds",
-        )
-    centre, _ = analytic_centre(region, z, _NEWTON_STEPS)
-    found = walk.sets(centre, ("interior",))
-    _require_feasible(found, conditions)
-    return found
-
-
 def equal_torque_sets(
     robot: Robot,
     base: BaseParameters,
@@ -142,7 +100,7 @@ def equal_torque_sets(
     Args:
         robot: the arm.
         base: its base parameters with the reference's effects.
-        reference: one feasible set; `interior_reference` gives a good one.
+        reference: one feasible set.
         conditions: what is kept, and what is violated by choice.
         outer: limits of the masses, of |J|, and of the CoMs where their boxes are relaxed.
         kinds: feasible, or names of `RELAXABLE`, several joined by +.
@@ -171,8 +129,21 @@ def equal_torque_sets(
         raise TorchidError(
             "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
         )
-    reference = _one_set(robot, reference, base)
-    _require_feasible(reference, conditions)
+    expected = robot.n, len(base.parameter_names)
+    got = reference.parameters.mass.shape[-1], reference.vector.shape[-1]
+    if len(reference) != 1 or got != expected:
+        raise TorchidError(
+            "the reference must be one set of this robot, with the effects of the base parameters.",
+            got=f"{len(reference)} sets of {got[0]} links and {got[1]} parameters",
+            expected=f"1 set of {expected[0]} links and {expected[1]} parameters",
+        )
+    checked = feasibility(reference, conditions)
+    if not bool(checked.feasible[0]):
+        raise TorchidError(
+            "the reference of a family with equal torque must be feasible.",
+            got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
+            hint="coefficients of effects stay as they are: correct their signs first",
+        )
     walk = equal_torque_space(reference, base, conditions, outer)
     parts: list[ParameterSets] = []
     names: list[str] = []
@@ -200,36 +171,6 @@ def equal_torque_sets(
     )
 
 
-def _one_set(robot: Robot, start: ParameterSets | Tensor, base: BaseParameters) -> ParameterSets:
-    """The start as one set whose vector fits the base parameters."""
-    if isinstance(start, Tensor):
-        start = ParameterSets(
-            ("start",),
-            InertialParameters.from_paper_order(start.reshape(1, -1)),
-            (),
-            start.new_zeros(1, 0),
-        )
-    names = (robot.n, len(base.parameter_names))
-    got = (start.parameters.mass.shape[-1], start.vector.shape[-1])
-    if len(start) != 1 or got != names:
-        raise TorchidError(
-            "the reference must be one set of this robot, with the effects of the base parameters.",
-            got=f"{len(start)} sets of {got[0]} links and {got[1]} parameters",
-            expected=f"1 set of {names[0]} links and {names[1]} parameters",
-        )
-    return start
-
-
-def _require_feasible(reference: ParameterSets, conditions: Conditions) -> None:
-    checked = feasibility(reference, conditions)
-    if not bool(checked.feasible[0]):
-        raise TorchidError(
-            "the reference of a family with equal torque must be feasible.",
-            got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
-            hint="coefficients of effects stay as they are: correct their signs first",
-        )
-
-
 def _draw(
     walk: EqualTorqueSpace,
     relaxed: frozenset[str],
@@ -248,7 +189,7 @@ def _draw(
     if not len(rows):
         return nothing
     region, start = region.part(rows), start[rows]
-    centre, axes = analytic_centre(region, start, _NEWTON_STEPS // 2)
+    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
     draws = math.ceil(DRAWS * per_kind / len(rows))
     thin = STEPS_PER_DIMENSION * start.shape[1]
     seeds = generator.integers(2**62, size=chains)[rows.numpy()]
