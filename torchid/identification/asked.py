@@ -16,7 +16,6 @@ import torch
 
 from torchid.design.motion import Measurement
 from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect, Motion
-from torchid.effects.gravity import TorqueGain
 from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError
@@ -63,7 +62,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
         raise TorchidError(
             "an effect is named twice.", got=f"{name} of {where}", expected="each place once"
         )
-    if sum(isinstance(a.effect, TorqueGain) for a in found) == robot.n:
+    if sum(a.effect.name == "torque_gain" for a in found) == robot.n:
         raise TorchidError(
             "torque gains of all joints cannot be identified: a gain that they share is the same "
             "as heavier bodies.",

@@ -23,7 +23,7 @@ from torchid.identification.tuning import (
     choose_reversal,
     shortened,
 )
-from torchid.identification.validation import errors, load, predict
+from torchid.identification.validation import errors, model_torque, predict
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -258,11 +258,12 @@ def _with_load(
 ) -> list[Measurement]:
     """Trajectories with the torque of a fit, as effects of the torque see it."""
     c = training.layout
-    torques = (load(c.robot, c.base, c.effects, values.to(m.tau), m.motion) for m in measured)
-    return [
-        replace(m, motion=m.motion._replace(torque=torque))
-        for m, torque in zip(measured, torques, strict=True)
-    ]
+    out = []
+    for m in measured:
+        own = values.to(m.tau)
+        torque = model_torque(c.robot, c.base, c.effects, own, m.motion, load_only=True)
+        out.append(replace(m, motion=m.motion._replace(torque=torque)))
+    return out
 
 
 def _loaded(

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.errors import IdentificationError
 from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.factor import TriangularFactor, combined_factor, stacked_factor
+from torchid.identification.least_squares import TriangularFactor, combined_factor, stacked_factor
 from torchid.identification.rows import layout
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot

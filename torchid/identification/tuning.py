@@ -19,8 +19,7 @@ import torch
 
 from torchid.design.motion import Measurement, fast_speed, measurements
 from torchid.errors import LogError
-from torchid.identification.factor import stacked_factor
-from torchid.identification.least_squares import factor, fit, solve
+from torchid.identification.least_squares import factor, fit, solve, stacked_factor
 from torchid.identification.rows import Layout, RowSource
 from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -238,8 +239,7 @@ def certificate(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Inner:
+class _Inner(NamedTuple):
     """A strictly feasible set, its loss and margin, and what it or the relaxation misses."""
 
     sets: ParameterSets
