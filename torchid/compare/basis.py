@@ -91,6 +91,30 @@ def common_basis(results: Sequence[Identified]) -> Common:
     values, covariance, correlation, estimated, held, determined = (
         torch.stack(x) for x in zip(*parts, strict=True)
     )
+    notes = []
+    kinds = [tuple(dict.fromkeys(e.name for e in r.effects)) for r in results]
+    every = dict.fromkeys(name for own in kinds for name in own)
+    for result, own in zip(results, kinds, strict=True):
+        missing = [name for name in every if name not in own]
+        if missing:
+            notes.append(
+                f"{result.label} was fitted without {', '.join(missing)}: what they explain may "
+                "have gone into its other parameters"
+            )
+    seen: dict[str, str] = {}
+    for result in results:
+        for name in result.trajectories:
+            if name in seen and seen[name] != result.label:
+                notes.append(
+                    f"{seen[name]} and {result.label} were both fitted on a trajectory called "
+                    f"'{name}': if it is the same one, their errors are common and agreement "
+                    "says little"
+                )
+            seen.setdefault(name, result.label)
+    cutoffs = ["none" if r.cutoff is None else f"{r.cutoff:g} Hz" for r in results]
+    if len({r.cutoff for r in results}) > 1:
+        text = ", ".join(cutoffs)
+        notes.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
     found = determined[:, rigid]
     if not bool(found.all()):
         bad = [results[k].label for k in range(len(results)) if not bool(found[k].all())]
@@ -103,7 +127,7 @@ def common_basis(results: Sequence[Identified]) -> Common:
         )
     return Common(
         names, units, rigid, values, covariance, correlation, estimated, held, determined,
-        _notes(results),
+        tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
@@ -176,31 +200,3 @@ def _in_basis(
     correlation = torch.where(apart, white / scale / scale.unsqueeze(1), eye)
     values = turn @ result.values * within
     return values, covariance * apart, correlation, estimated, held, within
-
-
-def _notes(results: Sequence[Identified]) -> tuple[str, ...]:
-    out = []
-    kinds = [tuple(dict.fromkeys(e.name for e in r.effects)) for r in results]
-    every = dict.fromkeys(name for own in kinds for name in own)
-    for result, own in zip(results, kinds, strict=True):
-        missing = [name for name in every if name not in own]
-        if missing:
-            out.append(
-                f"{result.label} was fitted without {', '.join(missing)}: what they explain may "
-                "have gone into its other parameters"
-            )
-    seen: dict[str, str] = {}
-    for result in results:
-        for name in result.trajectories:
-            if name in seen and seen[name] != result.label:
-                out.append(
-                    f"{seen[name]} and {result.label} were both fitted on a trajectory called "
-                    f"'{name}': if it is the same one, their errors are common and agreement "
-                    "says little"
-                )
-            seen.setdefault(name, result.label)
-    cutoffs = {r.cutoff for r in results}
-    if len(cutoffs) > 1:
-        text = ", ".join("none" if c is None else f"{c:g} Hz" for c in (r.cutoff for r in results))
-        out.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
-    return tuple(dict.fromkeys(out))

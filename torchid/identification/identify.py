@@ -120,7 +120,21 @@ def identify(
     base, effects = columns.base, columns.effects
     physical = _non_negative(columns)
     estimate = _estimate(training, measured, settings, progress)
-    _refuse_hopeless(estimate.fit, training.log)
+    # Rounding alone would leave no four digits: values of thousands of kilograms would be printed
+    # with standard deviations as large, and look like a result.
+    condition = estimate.fit.scaled_condition_number
+    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
+    if condition > largest:
+        moved = (training.log.q.amax(0) - training.log.q.amin(0)).tolist()
+        raise IdentificationError(
+            "these logs cannot tell the parameters apart: the fit is lost in rounding.",
+            got=f"condition number {condition:.1e} (columns of length one); the joints move over "
+            + ", ".join(f"{x:.2g}" for x in moved)
+            + " rad or m",
+            expected=f"below {largest:.1e}; a good motion has less than 1e3",
+            hint="`torchid excite` designs a motion that tells them apart; --effects with fewer "
+            "names asks for less",
+        )
     values, order = _in_base_order(estimate.fit.x, columns)
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     apart: list[Measurement] = []
@@ -386,25 +400,6 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
-
-
-def _refuse_hopeless(found: Fit, log: Log) -> None:
-    """Raise where rounding alone leaves no four digits: values of thousands of kilograms would be
-    printed with standard deviations as large, and look like a result."""
-    condition = found.scaled_condition_number
-    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
-    if condition <= largest:
-        return
-    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
-    raise IdentificationError(
-        "these logs cannot tell the parameters apart: the fit is lost in rounding.",
-        got=f"condition number {condition:.1e} (columns of length one); the joints move over "
-        + ", ".join(f"{x:.2g}" for x in moved)
-        + " rad or m",
-        expected=f"below {largest:.1e}; a good motion has less than 1e3",
-        hint="`torchid excite` designs a motion that tells them apart; --effects with fewer names "
-        "asks for less",
-    )
 
 
 def _non_negative(columns: Layout) -> Bool[Tensor, " B"]:

@@ -63,7 +63,8 @@ class TriangularFactor:
                 return
             rows = self._waiting.pop()
             self._precondition(_householder(rows))
-        assert self._guess is not None and self._inverse is not None
+        assert self._guess is not None
+        assert self._inverse is not None
         z = rows @ self._inverse
         self._gram.addmm_(z.T, z)
         self._rows += rows.shape[0]

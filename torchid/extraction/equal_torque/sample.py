@@ -62,7 +62,23 @@ def relaxed_limits(
     leave the kind nothing to violate."""
     limits = walk.limits(chains)
     if not relaxed:
-        return _tightened(walk, limits)
+        # Feasible with a degree of at least: nothing in half of the chains, then growing from chain
+        # to chain. Chains that ask for more than there is have an empty region.
+        level = torch.linspace(-1.0, 1.0, chains, dtype=walk.x.dtype)
+        firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(FIRMEST), level).flatten()
+        firm = torch.where(level > 0, firm, 0.0)
+        by = firm.unsqueeze(-1)
+        low, high = limits.com.unbind(-1)
+        side = by.unsqueeze(-1) * (high - low) / 2
+        half = (limits.total[:, 1:] - limits.total[:, :1]) / 2
+        inner = torch.where(torch.isfinite(half), by * half, 0.0)
+        return replace(
+            limits,
+            firm=firm,
+            com=torch.stack([low + side, high - side], -1),
+            radius=limits.radius * (1 - by),
+            total=limits.total + torch.cat([inner, -inner], -1),
+        )
     # What leaves a kind nothing to violate.
     wider = torch.isfinite(walk.conditions.com_box) & (walk.widest != walk.conditions.com_box)
     possible = {
@@ -82,27 +98,6 @@ def relaxed_limits(
         links = torch.from_numpy(order < count[:, None])
         limits = _relaxed(kind, walk, limits, level, links, generator)
     return limits
-
-
-def _tightened(walk: EqualTorqueSpace, limits: Limits) -> Limits:
-    """Feasible with a degree of at least: nothing in half of the chains, then growing from chain to
-    chain. Chains that ask for more than there is have an empty region."""
-    k = limits.sign.shape[0]
-    level = torch.linspace(-1.0, 1.0, k, dtype=walk.x.dtype)
-    firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(FIRMEST), level).flatten()
-    firm = torch.where(level > 0, firm, 0.0)
-    by = firm.unsqueeze(-1)
-    low, high = limits.com.unbind(-1)
-    side = by.unsqueeze(-1) * (high - low) / 2
-    half = (limits.total[:, 1:] - limits.total[:, :1]) / 2
-    inner = torch.where(torch.isfinite(half), by * half, 0.0)
-    return replace(
-        limits,
-        firm=firm,
-        com=torch.stack([low + side, high - side], -1),
-        radius=limits.radius * (1 - by),
-        total=limits.total + torch.cat([inner, -inner], -1),
-    )
 
 
 def _between(slight: Tensor, gross: Tensor, level: Tensor) -> Tensor:

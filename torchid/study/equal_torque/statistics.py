@@ -177,8 +177,7 @@ def statistics(samples: Samples, *, resamples: int = 1000, seed: int = 0) -> Sta
 def stratified_delta(a: Array, b: Array, by_a: Array, by_b: Array) -> float:
     """Cliff's delta within strata of equal numbers, averaged by n_a n_b / (n_a + n_b), as in a
     van Elteren test; nan when no stratum has both."""
-    edges = np.quantile(np.concatenate([by_a, by_b]), np.linspace(0, 1, STRATA + 1)[1:-1])
-    in_a, in_b = np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)
+    in_a, in_b = _strata(by_a, by_b)
     weights, deltas = [], []
     for s in range(STRATA):
         own_a, own_b = a[in_a == s], b[in_b == s]
@@ -236,7 +235,7 @@ class _Asker:
         return Matched(
             kind,
             self._estimate(delta, [own, base]),
-            _share_matched(s.carried[own], s.carried[base]),
+            float(np.isin(*_strata(s.carried[own], s.carried[base])).mean()),
             self._against(cliffs_delta, own, base),
         )
 
@@ -276,9 +275,10 @@ class _Asker:
             )
 
 
-def _share_matched(by_a: Array, by_b: Array) -> float:
+def _strata(by_a: Array, by_b: Array) -> tuple[Array, Array]:
+    """Stratum of each number of two samples: as many numbers in each, of both together."""
     edges = np.quantile(np.concatenate([by_a, by_b]), np.linspace(0, 1, STRATA + 1)[1:-1])
-    return float(np.isin(np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)).mean())
+    return np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)
 
 
 Range = tuple[float, float, float]
