@@ -15,7 +15,7 @@ from torchid.errors import MissingExtraError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
 from torchid.extraction.extract import extract
-from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
+from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
@@ -79,7 +79,20 @@ def run_study(
     effects = plain_effects(result.effects, "a study")
     target = two_step(result.base, effects, result.values)
     clock.start("certificates")
-    problems, certificates, warnings = _problems(robot, target, settings)
+    # By group of bounds: the problem, its phi_min if it can be had, and what to know of it.
+    geometry = read_bounds(robot, settings.geometry).com
+    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
+    problems: dict[str, Problem] = {}
+    certificates: dict[str, Certificate] = {}
+    warnings: list[str] = []
+    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
+        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
+        problems[group] = problem
+        try:
+            certificates[group], notes = certificate_where_possible(problem)
+            warnings += notes
+        except MissingExtraError as error:
+            warnings.append(f"no certificate: {error}")
     scenarios = []
     test = new_motion(robot, settings.sets_motion)
     for k, scenario in enumerate(settings.scenarios):
@@ -183,24 +196,6 @@ class _Clock:
         if self._part:
             self._seconds[self._part] = time.monotonic() - self._began
         return self._seconds
-
-
-def _problems(
-    robot: Robot, target: Target, settings: StudySettings
-) -> tuple[dict[str, Problem], dict[str, Certificate], list[str]]:
-    """By group of bounds: the problem, its phi_min if it can be had, and what to know of it."""
-    geometry = read_bounds(robot, settings.geometry).com
-    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
-    problems, certificates, warnings = {}, {}, list[str]()
-    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
-        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
-        problems[group] = problem
-        try:
-            certificates[group], notes = certificate_where_possible(problem)
-            warnings += notes
-        except MissingExtraError as error:
-            warnings.append(f"no certificate: {error}")
-    return problems, certificates, warnings
 
 
 def _payload(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResult:

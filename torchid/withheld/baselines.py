@@ -163,15 +163,20 @@ def _sparse(
     target = data.loss(normal, [], right[:0]) ** 0.5
     size = gram.diagonal().sqrt()
     unit = torch.where(size > 0, 1 / size, 0.0)
-    gram, b = gram * unit * unit.unsqueeze(1), right * unit / target
-    # Small ones are made zero again and again; those that stay are fitted without the ridge.
+    values = _thresholded(gram * unit * unit.unsqueeze(1), right * unit / target, threshold)
+    return values * unit * target
+
+
+def _thresholded(gram: Tensor, b: Tensor, threshold: float) -> Tensor:
+    """Coefficients of unit columns for a target of length one, small ones made zero again and
+    again; those that stay are fitted without the ridge."""
     kept = torch.ones(len(b), dtype=torch.bool)
     for _ in range(ITERATIONS):
         new = kept & (_ridge(gram, b, kept, RIDGE).abs() >= threshold)
         if bool((new == kept).all()):
             break
         kept = new
-    return _ridge(gram, b, kept, 1e-9) * unit * target
+    return _ridge(gram, b, kept, 1e-9)
 
 
 def _ridge(gram: Tensor, b: Tensor, kept: Tensor, ridge: float) -> Tensor:

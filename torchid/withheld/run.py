@@ -152,10 +152,8 @@ def written(
 
 
 def _answer(job: Job) -> dict[str, Any]:
-    from torchid.gap.diagnose import diagnose
+    from torchid import diagnose, load_robot, read_log
     from torchid.gap.record import record
-    from torchid.log.readers import read_log
-    from torchid.robot.library import load_robot
 
     found = diagnose(load_robot(job.robot), read_log(job.log), settings=job.settings)
     corrected = {

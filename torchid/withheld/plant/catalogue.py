@@ -13,6 +13,8 @@ from torchid.withheld.plant.plan import EffectSpec, Plan, Scene
 Rng = np.random.Generator
 Plant = Callable[[Scene, Plan, EffectSpec, float], Planted]
 Size = Callable[[Scene, EffectSpec], float]
+Draws = Callable[[Rng, int, tuple[int, ...]], dict[str, float]]
+"""From a generator, the number of joints and the joints."""
 
 OUTSIDE = "outside"
 
@@ -38,25 +40,21 @@ class Kind:
     plant: Plant
     usual: Size
     largest: Size
-    draws: Callable[[Rng, int, tuple[int, ...]], dict[str, float]]
+    draws: Draws
     place: str = "joint"
     first: int = 0
     sensing: bool = False
     akin: tuple[str, ...] = ()
 
 
-def _uniform(
-    **ranges: tuple[float, float],
-) -> Callable[[Rng, int, tuple[int, ...]], dict[str, float]]:
+def _uniform(**ranges: tuple[float, float]) -> Draws:
     """Draws of numbers from ranges."""
     return lambda rng, n, joints: {
         name: float(rng.uniform(*between)) for name, between in ranges.items()
     }
 
 
-def _signed(
-    **ranges: tuple[float, float],
-) -> Callable[[Rng, int, tuple[int, ...]], dict[str, float]]:
+def _signed(**ranges: tuple[float, float]) -> Draws:
     """Draws of numbers from ranges, and of a direction, 1 or -1."""
     return _uniform(direction=(-1.0, 1.0), **ranges)
 
@@ -84,10 +82,6 @@ def _link_draws(rng: Rng, n: int, joints: tuple[int, ...]) -> dict[str, float]:
 def _source_draws(rng: Rng, n: int, joints: tuple[int, ...]) -> dict[str, float]:
     others = [j for j in range(n) if j != joints[0]]
     return {"source": float(rng.choice(others)), "direction": float(rng.uniform(-1, 1))}
-
-
-def _crosstalk_usual(scene: Scene, effect: EffectSpec) -> float:
-    return scene.unit(effect.joints[0], scene.torque[int(effect.draws["source"])])
 
 
 def _soft(scene: Scene, effect: EffectSpec) -> float:
@@ -155,7 +149,8 @@ KINDS: dict[str, Kind] = {
         sensing=True,
     ),
     "torque_crosstalk": Kind(
-        "gravity", sensing.crosstalk, _crosstalk_usual, _fixed(0.8), _source_draws, sensing=True
+        "gravity", sensing.crosstalk, _column(lambda s, e, j: s.torque[int(e.draws["source"])]),
+        _fixed(0.8), _source_draws, sensing=True,
     ),
     "encoder_offset": Kind(
         "gravity", sensing.encoder_offset, _GRAVITY, _fixed(0.3), _signed(), first=1

@@ -90,6 +90,12 @@ def resisting(joint: int, torque: Callable[[float, float], float]) -> Law:
     return start
 
 
+def _bent(z: float, speed: float, step: float, deflection: float) -> float:
+    """How far bristles are bent after a step, 1 or -1 where they slide."""
+    slides = copysign(1.0, speed)
+    return slides + (z - slides) * exp(-abs(speed) * step / deflection)
+
+
 def _motor(live: Live, joint: int) -> Callable[[int], float]:
     """Torque of a joint's motor at step k [N m]."""
     dof, q, dq = int(live.motors[joint]), live.q, live.dq
@@ -108,10 +114,8 @@ def loaded_bristles(joint: int, share: float, deflection: float) -> Law:
 
         def act(k: int) -> None:
             nonlocal z, torque
-            speed, motor = float(dq[dof]), motor_at(k)
-            slides = copysign(1.0, speed)
-            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
-            torque = share * abs(motor - torque) * z
+            z = _bent(z, float(dq[dof]), step, deflection)
+            torque = share * abs(motor_at(k) - torque) * z
             applied[dof] -= torque
 
         return act
@@ -129,9 +133,7 @@ def one_sided_bristles(joint: int, torque: float, deflection: float) -> Law:
 
         def act(k: int) -> None:
             nonlocal z
-            speed = float(dq[dof])
-            slides = copysign(1.0, speed)
-            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
+            z = _bent(z, float(dq[dof]), step, deflection)
             applied[dof] -= torque * abs(z)
 
         return act
