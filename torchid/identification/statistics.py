@@ -1,7 +1,6 @@
 """Standard deviations of base parameters, by the block jackknife of torchid.statistics."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,13 +8,9 @@ import torch
 from torchid.identification.least_squares import Fit, whitened_rows
 from torchid.identification.rows import RowSource
 from torchid.statistics import jackknife as blocks_jackknife
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import block_length, block_numbers, block_products
 from torchid.typing import Bool, Float, Tensor
-
-CORRELATION_TIMES = 4.0
-"""Correlation times of the residual in the shortest block whose sum is nearly independent of its
-neighbours'."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +92,3 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     return Uncertainty(
         covariance, by_one, found.blocks, length * interval, correlation * interval, tuple(warnings)
     )
-
-
-def correlation_instants(
-    residual: Float[Tensor, "I n"], bounds: Sequence[slice] | None = None
-) -> float:
-    """Integrated autocorrelation time [instants] of the joint whose residual is slowest."""
-    return float(integrated_time(residual.T, bounds).amax())
