@@ -35,8 +35,8 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.extraction.problems import PROBLEMS, generations_to, problem, values_of
-from torchid.extraction.cma.engines import engine
 from torchid.extraction.cma.search import default_population, start
+from torchid.extraction.extract import engine
 
 VARIABLES = (30, 70, 91)
 RUNS = (30, 50)

@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 from torchid.withheld import measures
-from torchid.withheld.measures import Counts, Named, Verdict, added, f1, inside, named
+from torchid.withheld.measures import Counts, Named, Verdict, added, f1, inside, named, wilson
 from torchid.withheld.rows import Claim, Planted
 from torchid.withheld.rows import Row as Case
-from torchid.withheld.shares import wilson
 
 Row = Mapping[str, Any]
 

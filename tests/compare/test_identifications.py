@@ -10,8 +10,8 @@ from tests.compare.records import EFFECTS, several
 from torchid.compare.identifications import compare_identifications
 from torchid.compare.reading import read_identification, read_results
 from torchid.compare.record import record
+from torchid.compare.scatter import whole
 from torchid.compare.torque import random_motion
-from torchid.compare.whole import whole
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.registry import on_every_joint
 from torchid.identification.base_parameters import base_parameters

@@ -11,7 +11,7 @@ from torchid.excitation.design import base_regressor
 from torchid.excitation.informed import design_for, information, least_known, predicted_std
 from torchid.excitation.limits import limit_usage, motion_limits
 from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.reading import read_prior
+from torchid.identification.values import read_prior
 from torchid.robot.library import load_robot
 
 PER_SECOND = 20.0

@@ -20,7 +20,7 @@ from torchid.excitation.limits import limit_usage, motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, write_trajectory
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.reading import read_prior
+from torchid.identification.values import read_prior
 from torchid.log.readers import read_log
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation

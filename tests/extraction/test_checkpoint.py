@@ -15,9 +15,16 @@ import torch
 
 from tests.extraction.setups import asking, problem_of
 from torchid.errors import TorchidError
-from torchid.extraction.checkpoint import Progress, fingerprint, load, save
 from torchid.extraction.cma.search import start
-from torchid.extraction.extract import Extraction, SearchSettings, extract
+from torchid.extraction.extract import (
+    Extraction,
+    Progress,
+    SearchSettings,
+    extract,
+    fingerprint,
+    load,
+    save,
+)
 from torchid.extraction.problem import Problem
 
 STAGES = 6

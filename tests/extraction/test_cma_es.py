@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from tests.extraction.problems import PROBLEMS, begin, generations_to, problem, same, sphere
 from torchid.errors import TorchidError
-from torchid.extraction.cma.engines import ENGINES, engine
 from torchid.extraction.cma.search import PERIOD, SearchState, default_population
+from torchid.extraction.extract import ENGINES, engine
 from torchid.typing import Tensor
 
 NAMES = sorted(ENGINES)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from tests.extraction.problems import begin, sphere
 from torchid.errors import TorchidError
 from torchid.extraction.cma.batched import strategy
-from torchid.extraction.cma.engines import ENGINES, engine
 from torchid.extraction.cma.search import (
     MARGIN,
     PERIOD,
@@ -21,6 +20,7 @@ from torchid.extraction.cma.search import (
     into_box,
     start,
 )
+from torchid.extraction.extract import ENGINES, engine
 
 
 @pytest.mark.parametrize("n", [2, 5, 30, 91])

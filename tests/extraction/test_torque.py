@@ -5,8 +5,12 @@ import torch
 
 from tests.extraction.setups import problem_of
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.extraction.problem import extraction_problem, two_step, with_coefficient_bounds
-from torchid.extraction.torque import torque_error
+from torchid.extraction.problem import (
+    extraction_problem,
+    torque_error,
+    two_step,
+    with_coefficient_bounds,
+)
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.base_parameters import base_parameters, random_states

@@ -15,8 +15,8 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.results import dynamics_of
 from torchid.identification.asked import asked_effects
 from torchid.identification.identify import Identification, Settings, identify
-from torchid.identification.reading import placed_effects, read_base, read_prior
 from torchid.identification.record import record
+from torchid.identification.values import placed_effects, read_base, read_prior
 from torchid.json_data import write_json
 from torchid.log.model import Log
 from torchid.robot.library import load_robot

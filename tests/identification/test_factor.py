@@ -16,7 +16,7 @@ from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError
 from torchid.identification import streaming
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.factor import TriangularFactor, stacked_factor
+from torchid.identification.least_squares import TriangularFactor, stacked_factor
 from torchid.identification.streaming import reduce_to_factor
 
 

@@ -8,8 +8,8 @@ import torch
 from torchid.errors import LogError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.identification.base_parameters import physical_signs
 from torchid.identification.identify import Settings, identify
-from torchid.identification.physical_signs import physical_signs
 from torchid.identification.record import record
 from torchid.identification.result import findings
 from torchid.identification.tuning import CutoffChoice

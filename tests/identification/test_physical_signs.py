@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from torchid.effects.registry import on_every_joint
-from torchid.identification.base_parameters import base_parameters
-from torchid.identification.physical_signs import physical_signs
+from torchid.identification.base_parameters import base_parameters, physical_signs
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.library import load_robot
 

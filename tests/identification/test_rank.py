@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchid.identification.rank import independent_columns
+from torchid.identification.base_parameters import independent_columns
 
 TOLERANCE = 1e-8
 

@@ -12,8 +12,8 @@ import torch
 from tests.arms import arm
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import base_parameters, nominal_values
-from torchid.identification.reading import read_base
 from torchid.identification.record import SCHEMA
+from torchid.identification.values import read_base
 
 
 @lru_cache

@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from torchid.study.equal_torque.other_truths import other_truths
-from torchid.study.equal_torque.statistics import Samples, statistics, stratified_delta
+from torchid.study.equal_torque.statistics import (
+    Samples,
+    other_truths,
+    statistics,
+    stratified_delta,
+)
 
 
 def planted(error: np.ndarray, **changes: np.ndarray) -> Samples:

@@ -20,8 +20,7 @@ from torchid.withheld.baselines import (
     friction,
     stlsq,
 )
-from torchid.withheld.case_set import LOG, ROBOT
-from torchid.withheld.make import write_shown
+from torchid.withheld.case_set import LOG, ROBOT, write_shown
 from torchid.withheld.rows import row_of
 from torchid.withheld.run import Job
 

@@ -10,8 +10,7 @@ from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
-from torchid.withheld.case_set import keys_beside, read_cases, read_keys, sha256
-from torchid.withheld.make import make
+from torchid.withheld.case_set import keys_beside, make, read_cases, read_keys, sha256
 
 
 @pytest.fixture

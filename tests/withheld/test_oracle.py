@@ -7,11 +7,10 @@ import pytest
 from tests.withheld.fakes import draw_case, key_of
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-from torchid.withheld.case_set import keys_beside, read_keys
-from torchid.withheld.compare import oracle_answers
-from torchid.withheld.make import make
-from torchid.withheld.oracle import closed_by, told
+from torchid.withheld.case_set import keys_beside, make, read_keys
+from torchid.withheld.references import oracle_answers, told
 from torchid.withheld.run import default_settings
+from torchid.withheld.score import closed_by
 
 
 def planted(*effects):

@@ -8,9 +8,8 @@ import pytest
 from tests.gap.test_diagnose import FC, NOISE, QUICK, REAL, ROBOT, logged
 from torchid.errors import TorchidError
 from torchid.json_data import plain
-from torchid.withheld import own, planting
-from torchid.withheld.own import check_own, own_record
-from torchid.withheld.planting import LEVELS
+from torchid.withheld import own
+from torchid.withheld.own import LEVELS, check_own, own_record
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
@@ -54,9 +53,9 @@ def test_without_the_right_name_nothing_is_found_again(found):
 
 def test_a_planted_effect_has_the_size_that_is_told(found):
     log = logged(REAL, (3, 4, 3), 5)
-    kind = planting.plantable("coulomb_friction")
-    bed = planting.Bed(found.first.corrected, log, QUICK, kind, 2, NOISE)
-    effect, values, planted = planting._on_top(bed, 5.0)
+    kind = own.plantable("coulomb_friction")
+    bed = own.Bed(found.first.corrected, log, QUICK, kind, 2, NOISE)
+    effect, values, planted = own._on_top(bed, 5.0)
     change = planted.tau - log.tau
     assert effect.joint == 2
     assert bool((change[:, :2] == 0).all())
@@ -73,10 +72,10 @@ def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypa
 
     def quick(bed, level):
         seen = level >= from_level
-        return planting.Planted("coulomb_friction", 0, level, {}, seen, seen, "explained")
+        return own.Planted("coulomb_friction", 0, level, {}, seen, seen, "explained")
 
-    monkeypatch.setattr(planting, "_one_level", quick)
-    assert tuple(p.level for p in planting.smallest_found(None)) == tried
+    monkeypatch.setattr(own, "_one_level", quick)
+    assert tuple(p.level for p in own.smallest_found(None)) == tried
     assert set(tried) <= set(LEVELS)
 
 

@@ -9,8 +9,7 @@ import pytest
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld import run as running
-from torchid.withheld.case_set import keys_beside
-from torchid.withheld.make import make
+from torchid.withheld.case_set import keys_beside, make
 from torchid.withheld.parallel import each
 from torchid.withheld.run import default_settings, jobs_of, run
 
@@ -89,13 +88,15 @@ def test_the_diagnosis_needs_no_key(todo, tmp_path):
 
 
 def test_the_same_in_other_processes():
-    found = dict(each(math.sqrt, [1.0, 4.0, 9.0], processes=2))
-    assert found == {1.0: 1.0, 4.0: 2.0, 9.0: 3.0}
+    said = []
+    found = each(math.sqrt, [1.0, 4.0, 9.0], 2, lambda *args: said.append(args))
+    assert found == [1.0, 2.0, 3.0]
+    assert said == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
 def test_an_error_in_another_process_is_raised_here():
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        list(each(math.sqrt, [1.0, -1.0, 4.0], processes=2))
+        each(math.sqrt, [1.0, -1.0, 4.0], processes=2)
 
 
 def test_the_code_is_that_of_the_diagnosis():

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from tests.withheld.fakes import answer, entry
+from torchid.withheld.measures import median, micro_f1, rate
 from torchid.withheld.score import Scored, confusion, detection, scored, scores
-from torchid.withheld.shares import median, micro_f1, rate
 
 RIGHT = entry("coulomb_friction", "sign", 2)
 WRONG = entry("viscous_friction", "speed", 1)

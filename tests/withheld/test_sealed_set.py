@@ -3,8 +3,7 @@
 import pytest
 
 from torchid.statistics.proportion import wilson
-from torchid.withheld.case_set import keys_beside, read_answers, read_keys
-from torchid.withheld.make import make
+from torchid.withheld.case_set import keys_beside, make, read_answers, read_keys
 from torchid.withheld.run import default_settings, jobs_of, run
 from torchid.withheld.summary import summary
 

@@ -8,9 +8,8 @@ import torch
 
 from tests.withheld.fakes import Spec, arm, simulate_case
 from torchid.log.columns import log_from_columns
-from torchid.withheld.case_set import keys_beside, read_keys
-from torchid.withheld.make import make
-from torchid.withheld.truth import closed_share, true_shares
+from torchid.withheld.case_set import keys_beside, make, read_keys
+from torchid.withheld.references import closed_share, true_shares
 
 TRUE = 2.0
 """Coulomb friction of joint 2 [N m]."""

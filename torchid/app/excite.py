@@ -282,7 +282,7 @@ def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Outpu
     from torchid.excitation.design import optimise_trajectory
     from torchid.excitation.informed import design_for
     from torchid.excitation.torque import corrected_torque_limits
-    from torchid.identification.reading import read_prior
+    from torchid.identification.values import read_prior
     from torchid.next_motion.ambiguity import SCHEMA as GAP
     from torchid.next_motion.ambiguity import read_open
     from torchid.next_motion.rivals import rivals

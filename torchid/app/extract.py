@@ -49,8 +49,7 @@ class Sought:
     ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
         """The problem that the options describe, the base parameters, and notes for the user."""
         from torchid.extraction.from_identification import problem_of
-        from torchid.identification.reading import read_base
-        from torchid.identification.values import nominal_base
+        from torchid.identification.values import nominal_base, read_base
 
         robot = arm.load()
         found = nominal_base(robot) if self.result is None else read_base(self.result, robot)

@@ -63,8 +63,7 @@ def make_command(
         cases: Number of cases.
     """
     output = results.open()
-    from torchid.withheld.case_set import keys_beside
-    from torchid.withheld.make import make
+    from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with progress_bar(output) as progress:
@@ -137,9 +136,8 @@ def score_command(
     from torchid.report.withheld import headline, markdown, score_table
     from torchid.report.withheld_figures import figures
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
-    from torchid.withheld.compare import baseline_answers, oracle_answers
+    from torchid.withheld.references import baseline_answers, oracle_answers, true_shares
     from torchid.withheld.summary import require_answers, summary
-    from torchid.withheld.truth import true_shares
 
     found = read_cases(folder)
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)

@@ -75,15 +75,50 @@ def common_basis(results: Sequence[Identified]) -> Common:
     refuse_other_kinematics([(r.label, r.robot) for r in results])
     union = list(dict.fromkeys(name for r in results for name in r.base.parameter_names))
     wide = _groupings(results, union)
-    rows, names, units, rigid = _rows(results, wide)
+    # Combinations to compare: the rigid body's of the poorest result, and all effects' own.
+    poorest = min(range(len(results)), key=lambda k: results[k].base.n_rigid)
+    picked = [(poorest, b) for b in range(results[poorest].base.n_rigid)]
+    others: list[tuple[int, int]] = []
+    for k, result in enumerate(results):
+        for b in range(result.base.n_rigid, len(result.base)):
+            if not any(torch.allclose(wide[k][b], wide[i][c], atol=SAME) for i, c in others):
+                others.append((k, b))
+    rows = torch.stack([wide[k][b] for k, b in picked + others])
+    bases = [(results[k].base, b) for k, b in picked + others]
+    rigid = torch.tensor([b < base.n_rigid for base, b in bases])
+    names, units = (tuple(getattr(base, n)[b] for base, b in bases) for n in ("names", "units"))
     parts = [_in_basis(r, g, rows, union) for r, g in zip(results, wide, strict=True)]
     values, covariance, correlation, estimated, held, determined = (
         torch.stack(x) for x in zip(*parts, strict=True)
     )
-    poorest = determined[:, rigid]
-    if not bool(poorest.all()):
-        bad = [results[k].label for k in range(len(results)) if not bool(poorest[k].all())]
-        k = int((~poorest.all(0)).nonzero()[0, 0])
+    notes = []
+    kinds = [tuple(dict.fromkeys(e.name for e in r.effects)) for r in results]
+    every = dict.fromkeys(name for own in kinds for name in own)
+    for result, own in zip(results, kinds, strict=True):
+        missing = [name for name in every if name not in own]
+        if missing:
+            notes.append(
+                f"{result.label} was fitted without {', '.join(missing)}: what they explain may "
+                "have gone into its other parameters"
+            )
+    seen: dict[str, str] = {}
+    for result in results:
+        for name in result.trajectories:
+            if name in seen and seen[name] != result.label:
+                notes.append(
+                    f"{seen[name]} and {result.label} were both fitted on a trajectory called "
+                    f"'{name}': if it is the same one, their errors are common and agreement "
+                    "says little"
+                )
+            seen.setdefault(name, result.label)
+    cutoffs = ["none" if r.cutoff is None else f"{r.cutoff:g} Hz" for r in results]
+    if len({r.cutoff for r in results}) > 1:
+        text = ", ".join(cutoffs)
+        notes.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
+    found = determined[:, rigid]
+    if not bool(found.all()):
+        bad = [results[k].label for k in range(len(results)) if not bool(found[k].all())]
+        k = int((~found.all(0)).nonzero()[0, 0])
         raise TorchidError(
             "the results are of arms with different kinematics, or of one arm described in "
             "different frames: their base parameters are different quantities.",
@@ -91,37 +126,34 @@ def common_basis(results: Sequence[Identified]) -> Common:
             hint="identify all logs with the same robot file",
         )
     return Common(
-        tuple(names), tuple(units), rigid, values, covariance, correlation, estimated, held,
-        determined, _notes(results),
+        names, units, rigid, values, covariance, correlation, estimated, held, determined,
+        tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
 def refuse_other_kinematics(robots: Sequence[tuple[str, Robot | None]]) -> None:
     """Raise if kinematics, as far as they are known, differ."""
     known = [(label, robot) for label, robot in robots if robot is not None]
-    for label, robot in known[1:]:
-        difference = _difference(known[0][1], robot)
-        if difference is not None:
+    for label, two in known[1:]:
+        one, said = known[0][1], []
+        if one.joint_types != two.joint_types:
+            kinds = ("".join(t.value for t in r.joint_types) for r in (one, two))
+            said.append("joints " + " and ".join(kinds))
+        else:
+            for what, a, b in (("before", one.before, two.before), ("after", one.after, two.after)):
+                apart = (a - b).abs().amax((1, 2))
+                if float(apart.max()) > POSITION:
+                    k = int(apart.argmax())
+                    said.append(f"the pose {what} joint {k + 1} differs by {float(apart[k]):.3g}")
+        if float((one.gravity - two.gravity).abs().max()) > GRAVITY:
+            said.append(f"gravity {one.gravity.tolist()} and {two.gravity.tolist()}")
+        if said:
             raise TorchidError(
                 "the results are of arms with different kinematics: their parameters are "
                 "different quantities.",
-                got=f"{known[0][0]} and {label}: {difference}",
+                got=f"{known[0][0]} and {label}: {said[0]}",
                 hint="identify all logs with the same robot file",
             )
-
-
-def _difference(one: Robot, two: Robot) -> str | None:
-    if one.joint_types != two.joint_types:
-        kinds = ("".join(t.value for t in r.joint_types) for r in (one, two))
-        return "joints " + " and ".join(kinds)
-    for what, a, b in (("before", one.before, two.before), ("after", one.after, two.after)):
-        apart = (a - b).abs().amax((1, 2))
-        if float(apart.max()) > POSITION:
-            k = int(apart.argmax())
-            return f"the pose {what} joint {k + 1} differs by {float(apart[k]):.3g}"
-    if float((one.gravity - two.gravity).abs().max()) > GRAVITY:
-        return f"gravity {one.gravity.tolist()} and {two.gravity.tolist()}"
-    return None
 
 
 def _groupings(results: Sequence[Identified], union: Sequence[str]) -> list[Tensor]:
@@ -148,24 +180,6 @@ def _groupings(results: Sequence[Identified], union: Sequence[str]) -> list[Tens
     return out
 
 
-def _rows(
-    results: Sequence[Identified], wide: Sequence[Tensor]
-) -> tuple[Tensor, list[str], list[str], Tensor]:
-    """Combinations to compare (D, U): names, units, which belong to the rigid body."""
-    poorest = min(range(len(results)), key=lambda k: results[k].base.n_rigid)
-    n_rigid = results[poorest].base.n_rigid
-    picked = [(poorest, b) for b in range(n_rigid)]
-    for k, result in enumerate(results):
-        for b in range(result.base.n_rigid, len(result.base)):
-            known = [wide[i][c] for i, c in picked[n_rigid:]]
-            if not any(torch.allclose(wide[k][b], row, atol=SAME) for row in known):
-                picked.append((k, b))
-    rows = torch.stack([wide[k][b] for k, b in picked])
-    bases = [(results[k].base, b) for k, b in picked]
-    rigid = torch.tensor([b < base.n_rigid for base, b in bases])
-    return rows, [base.names[b] for base, b in bases], [base.units[b] for base, b in bases], rigid
-
-
 def _in_basis(
     result: Identified, wide: Float[Tensor, "B U"], rows: Float[Tensor, "D U"], union: Sequence[str]
 ) -> tuple[Tensor, ...]:
@@ -186,31 +200,3 @@ def _in_basis(
     correlation = torch.where(apart, white / scale / scale.unsqueeze(1), eye)
     values = turn @ result.values * within
     return values, covariance * apart, correlation, estimated, held, within
-
-
-def _notes(results: Sequence[Identified]) -> tuple[str, ...]:
-    out = []
-    kinds = [tuple(dict.fromkeys(e.name for e in r.effects)) for r in results]
-    every = dict.fromkeys(name for own in kinds for name in own)
-    for result, own in zip(results, kinds, strict=True):
-        missing = [name for name in every if name not in own]
-        if missing:
-            out.append(
-                f"{result.label} was fitted without {', '.join(missing)}: what they explain may "
-                "have gone into its other parameters"
-            )
-    seen: dict[str, str] = {}
-    for result in results:
-        for name in result.trajectories:
-            if name in seen and seen[name] != result.label:
-                out.append(
-                    f"{seen[name]} and {result.label} were both fitted on a trajectory called "
-                    f"'{name}': if it is the same one, their errors are common and agreement "
-                    "says little"
-                )
-            seen.setdefault(name, result.label)
-    cutoffs = {r.cutoff for r in results}
-    if len(cutoffs) > 1:
-        text = ", ".join("none" if c is None else f"{c:g} Hz" for c in (r.cutoff for r in results))
-        out.append(f"cut-offs differ ({text}): part of a difference may come from the filter")
-    return tuple(dict.fromkeys(out))

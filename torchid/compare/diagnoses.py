@@ -121,8 +121,15 @@ def compare_diagnoses(
         entries = [[_named(entry) for entry in r.data["which"]] for r in results]
         statuses = tuple(str(r.data["status"]) for r in results)
         closed = tuple(r.data["how_far"]["closed"] for r in results)
-        hidden = [
-            {_where(e): e["smallest_detectable"] for e in r.data["not_testable"]} for r in results
+        # By effect and place that a diagnosis could not test.
+        hidden: list[dict[tuple[str, tuple[int, ...]], Any]] = [
+            {
+                (str(e["effect"]), () if e["joint"] is None else (int(e["joint"]),)): e[
+                    "smallest_detectable"
+                ]
+                for e in r.data["not_testable"]
+            }
+            for r in results
         ]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TorchidError(
@@ -145,6 +152,18 @@ def compare_diagnoses(
         cutoff = min(float(r.data["band_hz"]) for r in results) if on is not None else None
         motion = common_motion(robots[0], on, seed, cutoff)
         torque = torque_spread([described_model(robot) for robot in robots], motion)
+    notes = []
+    if torque is None:
+        notes.append(
+            "no torque: a diagnosis did not record its corrected model; run torchid gap again"
+        )
+    if any(_other_model(given[0], g) for g in given[1:]):
+        notes.append(
+            "the simulators as given have different parameters or effects: what is an effect of "
+            "one gap may be part of the other's model"
+        )
+    if len({str(r.data.get("settings", {}).get("effects")) for r in results}) > 1:
+        notes.append("the diagnoses searched over different effects")
     return GapComparison(
         labels=tuple(r.label for r in results),
         robot=" and ".join(dict.fromkeys(r.robot_name for r in results)),
@@ -152,7 +171,7 @@ def compare_diagnoses(
         closed=closed,
         shared=tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
         torque=torque,
-        notes=_notes(results, given, torque),
+        notes=tuple(notes),
     )
 
 
@@ -174,11 +193,6 @@ def _named(entry: Mapping[str, Any]) -> Named:
         dict(entry["unit"]),
         entry.get("share"),
     )
-
-
-def _where(entry: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
-    """Effect and place that a diagnosis could not test."""
-    return str(entry["effect"]), () if entry["joint"] is None else (int(entry["joint"]),)
 
 
 Member = tuple[int, int]  # number of a diagnosis, and of its entry
@@ -245,25 +259,6 @@ def _shared(
     return Shared(
         tuple(effects), place, tuple(states), tuple(named), tuple(smallest), tuple(coefficients)
     )
-
-
-def _notes(
-    results: Sequence[Result], given: Sequence[Robot | None], torque: TorqueSpread | None
-) -> tuple[str, ...]:
-    out = []
-    if torque is None:
-        out.append(
-            "no torque: a diagnosis did not record its corrected model; run torchid gap again"
-        )
-    if any(_other_model(given[0], g) for g in given[1:]):
-        out.append(
-            "the simulators as given have different parameters or effects: what is an effect of "
-            "one gap may be part of the other's model"
-        )
-    searched = {str(r.data.get("settings", {}).get("effects")) for r in results}
-    if len(searched) > 1:
-        out.append("the diagnoses searched over different effects")
-    return tuple(out)
 
 
 def _other_model(one: Robot | None, two: Robot | None) -> bool:

@@ -8,9 +8,8 @@ import torch
 
 from torchid.compare.basis import Common, common_basis
 from torchid.compare.reading import Identified
-from torchid.compare.scatter import Scatter, holm, monotone, scatter, typical_birge
+from torchid.compare.scatter import Scatter, Whole, holm, monotone, scatter, typical_birge, whole
 from torchid.compare.torque import TorqueSpread, identified_spread
-from torchid.compare.whole import Whole, whole
 from torchid.errors import TorchidError
 from torchid.log.model import Log
 from torchid.robot.model import Robot

@@ -103,7 +103,14 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
     if same:
         raise TorchidError("a result is given twice.", got=same[0])
     results = []
-    for label, path in zip(_labels(paths), paths, strict=True):
+    # The shortest ends of the paths that tell them apart; files that a command named itself are
+    # called by their folder.
+    parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
+    if len({p.stem for p in paths}) == 1:
+        parts = [p[:-1] for p in parts]
+    ends = (["/".join(p[-k:]) for p in parts] for k in range(1, max(map(len, parts)) + 1))
+    labels = next((e for e in ends if len(set(e)) == len(e)), [str(p) for p in paths])
+    for label, path in zip(labels, paths, strict=True):
         data = read_json(path, "a result")
         schema = data.get("schema")
         if schema not in KINDS:
@@ -123,19 +130,6 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
     return results
 
 
-def _labels(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of the paths that tell them apart; files that a command named itself are
-    called by their folder."""
-    parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
-    if len({p.stem for p in paths}) == 1:
-        parts = [p[:-1] for p in parts]
-    for depth in range(1, max(len(p) for p in parts) + 1):
-        names = ["/".join(p[-depth:]) for p in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(p) for p in paths]
-
-
 def read_identification(result: Result) -> Identified:
     """An identification, checked.
 
@@ -152,7 +146,20 @@ def read_identification(result: Result) -> Identified:
         factor = _tensor(data["factor"], (b + 1, b + 1))[:, :b]
         unknown = _mask(base, data["undetermined"])
         held = _mask(base, [*data["bounded"], *data["dropped"]])
-        contaminated, correlation = _of_factor(factor, unknown, held)
+        # Which estimates are of a sum with an undetermined parameter, as far as this log shows.
+        contaminated, size = torch.zeros_like(unknown), torch.linalg.vector_norm(factor, dim=0)
+        lost, known = unknown & (size > 0), ~unknown
+        if bool(lost.any()) and bool(known.any()):
+            parts = factor[:, known] / size[known], factor[:, lost] / size[lost]
+            share = torch.linalg.lstsq(*parts).solution
+            contaminated[known] = (share.abs() > CONTAMINATED).any(1)
+        # The correlation of the estimates under white residuals.
+        correlation = torch.eye(b, dtype=factor.dtype)
+        index = (~(unknown | held)).nonzero().flatten()
+        r = torch.linalg.qr(factor[:, index], mode="r").R
+        root = torch.linalg.solve_triangular(r, torch.eye(len(r)).to(r), upper=True)
+        root = root / torch.linalg.vector_norm(root, dim=1, keepdim=True)
+        correlation[index.unsqueeze(-1), index] = root @ root.T
         cutoff = data["cutoff_hz"]
         return Identified(
             label=result.label,
@@ -237,23 +244,3 @@ def _mask(base: BaseParameters, names: Sequence[str]) -> Bool[Tensor, " B"]:
     if unknown:
         raise ValueError(f"{unknown[0]} is not a base parameter")
     return torch.tensor([name in names for name in base.names])
-
-
-def _of_factor(
-    factor: Float[Tensor, "C B"], unknown: Bool[Tensor, " B"], held: Bool[Tensor, " B"]
-) -> tuple[Bool[Tensor, " B"], Float[Tensor, "B B"]]:
-    """Which estimates are of a sum with an undetermined parameter, as far as this log shows; and
-    the correlation of the estimates under white residuals."""
-    contaminated = torch.zeros_like(unknown)
-    size = torch.linalg.vector_norm(factor, dim=0)
-    lost, known = unknown & (size > 0), ~unknown
-    if bool(lost.any()) and bool(known.any()):
-        share = torch.linalg.lstsq(factor[:, known] / size[known], factor[:, lost] / size[lost])
-        contaminated[known] = (share.solution.abs() > CONTAMINATED).any(1)
-    correlation = torch.eye(factor.shape[1], dtype=factor.dtype)
-    index = (~(unknown | held)).nonzero().flatten()
-    r = torch.linalg.qr(factor[:, index], mode="r").R
-    root = torch.linalg.solve_triangular(r, torch.eye(len(r)).to(r), upper=True)
-    root = root / torch.linalg.vector_norm(root, dim=1, keepdim=True)
-    correlation[index.unsqueeze(-1), index] = root @ root.T
-    return contaminated, correlation

@@ -26,7 +26,7 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import TorqueLimits, identified_torque_limits
 from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.reading import Prior
+from torchid.identification.values import Prior
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 

@@ -23,7 +23,7 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.trajectories import Sinusoid
 from torchid.identification.base_parameters import nominal_values
-from torchid.identification.reading import Prior
+from torchid.identification.values import Prior
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Tensor

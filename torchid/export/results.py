@@ -14,13 +14,12 @@ from typing import Any
 from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.export.dynamics import Dynamics, described, of_base, records
-from torchid.extraction.torque import FAR
+from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
-from torchid.identification.reading import read_base
 from torchid.identification.record import SCHEMA as IDENTIFICATION
 from torchid.identification.result import Identification
-from torchid.identification.values import identified_base
+from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
 from torchid.robot.model import Robot
 

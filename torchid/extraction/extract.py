@@ -3,27 +3,46 @@
     p_0 = LB + (UB - LB) u,  xi_1 = 0
     for k = 1..K:  minimise phi(p) + xi_k gamma(p) within the bounds, starting from p_{k-1}
 
-All runs advance together: every generation of all of them is one call of the loss.
+All runs advance together: every generation of all of them is one call of the loss. The state
+between two stages is kept in a file that survives an interruption.
 """
 
+import hashlib
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from torchid.errors import TorchidError
-from torchid.extraction.checkpoint import Progress, load, save
-from torchid.extraction.cma.engines import engine
-from torchid.extraction.cma.search import start
+from torchid.extraction.cma.batched import BatchedCmaEs
+from torchid.extraction.cma.pycma import PycmaEngine
+from torchid.extraction.cma.search import Engine, SearchState, start
 from torchid.extraction.penalty import gamma
 from torchid.extraction.polish.polish import polish
-from torchid.extraction.polish.region import Region, region
+from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import ParameterSets
+from torchid.files import atomic_write
 from torchid.typing import Float, Tensor
+
+ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
+
+
+def engine(name: str) -> Engine:
+    """The engine of that name: `batched` (ours, all runs at once) or `cma` (pycma, run by run).
+
+    Raises:
+        TorchidError: no such engine.
+    """
+    if name not in ENGINES:
+        raise TorchidError("there is no such search engine.", got=name, available=sorted(ENGINES))
+    return ENGINES[name]
+
 
 Report = Callable[[int, int], None]
 
@@ -31,6 +50,85 @@ _FIRST_SIGMA = 0.3
 _LEAST_SIGMA = 1e-3
 """Step size with which a stage begins at least: the minimum has moved, and a search that has
 converged on the old one would be stuck there."""
+
+
+_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
+"""What NumPy raises on a file that is none of its own, or half of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where a search is.
+
+    Attributes:
+        stage: how many stages are done.
+        state: of the engine.
+        phi, gamma: (R, stage) of the best so far, after each stage.
+    """
+
+    stage: int
+    state: SearchState
+    phi: Float[Tensor, "R K"]
+    gamma: Float[Tensor, "R K"]
+
+
+def save(path: Path, now: Progress, problem: Problem, settings: SearchSettings) -> None:
+    """Write the state; an earlier file is replaced only when the new one is whole.
+
+    Raises:
+        TorchidError: the file cannot be written.
+    """
+    arrays = now.state.to_arrays()
+    with atomic_write(path, "wb") as stream:
+        np.savez(
+            stream,
+            stage=np.asarray(now.stage),
+            phi=now.phi.numpy(),
+            gamma=now.gamma.numpy(),
+            of=np.asarray(fingerprint(problem, settings)),
+            allow_pickle=False,
+            **{f"state_{name}": value for name, value in arrays.items()},
+        )
+
+
+def load(path: Path, problem: Problem, settings: SearchSettings) -> Progress | None:
+    """The state in the file; None if there is no file.
+
+    Raises:
+        TorchidError: not a checkpoint, or one of another problem or of other settings.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        of, stage = str(arrays["of"]), int(arrays["stage"])
+        phi, violated = torch.from_numpy(arrays["phi"]), torch.from_numpy(arrays["gamma"])
+        state = SearchState.from_arrays(
+            {k.removeprefix("state_"): v for k, v in arrays.items() if k.startswith("state_")}
+        )
+    except (*_DAMAGED, TorchidError) as error:
+        raise TorchidError(f"'{path}' is not a checkpoint of an extraction.", got=error) from error
+    if of != fingerprint(problem, settings):
+        raise TorchidError(
+            f"the checkpoint '{path}' belongs to another extraction.",
+            got="other base parameters, bounds, conditions or settings",
+            expected="the ones it was started with",
+            hint="repeat the first command, or start anew without --resume",
+        )
+    return Progress(stage, state, phi, violated)
+
+
+def fingerprint(problem: Problem, settings: SearchSettings) -> str:
+    """What a search depends on, as a SHA-256."""
+    digest = hashlib.sha256(repr(settings).encode())
+    c, target = problem.conditions, problem.target
+    for tensor in (
+        problem.box, target.weight, target.offset, target.base.grouping,
+        c.com_box, c.round_centre, c.round_axes, c.round_radius, c.total_mass,
+    ):  # fmt: skip
+        digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +237,16 @@ def extract(
             report(now.stage, settings.stages)
     searched = problem.physical(now.state.best)
     conditioned = region(problem, conditions=True)
-    p = _polished(problem, settings, conditioned, searched) if settings.polish else searched
+    p = searched
+    if settings.polish:
+        full = settings.penalty == "full"
+        polished = polish(
+            problem, conditioned if full else region(problem, conditions=False), searched
+        )
+        weight = 10.0 * settings.stages if full else 0.0
+        # A run that the polish could not bring to an end stays as the search left it.
+        before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, polished))
+        p = torch.where((after <= before).unsqueeze(-1), polished, searched)
     phi, violated = problem.phi(p), gamma(problem, p)
     if checkpoint is not None and not keep:
         checkpoint.unlink(missing_ok=True)
@@ -181,16 +288,3 @@ def _next_stage(
     phi = torch.cat([now.phi, problem.phi(p).unsqueeze(-1)], -1)
     violated = torch.cat([now.gamma, gamma(problem, p).unsqueeze(-1)], -1)
     return Progress(now.stage + 1, found, phi, violated)
-
-
-def _polished(
-    problem: Problem, settings: SearchSettings, conditioned: Region, searched: Tensor
-) -> Tensor:
-    """The sets after a gradient polish."""
-    full = settings.penalty == "full"
-    inside = conditioned if full else region(problem, conditions=False)
-    polished = polish(problem, inside, searched)
-    weight = 10.0 * settings.stages if full else 0.0
-    # A run that the polish could not bring to an end stays as the search left it.
-    before, after = (problem.phi(x) + weight * gamma(problem, x) for x in (searched, polished))
-    return torch.where((after <= before).unsqueeze(-1), polished, searched)

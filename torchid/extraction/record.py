@@ -36,18 +36,12 @@ def sets_record(
     ids: tuple[str, ...], phi: Float[Tensor, " K"], gamma: Float[Tensor, " K"], found: Feasibility
 ) -> list[dict[str, Any]]:
     """One entry a set: loss, penalty, verdict."""
-    columns = (ids, plain(phi), plain(gamma), found.feasible.tolist(), plain(found.degree))
-    return [
-        {
-            "id": name,
-            "phi": loss,
-            "gamma": penalty,
-            "feasible": verdict,
-            "reasons": list(found.reasons(k)),
-            "degree": degree,
-        }
-        for k, (name, loss, penalty, verdict, degree) in enumerate(zip(*columns, strict=True))
-    ]
+    rows = (
+        {"id": name, "phi": phi[k], "gamma": gamma[k], "feasible": found.feasible[k],
+         "reasons": found.reasons(k), "degree": found.degree[k]}
+        for k, name in enumerate(ids)
+    )  # fmt: skip
+    return [dict(plain(row)) for row in rows]
 
 
 def certificate_record(proof: Certificate | None) -> dict[str, Any] | None:
@@ -72,27 +66,23 @@ def noticeable(proof: Certificate) -> dict[str, float]:
 
 def atlas_record(atlas: Atlas, problem: Problem) -> dict[str, Any]:
     """Ranges of all parameters."""
-    parameters = []
-    for k, name in enumerate(atlas.names):
-        low, high, below, above, share = plain(
-            x[k]
-            for x in (atlas.low, atlas.high, atlas.bounds_low, atlas.bounds_high, atlas.narrowed)
-        )
-        parameters.append(
-            {
-                "name": name,
-                "unit": atlas.units[k],
-                "low": low,
-                "high": high,
-                "bounds": [below, above],
-                "share_of_bounds": share,
-                "status": list(atlas.status[k]),
-            }
-        )
+    share = atlas.narrowed
+    parameters = [
+        {
+            "name": name,
+            "unit": atlas.units[k],
+            "low": atlas.low[k],
+            "high": atlas.high[k],
+            "bounds": [atlas.bounds_low[k], atlas.bounds_high[k]],
+            "share_of_bounds": share[k],
+            "status": atlas.status[k],
+        }
+        for k, name in enumerate(atlas.names)
+    ]
     return {
         "schema": ATLAS_SCHEMA,
         **problem_record(problem),
         "kind": atlas.kind,
         "radius": plain(atlas.radius),
-        "parameters": parameters,
+        "parameters": plain(parameters),
     }

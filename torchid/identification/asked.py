@@ -1,4 +1,5 @@
-"""The effects that an identification is asked for: kinds, places and shapes, as they are written.
+"""The effects that an identification is asked for: kinds, places and shapes, as they are written;
+and the search for shapes (a Stribeck speed, a wave number) that nobody gave.
 
 viscous_friction                        on every joint
 joint_spring:joint=2,curvature=0        on joint 2, its shape given
@@ -6,16 +7,22 @@ stribeck_friction:joint=3               its shape, vs, is searched
 gear_coupling:joint=6,source_joint=5    on a pair of joints
 """
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from itertools import product
 
-from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect
-from torchid.effects.gravity import TorqueGain
+import torch
+
+from torchid.design.motion import Measurement
+from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError
+from torchid.identification.least_squares import Fit
+from torchid.identification.rows import RowSource, own_columns, sampled
 from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
         raise TorchidError(
             "an effect is named twice.", got=f"{name} of {where}", expected="each place once"
         )
-    if sum(isinstance(a.effect, TorqueGain) for a in found) == robot.n:
+    if sum(a.effect.name == "torque_gain" for a in found) == robot.n:
         raise TorchidError(
             "torque gains of all joints cannot be identified: a gain that they share is the same "
             "as heavier bodies.",
@@ -83,39 +90,171 @@ def _places(text: str, robot: Robot) -> list[Asked]:
     searched = tuple(s for s in shapes if s not in given)
     values = {**shapes, **{k: v for k, v in given.items() if k not in PLACES}}
     where = {k: v for k, v in given.items() if k in PLACES}
+    # Joints, from 1, of every place where the effect can be.
+    places = [{"joint": j + 1} for j in range(robot.n)]
+    if issubclass(kind, ModelEffect):
+        names = [p for p in PLACES if p in own]
+        found = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))
+        places = [dict(zip(names, (j + 1 for j in at), strict=True)) for at in found]
+    zeros = {c.name: 0.0 for c in kind.coefficients}
     effects = [
-        _made(kind, place, values, robot)
-        for place in _every_place(kind, robot)
+        effect_from_record({"effect": kind.name, **place, **zeros, **values}, robot)[0]
+        for place in places
         if all(place[k] == v for k, v in where.items())
     ]
     if not effects:
         raise TorchidError(
             f"--effects {text}: there is no such place on this arm.",
-            available=[
-                ",".join(f"{k}={v}" for k, v in p.items()) for p in _every_place(kind, robot)
-            ],
+            available=[",".join(f"{k}={v}" for k, v in p.items()) for p in places],
         )
     return [Asked(effect, searched) for effect in effects]
-
-
-def _every_place(kind: type[Effect], robot: Robot) -> list[dict[str, int]]:
-    """Joints, from 1, of every place where an effect can be."""
-    if issubclass(kind, ModelEffect):
-        found = [e.identity[1] for e in kind.candidates(robot)]
-        names = [p for p in PLACES if p in (f.name for f in fields(kind))]
-        return [
-            dict(zip(names, (j + 1 for j in place), strict=True)) for place in dict.fromkeys(found)
-        ]
-    return [{"joint": j + 1} for j in range(robot.n)]
-
-
-def _made(
-    kind: type[Effect], place: Mapping[str, int], values: Mapping[str, Any], robot: Robot
-) -> Effect:
-    record = {"effect": kind.name, **place, **{c.name: 0.0 for c in kind.coefficients}, **values}
-    return effect_from_record(record, robot)[0]
 
 
 def with_shapes(effect: Effect, names: Sequence[str], values: Sequence[float]) -> Effect:
     """The effect with other values of some of its shapes."""
     return replace(effect, **dict(zip(names, values, strict=True)))
+
+
+LEVELS = 5
+"""Times that a shape is refined: to less than a hundredth of the grid's step."""
+
+ROUNDING = 1e-9
+"""Share of a column's square left beside the fit below which the column says nothing of its own."""
+
+
+def search_shapes(
+    unknown: Sequence[Asked],
+    source: RowSource,
+    found: Fit,
+    measured: Sequence[Measurement],
+    cutoff: float | None,
+) -> list[Effect | None]:
+    """Effects with the shapes that leave least of the residual; None for one that these motions
+    cannot show.
+
+    An effect is linear in its coefficients once its shape is given. So a shape is judged by how
+    much the weighted squares of the residual fall when the effect joins all else that is fitted,
+    with coefficients refitted each time: its grid first, then five times seven values around the
+    best, ever closer. Effects are taken one after another; where several of one joint are
+    searched, each of them once more beside the others.
+
+    Args:
+        unknown: with shapes to search.
+        source: rows of all that is fitted beside them.
+        found: its fit, whose weights are used.
+        measured: trajectories of the rows, with t, and the torque of the fit.
+        cutoff: [Hz] of the rows.
+    """
+    rows = _Rows(source, found, measured)
+    band = cutoff if cutoff is not None else 0.2 * measured[0].rate
+    best: list[Effect | None] = [None] * len(unknown)
+    users = Counter(j for a in unknown for j in a.effect.joints)
+    again = [k for k, a in enumerate(unknown) if any(users[j] > 1 for j in a.effect.joints)]
+    for k in (*range(len(unknown)), *again):
+        others = [e for j, e in enumerate(best) if e is not None and j != k]
+        beside = rows.beside(others)
+        # The best shape of the grid, refined; none where none tells anything.
+        now, largest = unknown[k].effect, 0.0
+        for level in range(-1, LEVELS):
+            for effect in _tried(now, unknown[k].searched, rows.motions, level, band):
+                gain = beside.gain(effect)
+                if gain > largest:
+                    now, largest = effect, gain
+            if largest == 0:
+                break
+        best[k] = now if largest > 0 else None
+    return best
+
+
+def _tried(
+    effect: Effect, searched: Sequence[str], motions: Sequence[Motion], level: int, band: float
+) -> list[Effect]:
+    """The effect with shapes of its grid (level -1), or around its own."""
+    names = [s.name for s in effect.shapes]
+    if isinstance(effect, JointEffect):
+        grid = effect.grid(motions, effect.joint, band) if level < 0 else None
+        table = effect.finer(motions, level, band) if grid is None else grid
+        assert table is not None
+        values = [tuple(row) for row in table.tolist()]
+    else:
+        axes = [
+            s.grid if level < 0 else s.around(v, level, 1.0).tolist()
+            for s, v in zip(effect.shapes, effect.shape_values, strict=True)
+        ]
+        values = list(product(*axes))
+    at = [names.index(name) for name in searched]
+    kept = dict.fromkeys(tuple(row[k] for k in at) for row in values)
+    return [with_shapes(effect, searched, row) for row in kept]
+
+
+class _Rows:
+    """Weighted rows of a fit, joint by joint, and columns beside them."""
+
+    def __init__(self, source: RowSource, found: Fit, measured: Sequence[Measurement]):
+        self.measured = measured
+        self.motions = [m.motion for m in measured]
+        self._weight = (found.robust * found.whitening.diagonal()).T
+        n, size = self._weight.shape[0], source.layout.size
+        blocks = list(source)
+        self.columns = torch.zeros(n, self._weight.shape[1], size, dtype=torch.float64)
+        for i, c in enumerate(source.layout.columns):
+            own = torch.cat([b.matrices[i] for b in blocks])
+            self.columns[i, :, list(c)] = own * self._weight[i].unsqueeze(-1)
+        self.tau = torch.cat([b.tau for b in blocks]).T * self._weight
+
+    def of(self, effect: Effect) -> dict[int, Float[Tensor, "I C"]]:
+        """Columns of an effect by joint."""
+        parts = [own_columns(effect, m.motion) for m in self.measured]
+        return {
+            j: sampled(self.measured, [p[k].T for p in parts]).cpu().T * self._weight[j, :, None]
+            for k, j in enumerate(effect.joints)
+        }
+
+    def beside(self, effects: Sequence[Effect]) -> "_Beside":
+        """What is left of columns beside all that is fitted and further effects."""
+        wide = [self.columns]
+        for effect in effects:
+            more = torch.zeros(*self.tau.shape, len(effect.coefficients), dtype=torch.float64)
+            for j, own in self.of(effect).items():
+                more[j] = own
+            wide.append(more)
+        a = torch.cat(wide, -1)
+        flat = a.flatten(0, 1)
+        size = torch.linalg.vector_norm(flat, dim=0)
+        flat = flat[:, size > 0] / size[size > 0]
+        r = torch.linalg.qr(flat, mode="r").R
+        _, s, vt = torch.linalg.svd(r, full_matrices=False)
+        kept = s > ROUNDING**0.5 * s[:1]
+        q = (flat @ (vt[kept].T / s[kept])).reshape(*self.tau.shape, -1)
+        residual = self.tau - q @ torch.einsum("jic,ji->c", q, self.tau)
+        return _Beside(self, q, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """An orthonormal basis (n, I, K) of what is fitted, and the residual (n, I) that it leaves."""
+
+    rows: _Rows
+    basis: Float[Tensor, "n I K"]
+    residual: Float[Tensor, "n I"]
+
+    def gain(self, effect: Effect) -> float:
+        """By how much the residual's squares fall with an effect; 0 if its one coefficient would
+        have a sign that physics forbids."""
+        columns = self.rows.of(effect)
+        count = len(effect.coefficients)
+        inner = torch.zeros(count, count, dtype=torch.float64)
+        pull = torch.zeros(count, dtype=torch.float64)
+        held = torch.zeros(self.basis.shape[-1], count, dtype=torch.float64)
+        for j, x in columns.items():
+            inner += x.T @ x
+            pull += x.T @ self.residual[j]
+            held += self.basis[j].T @ x
+        size = inner.diagonal().sqrt().clamp(min=1e-300)
+        left = (inner - held.T @ held) / size / size.unsqueeze(-1)
+        values, vectors = torch.linalg.eigh(left)
+        along = vectors.T @ (pull / size)
+        told = values > ROUNDING
+        if count == 1 and effect.coefficients[0].non_negative and float(pull[0]) <= 0:
+            return 0.0
+        return float((along[told].square() / values[told]).sum())

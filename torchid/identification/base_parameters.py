@@ -2,8 +2,8 @@
 
 The regressor of many random states, with the columns of the chosen effects behind it, is reduced
 by QR from left to right, in the paper's order: masses, first moments, inertias. A column whose
-diagonal entry of R vanishes is a combination of those before it (see `rank`). With the independent
-columns first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
+diagonal entry of R vanishes is a combination of those before it (see `independent_columns`). With
+the independent columns first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
 
     Y pi = Y1 (pi_1 + K pi_2):     base parameters = G pi,   G = [1 K] with columns put back.
 
@@ -15,16 +15,61 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import nominal_columns
 from torchid.errors import IdentificationError
-from torchid.identification.rank import independent_columns
-from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
+from torchid.robot.inertia import (
+    PARAMETERS_PER_LINK,
+    InertialParameters,
+    parameter_names,
+    parameter_units,
+    symmetric,
+)
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Bool, Float
+from torchid.typing import Bool, Float, Int, Tensor
+
+
+def independent_columns(
+    matrix: Float[Tensor, "R C"], tolerance: float
+) -> tuple[Bool[Tensor, " C"], Float[Tensor, " C"]]:
+    """Columns that are not combinations of independent columns before them.
+
+    Plain QR decides by the diagonal of R, but the entries behind a dependent column cannot be
+    trusted: what rounding (or a twist of 1.5708) leaves of that column takes up a direction that a
+    later column needs. So the first dependent column is removed and the rest factorised again. A
+    column that is itself no more than such a residue must not be scaled up to a column of its own.
+
+    Args:
+        matrix: (R, C); columns are scaled to length one here.
+        tolerance: distance, relative to a column's length, below which it counts as dependent; and
+            length, relative to the longest column, below which it counts as zero.
+
+    Returns:
+        mask: (C,) independent columns.
+        distance: (C,) relative distance of each column from the span of those kept before it; 0
+            for one that counts as zero.
+    """
+    length = torch.linalg.vector_norm(matrix, dim=0)
+    mask = length > tolerance * length.max().clamp(min=1e-300)
+    distance = torch.zeros_like(length)
+    columns = mask.nonzero().flatten()
+    rest = torch.linalg.qr(matrix[:, columns] / length[columns], mode="r").R
+    while len(columns):
+        diagonal = columns.new_zeros(len(columns), dtype=length.dtype)
+        diagonal[: len(rest)] = rest.diagonal().abs()
+        bad = (diagonal < tolerance).nonzero().flatten()
+        k = int(bad[0]) if len(bad) else len(columns) - 1
+        distance[columns[: k + 1]] = diagonal[: k + 1]
+        if len(bad):
+            mask[columns[k]] = False
+        kept_rows = k if len(bad) else k + 1
+        columns, rest = columns[k + 1 :], rest[kept_rows:, k + 1 :]
+        if len(columns):
+            rest = torch.linalg.qr(rest, mode="r").R if len(rest) else rest
+    return mask, distance
+
 
 RANK_TOLERANCE = 1e-4
 """Relative size below which a diagonal entry of R counts as zero. Kept entries are of order 1e-2
@@ -167,11 +212,7 @@ def stacked_regressor(
 
 
 def group_columns(
-    y: Float[Tensor, "R P"],
-    names: Sequence[str],
-    units: Sequence[str],
-    *,
-    n_rigid_parameters: int,
+    y: Float[Tensor, "R P"], names: Sequence[str], units: Sequence[str], *, n_rigid_parameters: int
 ) -> BaseParameters:
     """Base parameters from a stacked regressor: which columns are independent, and the grouping."""
     kept, diagonal = independent_columns(y, RANK_TOLERANCE)
@@ -181,11 +222,21 @@ def group_columns(
     r = torch.linalg.qr(y[:, torch.cat([independent, dependent])], mode="r").R
     b = len(independent)
     k = torch.linalg.solve_triangular(r[:b, :b], r[:b, b:], upper=True)
-    k = _tidy(k)
+    # Rounding removed where it is plainly rounding: entries within 1e-9 of 0 or of +-1.
+    for value in (0.0, 1.0, -1.0):
+        k = torch.where((k - value).abs() < 1e-9, torch.full_like(k, value), k)
     grouping = y.new_zeros(b, y.shape[1])
     grouping[torch.arange(b), independent] = 1.0
     grouping[:, dependent] = k
     gap = (float(diagonal[kept].min()), float(diagonal[~kept].max()) if len(dependent) else 0.0)
+    warnings: tuple[str, ...] = ()
+    if gap[1] > 0 and gap[0] / gap[1] <= _CLEAR_GAP:
+        weakest = names[int(torch.where(kept, diagonal, torch.inf).argmin())]
+        strongest = names[int(torch.where(kept, -torch.inf, diagonal).argmax())]
+        warnings = (
+            f"the number of base parameters is not clear-cut: {weakest} was kept with "
+            f"{gap[0]:.1e}, {strongest} dropped with {gap[1]:.1e}",
+        )
     return BaseParameters(
         names=tuple(
             _sum_name(row, names, int(i)) for row, i in zip(grouping, independent, strict=True)
@@ -198,27 +249,7 @@ def group_columns(
         rank_gap=gap,
         n_rigid_parameters=n_rigid_parameters,
         n_rigid=int((independent < n_rigid_parameters).sum()),
-        warnings=_gap_warnings(diagonal, kept, gap, names),
-    )
-
-
-def _tidy(k: Tensor) -> Tensor:
-    """Rounding removed where it is plainly rounding: entries within 1e-9 of 0 or of +-1."""
-    for value in (0.0, 1.0, -1.0):
-        k = torch.where((k - value).abs() < 1e-9, torch.full_like(k, value), k)
-    return k
-
-
-def _gap_warnings(
-    diagonal: Tensor, kept: Tensor, gap: tuple[float, float], names: Sequence[str]
-) -> tuple[str, ...]:
-    if gap[1] == 0 or gap[0] / gap[1] > _CLEAR_GAP:
-        return ()
-    weakest = names[int(torch.where(kept, diagonal, torch.inf).argmin())]
-    strongest = names[int(torch.where(kept, -torch.inf, diagonal).argmax())]
-    return (
-        f"the number of base parameters is not clear-cut: {weakest} was kept with {gap[0]:.1e}, "
-        f"{strongest} dropped with {gap[1]:.1e}",
+        warnings=warnings,
     )
 
 
@@ -232,3 +263,45 @@ def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         text += f"{sign}{size}{names[k]}"
     return text
+
+
+_ROUNDING = 1e-6
+
+
+def physical_signs(base: BaseParameters, effects: tuple[Effect, ...]) -> Int[Tensor, " B"]:
+    """(B,) 1 for base parameters that are never negative, -1 for those that are never positive, 0
+    where bodies with either sign exist. Entries of the grouping that its names do not show do not
+    count.
+
+    A body's mass, first moment h and second moment Sigma = tr(J)/2 E - J make up its pseudo-inertia
+    [[Sigma, h], [h', m]], which is positive semidefinite for every body, and can be any such matrix
+    (P. Wensing, S. Kim, J.-J. Slotine, IEEE RA-L 3(1), 2018). A sum a m + b'h + sum c_ij J_ij is
+    therefore never negative if, and only if, the matrix D of the same sum, <D, pseudo-inertia>, is
+    positive semidefinite as well: the cone is its own dual. E.g. J1zz + J2yy + Ia1 is never
+    negative, and J2xx - J2yy - J2zz, minus twice the second moment along x, never positive.
+
+    >>> from torchid import load_robot
+    >>> from torchid.identification.base_parameters import base_parameters
+    >>> base = base_parameters(load_robot("3r"))
+    >>> int(physical_signs(base, ())[base.names.index("J3zz")])
+    1
+    """
+    rows = torch.where(visible(base.grouping), base.grouping, 0.0)
+    bounded = torch.tensor([c.non_negative for e in effects for c in e.coefficients]).bool()
+    never_negative, never_positive = (_dual(s * rows, base, bounded) for s in (1, -1))
+    return never_negative.int() - never_positive.int()
+
+
+def _dual(rows: Float[Tensor, "B P"], base: BaseParameters, bounded: Tensor) -> Tensor:
+    """(B,) whether a sum is non-negative for all bodies and coefficients."""
+    rigid, rest = rows.tensor_split([base.n_rigid_parameters], 1)
+    a, b, c = InertialParameters.from_paper_order(rigid).pi.split([1, 3, 6], -1)
+    # J_xx = Sigma_yy + Sigma_zz and J_xy = -Sigma_xy, the latter twice in <D, pseudo-inertia>.
+    j = symmetric(c * c.new_tensor([1, 0.5, 0.5, 1, 0.5, 1]))
+    trace = j.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    second = trace * torch.eye(3).to(j) - j
+    upper = torch.cat([second, b.unsqueeze(-1) / 2], -1)
+    lower = torch.cat([b / 2, a], -1).unsqueeze(-2)
+    least = torch.linalg.eigvalsh(torch.cat([upper, lower], -2))[..., 0].amin(-1)
+    coefficients = torch.where(bounded, rest >= 0, rest == 0).all(-1)
+    return (least >= -_ROUNDING * rows.abs().amax(-1)) & coefficients

@@ -9,13 +9,12 @@ import torch
 from torchid.design.motion import Measurement, fast_speed, measurements, no_torque, timed
 from torchid.effects.base import Effect
 from torchid.errors import IdentificationError, LogError
-from torchid.identification.asked import Asked, asked_effects
+from torchid.identification.asked import Asked, asked_effects, search_shapes
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.result import FittedRows, Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
-from torchid.identification.shapes import search_shapes
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
     CutoffChoice,
@@ -24,7 +23,7 @@ from torchid.identification.tuning import (
     choose_reversal,
     shortened,
 )
-from torchid.identification.validation import errors, load, predict
+from torchid.identification.validation import errors, model_torque, predict
 from torchid.log.checks import check_log
 from torchid.log.model import Log
 from torchid.log.sampling import resample
@@ -83,7 +82,15 @@ def identify(
     True
     """
     settings = settings or Settings()
-    log, kept_back = _split(log, held_out, settings)
+    if held_out is not None and settings.held_out_fraction != 0:
+        raise LogError(
+            "both a held-out log and a held-out fraction are given.", expected="one of them"
+        )
+    kept_back = held_out
+    if settings.held_out_fraction != 0:
+        # Where one trajectory is cut in two, the edges that the filter loses on both sides of the
+        # cut, two periods of the cut-off, are the gap.
+        log, kept_back = log.split(1 - settings.held_out_fraction, gap_s=0.0)
     log, noticed = prepared(log, robot)
     if kept_back is not None:
         kept_back, more = prepared(kept_back, robot)
@@ -92,8 +99,17 @@ def identify(
     asked = asked_effects(settings.effects, robot)
     # The filter is chosen with the effects whose columns are known beforehand.
     training = _training(robot, _on(log, device), [a.effect for a in asked if a.plain], settings)
-    cutoff, choice = _cutoff(training, settings, progress)
-    reversal = _reversal(training, cutoff, settings, progress)
+    choice: CutoffChoice | None = None
+    if settings.cutoff == "auto":
+        choice = choose_cutoff(training, _stage(progress, "choosing the cut-off"))
+        cutoff = choice.cutoff
+    else:
+        cutoff = settings.cutoff
+    if settings.reversal == "auto":
+        report = _stage(progress, "choosing the reversal speed")
+        reversal = choose_reversal(training, cutoff, report)
+    else:
+        reversal = settings.reversal * fast_speed(measurements(training.log, cutoff)).cpu()
     measured = timed(measurements(training.log, cutoff, reversal))
     said: tuple[str, ...] = ()
     if not all(a.plain for a in asked):
@@ -104,13 +120,29 @@ def identify(
     base, effects = columns.base, columns.effects
     physical = _non_negative(columns)
     estimate = _estimate(training, measured, settings, progress)
-    _refuse_hopeless(estimate.fit, training.log)
+    # Rounding alone would leave no four digits: values of thousands of kilograms would be printed
+    # with standard deviations as large, and look like a result.
+    condition = estimate.fit.scaled_condition_number
+    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
+    if condition > largest:
+        moved = (training.log.q.amax(0) - training.log.q.amin(0)).tolist()
+        raise IdentificationError(
+            "these logs cannot tell the parameters apart: the fit is lost in rounding.",
+            got=f"condition number {condition:.1e} (columns of length one); the joints move over "
+            + ", ".join(f"{x:.2g}" for x in moved)
+            + " rad or m",
+            expected=f"below {largest:.1e}; a good motion has less than 1e3",
+            hint="`torchid excite` designs a motion that tells them apart; --effects with fewer "
+            "names asks for less",
+        )
     values, order = _in_base_order(estimate.fit.x, columns)
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
     apart: list[Measurement] = []
     if kept_back is not None:
         # The end of the same log follows its beginning; another log follows the whole of it.
-        clock = 0.0 if held_out is None else _end(measured)
+        last = measured[-1]
+        end = float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
+        clock = 0.0 if held_out is None else end
         apart = measurements(_on(kept_back, device), shown, reversal)
         apart = timed(apart, None if held_out is not None else float(log.t[0]), clock)
     fitted, checked = (
@@ -120,7 +152,16 @@ def identify(
             apart,
         )
     )
-    named = _Names(base.names, order)
+
+    def named(mask: Tensor) -> tuple[str, ...]:
+        hits = mask[order].tolist()
+        return tuple(name for name, hit in zip(base.names, hits, strict=True) if hit)
+
+    lone = named(estimate.uncertainty.by_one_block)
+    one_stretch = (
+        "one short stretch of the log alone determines these; their standard deviations are lower "
+        "bounds: " + ", ".join(lone)
+    )
     result = Identification(
         robot=robot,
         base=base,
@@ -130,10 +171,10 @@ def identify(
         factor=estimate.fit.factor[:, torch.cat([order, order.new_tensor([len(base)])])],
         rows=estimate.rows,
         free=estimate.fit.free[order],
-        bounded=named.where(estimate.fit.bounded),
-        undetermined=named.where(estimate.fit.undetermined),
-        dropped=named.where(estimate.dropped),
-        wrong_sign=named.where(physical & (estimate.fit.x < 0)),
+        bounded=named(estimate.fit.bounded),
+        undetermined=named(estimate.fit.undetermined),
+        dropped=named(estimate.dropped),
+        wrong_sign=named(physical & (estimate.fit.x < 0)),
         fit=errors(fitted),
         held_out=errors(checked) if checked else None,
         fit_predictions=tuple(fitted),
@@ -152,7 +193,7 @@ def identify(
             *said,
             *(w for m in measured for w in m.warnings),
             *estimate.uncertainty.warnings,
-            *_one_stretch(named.where(estimate.uncertainty.by_one_block)),
+            *([one_stretch] if lone else []),
         ),
     )
     return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *findings(result)])))
@@ -233,7 +274,8 @@ def _with_load(
     c = training.layout
     out = []
     for m in measured:
-        torque = load(c.robot, c.base, c.effects, values.to(m.tau), m.motion)
+        own = values.to(m.tau)
+        torque = model_torque(c.robot, c.base, c.effects, own, m.motion, load_only=True)
         out.append(replace(m, motion=m.motion._replace(torque=torque)))
     return out
 
@@ -255,11 +297,6 @@ def _loaded(
     return measured
 
 
-def _end(measured: Sequence[Measurement]) -> float:
-    last = measured[-1]
-    return float(last.motion.require("t", "a trajectory")[-1]) + 1 / last.rate
-
-
 def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
     """A log checked against the robot, with torques, on a uniform grid; and its warnings.
 
@@ -278,34 +315,17 @@ def prepared(log: Log, robot: Robot) -> tuple[Log, tuple[str, ...]]:
     even = resample(log)
     if even.tau is None:
         raise no_torque(even)
-    return even, (*noticed, *_torque_warnings(even, robot), *even.warnings)
-
-
-def _torque_warnings(log: Log, robot: Robot) -> list[str]:
-    """Torques far beyond the robot's limits: the wrong unit, or the wrong robot."""
-    limits = robot.limits.torque
-    if limits is None:
-        return []
-    assert log.tau is not None
-    largest = log.tau.abs().amax(0)
-    return [
-        f"{log.source}: torque of joint {j + 1} reaches {float(largest[j]):.3g}, "
-        f"{float(largest[j] / limits[j].abs().max()):.0f} times its limit: is it in another unit?"
-        for j in range(robot.n)
-        if largest[j] > BEYOND_LIMIT * limits[j].abs().max()
-    ]
-
-
-def _split(log: Log, held_out: Log | None, settings: Settings) -> tuple[Log, Log | None]:
-    """The log to fit and the one to hold out. Where one trajectory is cut in two, the edges that
-    the filter loses on both sides of the cut, two periods of the cut-off, are the gap."""
-    if held_out is not None and settings.held_out_fraction != 0:
-        raise LogError(
-            "both a held-out log and a held-out fraction are given.", expected="one of them"
-        )
-    if held_out is not None or settings.held_out_fraction == 0:
-        return log, held_out
-    return log.split(1 - settings.held_out_fraction, gap_s=0.0)
+    # Torques far beyond the robot's limits: the wrong unit, or the wrong robot.
+    beyond = []
+    if robot.limits.torque is not None:
+        limits, largest = robot.limits.torque.abs().amax(-1).tolist(), even.tau.abs().amax(0)
+        beyond = [
+            f"{even.source}: torque of joint {j} reaches {reached:.3g}, {reached / limit:.0f} "
+            "times its limit: is it in another unit?"
+            for j, (reached, limit) in enumerate(zip(largest.tolist(), limits, strict=True), 1)
+            if reached > BEYOND_LIMIT * limit
+        ]
+    return even, (*noticed, *beyond, *even.warnings)
 
 
 def refuse_repeated(log: Log, held_out: Log | None) -> None:
@@ -316,19 +336,14 @@ def refuse_repeated(log: Log, held_out: Log | None) -> None:
     parts += [(part, "is held out and also among those to fit") for part in kept]
     for k, (part, how) in enumerate(parts):
         for other, _ in parts[:k]:
-            if part.samples == other.samples and _same(part, other):
+            pairs = (part.q, other.q), (part.tau, other.tau)
+            if all(a is not None and b is not None and torch.equal(a, b) for a, b in pairs):
                 raise LogError(
                     f"trajectory '{part.names[0]}' {how}.",
                     got=f"the same positions and torques as '{other.names[0]}'",
                     expected="every trajectory once",
                     hint="with one log only, hold out its end: --held-out-fraction 0.3",
                 )
-
-
-def _same(one: Log, two: Log) -> bool:
-    assert one.tau is not None
-    assert two.tau is not None
-    return torch.equal(one.q, two.q) and torch.equal(one.tau, two.tau)
 
 
 def _on(log: Log, device: torch.device | str) -> Log:
@@ -342,23 +357,6 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
     return None if progress is None else (lambda done, total: progress(stage, done, total))
 
 
-def _cutoff(
-    training: Training, settings: Settings, progress: Progress | None
-) -> tuple[float | None, CutoffChoice | None]:
-    if settings.cutoff != "auto":
-        return settings.cutoff, None
-    choice = choose_cutoff(training, _stage(progress, "choosing the cut-off"))
-    return choice.cutoff, choice
-
-
-def _reversal(
-    training: Training, cutoff: float | None, settings: Settings, progress: Progress | None
-) -> Tensor:
-    if settings.reversal == "auto":
-        return choose_reversal(training, cutoff, _stage(progress, "choosing the reversal speed"))
-    return settings.reversal * fast_speed(measurements(training.log, cutoff)).cpu()
-
-
 @dataclass(frozen=True)
 class _Estimate:
     fit: Fit
@@ -368,10 +366,7 @@ class _Estimate:
 
 
 def _estimate(
-    training: Training,
-    measured: list[Measurement],
-    settings: Settings,
-    progress: Progress | None,
+    training: Training, measured: list[Measurement], settings: Settings, progress: Progress | None
 ) -> _Estimate:
     """Fit with standard deviations; with `essential`, without parameters that may be zero."""
     source = RowSource(
@@ -390,7 +385,10 @@ def _estimate(
             non_negative=training.non_negative,
             left_out=dropped,
         )
-        return _Estimate(found, jackknife(source, found), dropped, _rows(source, found))
+        counts = (last - first for first, last in itertools.pairwise(source.boundaries))
+        seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
+        rows = FittedRows(seconds, source.instants / seconds, found.whitening)
+        return _Estimate(found, jackknife(source, found), dropped, rows)
 
     now = without(torch.zeros_like(training.non_negative))
     while settings.essential and int(now.fit.free.sum()) > 1:
@@ -402,32 +400,6 @@ def _estimate(
         dropped[weakest] = True
         now = without(dropped)
     return now
-
-
-def _refuse_hopeless(found: Fit, log: Log) -> None:
-    """Raise where rounding alone leaves no four digits: values of thousands of kilograms would be
-    printed with standard deviations as large, and look like a result."""
-    condition = found.scaled_condition_number
-    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
-    if condition <= largest:
-        return
-    moved = (log.q.amax(0) - log.q.amin(0)).tolist()
-    raise IdentificationError(
-        "these logs cannot tell the parameters apart: the fit is lost in rounding.",
-        got=f"condition number {condition:.1e} (columns of length one); the joints move over "
-        + ", ".join(f"{x:.2g}" for x in moved)
-        + " rad or m",
-        expected=f"below {largest:.1e}; a good motion has less than 1e3",
-        hint="`torchid excite` designs a motion that tells them apart; --effects with fewer names "
-        "asks for less",
-    )
-
-
-def _rows(source: RowSource, found: Fit) -> FittedRows:
-    edges = itertools.pairwise(source.boundaries)
-    counts = (last - first for first, last in edges)
-    seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
-    return FittedRows(seconds, source.instants / seconds, found.whitening)
 
 
 def _non_negative(columns: Layout) -> Bool[Tensor, " B"]:
@@ -446,22 +418,3 @@ def _in_base_order(x: Tensor, columns: Layout) -> tuple[Tensor, Tensor]:
     order = torch.empty(columns.size, dtype=torch.long)
     order[list(columns.order)] = torch.arange(columns.size)
     return x[order], order
-
-
-def _one_stretch(names: tuple[str, ...]) -> list[str]:
-    if not names:
-        return []
-    return [
-        "one short stretch of the log alone determines these; their standard deviations are lower "
-        "bounds: " + ", ".join(names)
-    ]
-
-
-@dataclass(frozen=True)
-class _Names:
-    names: tuple[str, ...]
-    order: Tensor
-
-    def where(self, mask: Tensor) -> tuple[str, ...]:
-        hits = mask[self.order].tolist()
-        return tuple(name for name, hit in zip(self.names, hits, strict=True) if hit)

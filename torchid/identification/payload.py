@@ -6,8 +6,8 @@ application to collision detection", IROS 2017. The mathematics is in `payload_f
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 import torch
 from scipy.stats import chi2
@@ -24,32 +24,211 @@ from torchid.identification.payload_fit import (
     root_of,
     weighting,
 )
-from torchid.identification.payload_result import (
-    LEVEL,
-    Body,
-    Change,
-    Estimate,
-    Payload,
-    findings,
-    record,
-)
 from torchid.identification.result import Identification
+from torchid.json_data import picked, plain
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Bool, Float, Tensor
 
-__all__ = [
-    "Body",
-    "Change",
-    "Estimate",
-    "Payload",
-    "estimate_payload",
-    "findings",
-    "payload_from_change",
-    "record",
-    "with_payload",
-]
+SCHEMA = "torchid.payload/1"
+LEVEL = 0.95
+PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
+
+_ROUGH = 0.2
+"""Relative standard deviation of the mass above which first-order intervals are called rough."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Numbers with standard deviations, (Q,) each; nan where the data do not tell.
+
+    Attributes:
+        value, std: in the same unit.
+        low, high: the 95 % interval.
+    """
+
+    value: Float[Tensor, " Q"]
+    std: Float[Tensor, " Q"]
+    low: Float[Tensor, " Q"]
+    high: Float[Tensor, " Q"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The payload in one frame.
+
+    Attributes:
+        mass: (1,) [kg].
+        com: (3,) centre of mass [m].
+        inertia_about_com: (6,) xx, xy, xz, yy, yz, zz about the payload's own centre of mass, in
+            axes of the frame [kg m^2].
+        parameters: (10,) m, m c, and J about the frame's origin.
+    """
+
+    mass: Estimate
+    com: Estimate
+    inertia_about_com: Estimate
+    parameters: Estimate
+
+
+@dataclass(frozen=True)
+class Change:
+    """How one parameter differs between the two runs.
+
+    Attributes:
+        name, unit: of the parameter.
+        change, std: loaded minus unloaded, or what the payload leaves of it.
+        significant: beyond the interval of its kind.
+    """
+
+    name: str
+    unit: str
+    change: float
+    std: float
+    significant: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """What the last link carries.
+
+    Attributes:
+        robot: name.
+        model: `general` (10 parameters), `symmetric` about the tool's z axis (4), or `point_mass`.
+        parameters: (10,) m, m c, J about the last link frame's origin, in its axes.
+        covariance: (10, 10) theirs.
+        determined: (10,) which of them the arm and the logs determine; others are of least norm.
+        link, tool: the body in the last link's frame and in the tool's.
+        degrees_of_freedom: of the covariance; quantile: of Student's 95 % interval with them.
+        seen: whether the mass can be told from zero.
+        consistent: whether some rigid body has these parameters.
+        consistent_within: whether some rigid body lies in the estimate's 95 % region.
+        margin: smallest eigenvalue of the pseudo-inertia in the last link's frame; nan where not
+            all parameters are determined.
+        nearest: (10,) the consistent payload nearest in the metric of the covariance, in the last
+            link's frame; None for the models with fewer parameters where they are inconsistent.
+        effect_changes: of friction and other effects; none of it is the payload's.
+        unexplained: changes of rigid base parameters that no payload on the last link makes.
+        excluded: base parameters without information in one of the runs.
+        warnings: sentences for the user.
+    """
+
+    robot: str
+    model: Model
+    parameters: Float[Tensor, "10"]
+    covariance: Float[Tensor, "10 10"]
+    determined: Bool[Tensor, "10"]
+    link: Body
+    tool: Body
+    degrees_of_freedom: float
+    quantile: float
+    seen: bool
+    consistent: bool
+    consistent_within: bool
+    margin: float
+    nearest: Float[Tensor, "10"] | None
+    effect_changes: tuple[Change, ...]
+    unexplained: tuple[Change, ...]
+    excluded: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def friction_changes(self) -> tuple[Change, ...]:
+        """Effects that changed beyond their 95 % intervals."""
+        return tuple(c for c in self.effect_changes if c.significant)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the parameters, in the last link's frame, that are not determined."""
+        return tuple(
+            n for n, d in zip(PARAMETER_NAMES, self.determined.tolist(), strict=True) if not d
+        )
+
+
+def findings(payload: Payload) -> list[str]:
+    """What a user must know about a payload, one sentence each."""
+    mass, std = float(payload.link.mass.value), float(payload.link.mass.std)
+    half = payload.quantile * std
+    said = []
+    if math.isnan(mass):
+        said.append("this arm's torque does not determine the payload's mass")
+    elif not payload.seen and mass <= -half and mass < 0:
+        said.append(
+            f"the loaded run carries less than the unloaded one ({mass:.3g} ± {half:.2g} kg): "
+            "are the logs exchanged?"
+        )
+    elif not payload.seen:
+        said.append(f"no payload can be seen: its mass is {mass:.3g} ± {half:.2g} kg")
+    elif std > _ROUGH * mass:
+        said.append(
+            "the mass is known to no better than a fifth: intervals of the centre of mass and of "
+            "the inertia, of first order, are rough"
+        )
+    if payload.undetermined:
+        said.append("not determined by this arm and these logs: " + ", ".join(payload.undetermined))
+    if payload.excluded:
+        said.append(
+            "left out, as one of the runs does not know them (what they hide may bias the "
+            "payload): " + ", ".join(payload.excluded)
+        )
+    if payload.consistent or not payload.seen:
+        pass
+    elif payload.consistent_within:
+        said.append(
+            "no rigid body has exactly these parameters, but one within their 95 % region does: "
+            "consistent within its interval"
+        )
+    elif payload.model != "general":
+        said.append(f"no rigid body has these parameters; the model `{payload.model}` may not hold")
+    else:
+        said.append(
+            "no rigid body within the 95 % region: the change is not that of a rigid payload on "
+            "the last link, or the standard deviations are too small"
+        )
+    changed = payload.friction_changes
+    if changed:
+        count = len(payload.effect_changes)
+        said.append(
+            f"{len(changed)} of {count} coefficients of effects changed beyond their 95 % "
+            f"interval (about {(1 - LEVEL) * count:.1f} do by chance); they are not part of the "
+            "payload: " + ", ".join(f"{c.name} by {c.change:.2g} ± {c.std:.1g}" for c in changed)
+        )
+    if payload.unexplained:
+        said.append(
+            "rigid base parameters changed in a way that this payload does not explain (is it "
+            "rigid and fixed to the last link, the model right, the arm otherwise the same?): "
+            + ", ".join(c.name for c in payload.unexplained)
+        )
+    return said
+
+
+def record(payload: Payload) -> dict[str, Any]:
+    """The payload as JSON-ready data, schema torchid.payload/1; nan is null."""
+    frames = {
+        frame: {
+            name: {"value": e.value, "std": e.std, "ci95": torch.stack([e.low, e.high], -1)}
+            for name, e in vars(body).items()
+        }
+        for frame, body in (("last_link", payload.link), ("tool", payload.tool))
+    }
+    return {
+        "schema": SCHEMA,
+        **picked(payload, "robot model"),
+        "frames": plain(frames),
+        "parameters": {
+            "names": list(PARAMETER_NAMES),
+            "frame": "last_link",
+            **picked(payload, "value=parameters covariance determined"),
+        },
+        **picked(payload, "degrees_of_freedom quantile95=quantile seen consistent"),
+        "consistent_within_interval": payload.consistent_within,
+        **picked(payload, "margin nearest_consistent=nearest"),
+        "effect_changes": [vars(c) for c in payload.effect_changes],
+        "unexplained": [vars(c) for c in payload.unexplained],
+        **picked(payload, "undetermined excluded warnings"),
+    }
+
 
 _ROUNDING = 1e-9
 """Relative size below which a change, or a negative eigenvalue, is rounding."""
@@ -73,7 +252,22 @@ def estimate_payload(
     Raises:
         TorchidError: other base parameters in the two; or nothing left to estimate from.
     """
-    _require_same(unloaded, loaded)
+    one, two = unloaded.base, loaded.base
+    if one.names != two.names or one.parameter_names != two.parameter_names:
+        only = [n for n in (*one.names, *two.names) if (n in one.names) != (n in two.names)]
+        raise TorchidError(
+            "the two identifications do not have the same base parameters.",
+            got=f"{unloaded.robot.name} with {len(one)} and {loaded.robot.name} with {len(two)}; "
+            f"different: {', '.join((only or ['their order'])[:4])}",
+            expected="the same robot with the same effects",
+        )
+    if not torch.allclose(one.grouping, two.grouping, atol=1e-6) or not torch.allclose(
+        unloaded.robot.tool, loaded.robot.tool, atol=1e-9
+    ):
+        raise TorchidError(
+            "the two identifications are of robots with different lengths.",
+            expected="the same robot with the same effects",
+        )
     degrees = min(r.uncertainty.blocks for r in (unloaded, loaded)) - 1
     estimated = unloaded.free & loaded.free
     return payload_from_change(
@@ -151,7 +345,19 @@ def payload_from_change(
         unexplained=tuple(c for c in left if c.significant),
         excluded=tuple(n for n, k in zip(base.names, known.tolist(), strict=True) if not k),
     )
-    return replace(payload, warnings=(*_absorbed(base, columns, used), *findings(payload)))
+    # Effects hidden in base parameters that a payload changes: they could change with it, but for
+    # rotor inertias, which are of the drive.
+    touched = torch.zeros(len(base), dtype=torch.bool)
+    touched[used] = (columns.abs() > _ROUNDING).any(-1)
+    absorbed = [
+        base.parameter_names[k]
+        for k in base.dependent
+        if k >= base.n_rigid_parameters
+        and bool((base.grouping[touched, k].abs() > _ROUNDING).any())
+    ]
+    hidden = ", ".join(name for name in absorbed if not name.startswith("Ia"))
+    said = f"taken for unchanged, as they are part of rigid base parameters: {hidden}"
+    return replace(payload, warnings=(*([said] if hidden else []), *findings(payload)))
 
 
 def with_payload(robot: Robot, payload: Float[Tensor, "10"]) -> Robot:
@@ -165,27 +371,6 @@ def with_payload(robot: Robot, payload: Float[Tensor, "10"]) -> Robot:
     return robot.with_parameters(InertialParameters(pi))
 
 
-def _require_same(unloaded: Identification, loaded: Identification) -> None:
-    """Raise unless the base parameters of both mean the same."""
-    one, two = unloaded.base, loaded.base
-    if one.names != two.names or one.parameter_names != two.parameter_names:
-        only = [n for n in (*one.names, *two.names) if (n in one.names) != (n in two.names)]
-        differing = only or ["their order"]
-        raise TorchidError(
-            "the two identifications do not have the same base parameters.",
-            got=f"{unloaded.robot.name} with {len(one)} and {loaded.robot.name} with {len(two)}; "
-            f"different: {', '.join(differing[:4])}",
-            expected="the same robot with the same effects",
-        )
-    if not torch.allclose(one.grouping, two.grouping, atol=1e-6) or not torch.allclose(
-        unloaded.robot.tool, loaded.robot.tool, atol=1e-9
-    ):
-        raise TorchidError(
-            "the two identifications are of robots with different lengths.",
-            expected="the same robot with the same effects",
-        )
-
-
 def _quantile(level: float, degrees: float) -> float:
     return float(student_quantile(level, torch.tensor([degrees])))
 
@@ -197,23 +382,6 @@ def _changes(
     positions = which.nonzero().flatten().tolist()
     rows = zip(positions, change.tolist(), std.tolist(), beyond.tolist(), strict=True)
     return tuple(Change(base.names[b], base.units[b], c, s, sig) for b, c, s, sig in rows)
-
-
-def _absorbed(base: BaseParameters, columns: Tensor, used: Tensor) -> list[str]:
-    """Effects hidden in base parameters that a payload changes: they could change with it."""
-    touched = torch.zeros(len(base), dtype=torch.bool)
-    touched[used] = (columns.abs() > _ROUNDING).any(-1)
-    start = base.n_rigid_parameters
-    names = [
-        base.parameter_names[k]
-        for k in base.dependent
-        if k >= start and bool((base.grouping[touched, k].abs() > _ROUNDING).any())
-    ]
-    # Rotor inertias are of the drive and do not change.
-    names = [n for n in names if not n.startswith("Ia")]
-    if not names:
-        return []
-    return [f"taken for unchanged, as they are part of rigid base parameters: {', '.join(names)}"]
 
 
 def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payload:
@@ -231,7 +399,14 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payl
     if not consistent and model == "general":
         nearest, distance, directions = nearest_consistent(theta, covariance, fitted.null)
         consistent = not everything and distance < _SAME
-        within = consistent or distance <= _region(directions, degrees)
+        # Squared size of the 95 % region in so many directions (Hotelling's T^2).
+        left, region = degrees - directions + 1, math.inf
+        if directions > 0 and math.isinf(degrees):
+            region = float(chi2.ppf(LEVEL, directions))
+        elif directions > 0 and left > 0:
+            quantile_f = float(fisher.ppf(LEVEL, directions, left))
+            region = directions * degrees / left * quantile_f
+        within = consistent or distance <= region
     return Payload(
         robot=robot.name,
         model=model,
@@ -252,16 +427,6 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, degrees: float) -> Payl
         excluded=(),
         warnings=(),
     )
-
-
-def _region(directions: int, degrees: float) -> float:
-    """Squared size of the 95 % region in so many directions (Hotelling's T^2)."""
-    left = degrees - directions + 1
-    if left <= 0 or directions == 0:
-        return math.inf
-    if math.isinf(degrees):
-        return float(chi2.ppf(LEVEL, directions))
-    return float(directions * degrees / left * fisher.ppf(LEVEL, directions, left))
 
 
 def _body(fitted: Fitted, pose: Float[Tensor, "4 4"], quantile: float, seen: bool) -> Body:

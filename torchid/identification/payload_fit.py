@@ -15,6 +15,7 @@ the truth).
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import torch
@@ -22,12 +23,7 @@ from scipy.optimize import least_squares
 from torch.autograd.functional import jacobian
 
 from torchid.dynamics.regressor import regressor
-from torchid.effects.base import Motion
-from torchid.identification.base_parameters import (
-    RANK_TOLERANCE,
-    BaseParameters,
-    random_states,
-)
+from torchid.identification.base_parameters import RANK_TOLERANCE, BaseParameters, random_states
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, move, paper_order
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -88,10 +84,7 @@ def last_link_columns(robot: Robot, base: BaseParameters) -> Float[Tensor, "B 10
 
 
 def weighting(
-    robot: Robot,
-    base: BaseParameters,
-    used: Bool[Tensor, " B"],
-    std: Float[Tensor, " R"],
+    robot: Robot, base: BaseParameters, used: Bool[Tensor, " B"], std: Float[Tensor, " R"]
 ) -> Float[Tensor, "R R"]:
     """A root V of the weighting W = V'V of the rigid base parameters that are used.
 
@@ -100,9 +93,16 @@ def weighting(
         used: which of the base parameters; rigid ones only.
         std: standard deviations of their changes.
     """
-    motion = _typical_motion(robot)
+    # Random states up to half the limits, as an excitation has; +-2 and +-5 where there are none.
+    # Gravity and inertia then enter the correlations in the proportion they have in a log.
+    q, dq, ddq = random_states(robot).state
+    limits = robot.limits
+    if limits.velocity is not None and bool(torch.isfinite(limits.velocity).all()):
+        dq = dq / 4 * limits.velocity.abs().amax(-1)
+    if limits.acceleration is not None and bool(torch.isfinite(limits.acceleration).all()):
+        ddq = ddq / 10 * limits.acceleration.abs().amax(-1)
     pi = torch.tensor(base.independent)[used]
-    rows = regressor(robot, *motion.state)[..., pi]
+    rows = regressor(robot, q, dq, ddq)[..., pi]
     root = torch.linalg.qr(rows.flatten(0, 1), mode="r").R
     structural = torch.linalg.inv(root).square().sum(-1).sqrt()
     ratio = std / structural
@@ -122,18 +122,6 @@ def root_of(nominal: Float[Tensor, "B B"], used: Bool[Tensor, " B"]) -> Float[Te
     return inverse.unsqueeze(-1) * axes.T / scale
 
 
-def _typical_motion(robot: Robot) -> Motion:
-    """Random states up to half the limits, as an excitation has; +-2 and +-5 where there are none.
-    Gravity and inertia then enter the correlations in the proportion they have in a log."""
-    q, dq, ddq = random_states(robot).state
-    limits = robot.limits
-    if limits.velocity is not None and bool(torch.isfinite(limits.velocity).all()):
-        dq = dq / 4 * limits.velocity.abs().amax(-1)
-    if limits.acceleration is not None and bool(torch.isfinite(limits.acceleration).all()):
-        ddq = ddq / 10 * limits.acceleration.abs().amax(-1)
-    return Motion(q, dq, ddq)
-
-
 def fit_payload(
     model: Model,
     robot: Robot,
@@ -143,7 +131,15 @@ def fit_payload(
     root: Float[Tensor, "R R"],
 ) -> Fitted:
     """Least squares for the model's parameters, with the directions left undetermined set aside."""
-    to_parameters, free = _start(model, robot, change, columns, root)
+    # From the model's parameters to the ten, and where to linearise.
+    to_parameters: Callable[[Tensor], Tensor] = torch.clone
+    free = change.new_zeros(4 if model == "symmetric" else PARAMETERS_PER_LINK)
+    if model == "symmetric":
+        to_parameters = partial(_symmetric, robot)
+    elif model == "point_mass":
+        to_parameters = _point_mass
+        general = _estimator(columns, root)[0] @ change
+        free = _point_mass_solution(general, change, columns, root)
     slope = jacobian(to_parameters, free)
     estimator, null = _estimator(columns @ slope, root)
     if model != "point_mass":
@@ -172,28 +168,12 @@ def _estimator(design: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
     return basis @ torch.linalg.pinv(root @ design @ basis, rtol=1e-14) @ root, null
 
 
-def _start(
-    model: Model, robot: Robot, change: Tensor, columns: Tensor, root: Tensor
-) -> tuple[Callable[[Tensor], Tensor], Tensor]:
-    """From a model's parameters to the ten, and where to linearise."""
-    if model == "general":
-        return torch.clone, change.new_zeros(PARAMETERS_PER_LINK)
-    if model == "symmetric":
-        return _symmetric(robot), change.new_zeros(4)
-    general = _estimator(columns, root)[0] @ change
-    return _point_mass, _point_mass_solution(general, change, columns, root)
-
-
-def _symmetric(robot: Robot) -> Callable[[Tensor], Tensor]:
+def _symmetric(robot: Robot, free: Tensor) -> Tensor:
     """Symmetric about the tool's z axis: m, m cz, J across and J along the axis, tool frame."""
-
-    def to_parameters(free: Tensor) -> Tensor:
-        m, h, across, along = free.unbind()
-        none = torch.zeros_like(m)
-        tool = torch.stack([m, none, none, h, across, none, none, across, none, along])
-        return move(tool, robot.tool.to(free))
-
-    return to_parameters
+    m, h, across, along = free.unbind()
+    none = torch.zeros_like(m)
+    tool = torch.stack([m, none, none, h, across, none, none, across, none, along])
+    return move(tool, robot.tool.to(free))
 
 
 def _point_mass(free: Tensor) -> Tensor:
@@ -219,9 +199,7 @@ def _point_mass_solution(general: Tensor, change: Tensor, columns: Tensor, root:
 
 
 def nearest_consistent(
-    parameters: Float[Tensor, "10"],
-    covariance: Float[Tensor, "10 10"],
-    null: Float[Tensor, "10 D"],
+    parameters: Float[Tensor, "10"], covariance: Float[Tensor, "10 10"], null: Float[Tensor, "10 D"]
 ) -> tuple[Float[Tensor, "10"], float, int]:
     """The physically consistent payload nearest in the metric of the covariance.
 
@@ -239,8 +217,24 @@ def nearest_consistent(
     Returns:
         The parameters (10,), the squared distance, and in how many directions it was measured.
     """
-    whiten = _whitening(covariance, null)
-    entries, x = _scaled_pseudo_inertia(parameters)
+    # Combinations of the parameters that do not feel `null`, of unit covariance (R, 10).
+    std = covariance.diagonal().clamp(min=0).sqrt()
+    scale = torch.where(std > 0, std, torch.ones_like(std))
+    directions = torch.linalg.svd(null / scale.unsqueeze(-1), full_matrices=True).U
+    seen = directions[:, null.shape[1] :].T / scale
+    sizes, vectors = torch.linalg.eigh(seen @ covariance @ seen.T)
+    kept = sizes > _VANISHES * sizes.max().clamp(min=1e-300)
+    whiten = (vectors[:, kept] / sizes[kept].sqrt()).T @ seen
+    # P's entries by parameter (10, 4, 4), in units that make them of order one; and a consistent
+    # body near the given parameters, with eigenvalues raised.
+    unit = InertialParameters(torch.eye(10, dtype=parameters.dtype)).pseudo_inertia
+    p = torch.einsum("k,kab->ab", parameters, unit)
+    size = p.diagonal().abs().sqrt()
+    size = size.clamp(min=1e-2 * float(size.max())).clamp(min=1e-9)
+    entries = unit / size / size.unsqueeze(-1)
+    values, axes = torch.linalg.eigh(p / size / size.unsqueeze(-1))
+    raised = ((axes * values.clamp(min=1e-2)) @ axes.T).flatten().unsqueeze(-1)
+    x = torch.linalg.lstsq(entries.flatten(1).T, raised, driver="gelsd").solution.squeeze(-1)
 
     def distance(x: Tensor) -> float:
         return float((whiten @ (x - parameters)).square().sum())
@@ -253,32 +247,6 @@ def nearest_consistent(
             if decrement < 1e-6:
                 break
     return x, distance(x), len(whiten)
-
-
-def _whitening(covariance: Tensor, null: Tensor) -> Float[Tensor, "R 10"]:
-    """Combinations of the parameters that do not feel `null`, of unit covariance."""
-    std = covariance.diagonal().clamp(min=0).sqrt()
-    scale = torch.where(std > 0, std, torch.ones_like(std))
-    directions = torch.linalg.svd(null / scale.unsqueeze(-1), full_matrices=True).U
-    seen = directions[:, null.shape[1] :].T / scale
-    sizes, vectors = torch.linalg.eigh(seen @ covariance @ seen.T)
-    kept = sizes > _VANISHES * sizes.max().clamp(min=1e-300)
-    return (vectors[:, kept] / sizes[kept].sqrt()).T @ seen
-
-
-def _scaled_pseudo_inertia(parameters: Tensor) -> tuple[Float[Tensor, "10 4 4"], Tensor]:
-    """P's entries by parameter, in units that make them of order one; and a consistent body near
-    the given parameters, with eigenvalues raised."""
-    unit = InertialParameters(torch.eye(10, dtype=parameters.dtype)).pseudo_inertia
-    p = torch.einsum("k,kab->ab", parameters, unit)
-    size = p.diagonal().abs().sqrt()
-    size = size.clamp(min=1e-2 * float(size.max())).clamp(min=1e-9)
-    entries = unit / size / size.unsqueeze(-1)
-    values, vectors = torch.linalg.eigh(p / size / size.unsqueeze(-1))
-    raised = (vectors * values.clamp(min=1e-2)) @ vectors.T
-    return entries, torch.linalg.lstsq(
-        entries.flatten(1).T, raised.flatten().unsqueeze(-1), driver="gelsd"
-    ).solution.squeeze(-1)
 
 
 def _newton_step(

@@ -6,73 +6,54 @@ standard deviation, say) is null.
 
 from typing import Any
 
-from torchid.effects.base import Effect
 from torchid.effects.registry import COLUMN_KINDS
 from torchid.identification.identify import Identification
-from torchid.identification.validation import Errors
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.robot.library import named_record
 from torchid.robot.record import robot_record
 
 SCHEMA = "torchid.identification/1"
+_CHOICE = "candidates_hz=candidates cross_validated_error_percent=scores"
+_ERRORS = (
+    "trajectories rmse relative_error_percent=relative_percent "
+    "relative_error_percent_moving=relative_percent_moving "
+    "relative_error_percent_raw=relative_percent_raw standstill_fraction standstill_error_share"
+)
+_SETTINGS = (
+    "effects cutoff reversal rows method covariance signs essential held_out_fraction "
+    "error_cutoff_hz=error_cutoff compiled"
+)
 
 
 def record(result: Identification) -> dict[str, Any]:
     """The result as JSON-ready data."""
-    settings = result.settings
+    choice, base = result.cutoff_choice, result.base
+    # Base parameters led by an effect's coefficient that are sums with others.
+    combined = [b for b in range(base.n_rigid, len(base)) if not base.is_single(b)]
     return {
         "schema": SCHEMA,
         **named_record(result.robot),
-        "n_base": result.base.n_rigid,
-        "parameters": [_parameter(result, k) for k in range(result.base.n_rigid)],
+        "n_base": base.n_rigid,
+        "parameters": [_parameter(result, k) for k in range(base.n_rigid)],
         "effects": _effects(result),
-        "combined": _combined(result),
-        "condition_number": plain(result.condition_number),
-        "scaled_condition_number": plain(result.scaled_condition_number),
-        "cutoff_hz": result.cutoff,
-        "cutoff_choice": _choice(result),
+        "combined": [_parameter(result, b) for b in combined],
+        **picked(result, "condition_number scaled_condition_number cutoff_hz=cutoff"),
+        "cutoff_choice": None if choice is None else picked(choice, _CHOICE),
         "reversal_speed": result.reversal.tolist(),
-        "fit": _errors(result.fit),
-        "held_out": None if result.held_out is None else _errors(result.held_out),
-        "bounded": list(result.bounded),
-        "wrong_sign": list(result.wrong_sign),
-        "undetermined": list(result.undetermined),
-        "dropped": list(result.dropped),
+        "fit": picked(result.fit, _ERRORS),
+        "held_out": None if result.held_out is None else picked(result.held_out, _ERRORS),
+        **picked(result, "bounded wrong_sign undetermined dropped"),
         "absorbed": result.base.absorbed_effects(),
         "rank_gap": list(result.base.rank_gap),
-        "grouping": {
-            "parameters": list(result.base.parameter_names),
-            "matrix": result.base.grouping.tolist(),
-        },
-        "base_names": list(result.base.names),
-        "base_values": result.values.tolist(),
-        "covariance": result.covariance.tolist(),
-        "factor": result.factor.tolist(),
-        "rows": {
-            "seconds": result.rows.seconds,
-            "per_second": result.rows.per_second,
-            "whitening": result.rows.whitening.tolist(),
-        },
+        "grouping": picked(result.base, "parameters=parameter_names matrix=grouping"),
+        **picked(result, "base_names=base.names base_values=values covariance factor"),
+        "rows": picked(result.rows, "seconds per_second whitening"),
         "statistics": {
             "method": "leverage-corrected block jackknife",
-            "blocks": result.uncertainty.blocks,
-            "block_seconds": result.uncertainty.block_seconds,
-            "correlation_seconds": result.uncertainty.correlation_seconds,
+            **picked(result.uncertainty, "blocks block_seconds correlation_seconds"),
             "quantile95": result.uncertainty.quantile(0.95),
         },
-        "settings": {
-            "effects": list(settings.effects),
-            "cutoff": settings.cutoff,
-            "reversal": settings.reversal,
-            "rows": settings.rows,
-            "method": settings.method,
-            "covariance": settings.covariance,
-            "signs": settings.signs,
-            "essential": settings.essential,
-            "held_out_fraction": settings.held_out_fraction,
-            "error_cutoff_hz": settings.error_cutoff,
-            "compiled": settings.compiled,
-        },
+        "settings": picked(result.settings, _SETTINGS),
         "warnings": list(result.warnings),
         "model": robot_record(result.robot),
     }
@@ -96,7 +77,8 @@ def _effects(result: Identification) -> list[dict[str, Any]]:
     """One entry a kind of effect, over the joints on which a coefficient is a base parameter of its
     own; one that is part of a sum is null here, and in `combined` or `absorbed`. Effects that are
     not on every joint, or have shapes, also list their `places`: joints, from 1, and shapes."""
-    position = _positions(result)
+    # Base parameter led by each independent parameter.
+    position = {k: b for b, k in enumerate(result.base.independent)}
     start = result.base.n_rigid_parameters
     found: dict[str, dict[str, Any]] = {}
     for effect in result.effects:
@@ -124,45 +106,8 @@ def _effects(result: Identification) -> list[dict[str, Any]]:
     for name, entry in found.items():
         members = [e for e in result.effects if e.name == name]
         if name not in COLUMN_KINDS or len(members) < result.robot.n:
-            entry["places"] = [_place(e) for e in members]
+            # Effects without their coefficients, as `effect_from_record` takes them.
+            left_out = {"effect", *entry["parameters"]}
+            records = [e.record([0.0] * len(e.coefficients)) for e in members]
+            entry["places"] = [{k: v for k, v in r.items() if k not in left_out} for r in records]
     return list(found.values())
-
-
-def _place(effect: Effect) -> dict[str, Any]:
-    """An effect without its coefficients, as `effect_from_record` takes it."""
-    names = [c.name for c in effect.coefficients]
-    record = effect.record([0.0] * len(names))
-    return {k: v for k, v in record.items() if k != "effect" and k not in names}
-
-
-def _combined(result: Identification) -> list[dict[str, Any]]:
-    """Base parameters led by an effect's coefficient that are sums with others."""
-    base = result.base
-    led = range(base.n_rigid, len(base))
-    return [_parameter(result, b) for b in led if not base.is_single(b)]
-
-
-def _positions(result: Identification) -> dict[int, int]:
-    """Base parameter led by each independent parameter."""
-    return {k: b for b, k in enumerate(result.base.independent)}
-
-
-def _errors(e: Errors) -> dict[str, Any]:
-    return {
-        "trajectories": list(e.trajectories),
-        "rmse": plain(e.rmse),
-        "relative_error_percent": plain(e.relative_percent),
-        "relative_error_percent_moving": plain(e.relative_percent_moving),
-        "relative_error_percent_raw": plain(e.relative_percent_raw),
-        "standstill_fraction": plain(e.standstill_fraction),
-        "standstill_error_share": plain(e.standstill_error_share),
-    }
-
-
-def _choice(result: Identification) -> dict[str, Any] | None:
-    if result.cutoff_choice is None:
-        return None
-    return {
-        "candidates_hz": list(result.cutoff_choice.candidates),
-        "cross_validated_error_percent": plain(result.cutoff_choice.scores),
-    }

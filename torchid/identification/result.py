@@ -8,8 +8,7 @@ import torch
 
 from torchid.effects.base import Effect, Motion
 from torchid.errors import TorchidError
-from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.physical_signs import physical_signs
+from torchid.identification.base_parameters import BaseParameters, physical_signs
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
@@ -198,95 +197,66 @@ def findings(result: Identification) -> list[str]:
         said.append("kept with a sign that physics forbids: " + ", ".join(result.wrong_sign))
     if result.dropped:
         said.append("cannot be told from 0, dropped as not essential: " + ", ".join(result.dropped))
-    said += _impossible(result)
-    said += _highest_cutoff(result)
-    said += _unexplained(result)
-    said += _friction_at_rest(result)
-    for label, e in (("fit", result.fit), ("held-out data", result.held_out)):
-        said += _standstill(label, e)
-    return said
-
-
-def _impossible(result: Identification) -> list[str]:
-    """Sums whose 95 % interval lies where no body's value can."""
+    # Sums whose 95 % interval lies where no body's value can.
     signs = physical_signs(result.base, result.effects).to(result.values)
     far = (signs * result.values + result.uncertainty.quantile() * result.std < 0) & result.free
     known = set(result.wrong_sign)
     bad = [k for k in far.nonzero().flatten().tolist() if result.base.names[k] not in known]
-    if not bad:
-        return []
-    listed = "; ".join(
-        f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
-        f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
-        for k in bad
-    )
-    return [
-        f"no body has these values, so no physical parameters give exactly this torque: {listed}"
-    ]
-
-
-def _highest_cutoff(result: Identification) -> list[str]:
-    """Says when the best cut-off may be one that was not tried."""
+    if bad:
+        listed = "; ".join(
+            f"{result.base.names[k]} = {float(result.values[k]):.3g} +- {float(result.std[k]):.2g} "
+            f"{result.base.units[k]}, never {'negative' if signs[k] > 0 else 'positive'}"
+            for k in bad
+        )
+        said.append(
+            "no body has these values, so no physical parameters give exactly this torque: "
+            + listed
+        )
+    # The best cut-off may be one that was not tried.
     choice = result.cutoff_choice
-    if choice is None or choice.cutoff is None:
-        return []
-    tried = [
-        (f, score)
-        for f, score in zip(choice.candidates, choice.scores, strict=True)
-        if f is not None
-    ]
-    if len(tried) < 2 or tried[-1][0] != choice.cutoff:
-        return []
-    (_, before), (last, at) = tried[-2:]
-    return [
-        f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the cross-validated "
-        f"error still falls there ({before:.4g} to {at:.4g} %): --cutoff HZ sets a higher one"
-    ]
-
-
-def _unexplained(result: Identification) -> list[str]:
-    """Joints whose torque the model does not follow."""
+    if choice is not None and choice.cutoff is not None:
+        pairs = zip(choice.candidates, choice.scores, strict=True)
+        tried = [(f, score) for f, score in pairs if f is not None]
+        if len(tried) > 1 and tried[-1][0] == choice.cutoff:
+            (_, before), (last, at) = tried[-2:]
+            said.append(
+                f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the "
+                f"cross-validated error still falls there ({before:.4g} to {at:.4g} %): "
+                "--cutoff HZ sets a higher one"
+            )
+    # Joints whose torque the model does not follow.
     shown, label = (
         (result.fit, "fitted") if result.held_out is None else (result.held_out, "held-out")
     )
     moving = shown.relative_percent_moving.tolist()
-    bad = [f"{j} ({v:.0f} %)" for j, v in enumerate(moving, start=1) if v > UNEXPLAINED]
-    if not bad:
-        return []
-    return [
-        f"the model leaves more than half of the {label} torque unexplained on joint "
-        + ", ".join(bad)
-        + ": check the robot, the order and signs of the joints, the gains"
-    ]
-
-
-def _friction_at_rest(result: Identification) -> list[str]:
-    """Rows at rest that were fitted as if Coulomb friction were fully there."""
-    if result.settings.rows != "all" or not any(e.jumps for e in result.effects):
-        return []
+    useless = [f"{j} ({v:.0f} %)" for j, v in enumerate(moving, start=1) if v > UNEXPLAINED]
+    if useless:
+        said.append(
+            f"the model leaves more than half of the {label} torque unexplained on joint "
+            + ", ".join(useless)
+            + ": check the robot, the order and signs of the joints, the gains"
+        )
+    # Rows at rest that were fitted as if Coulomb friction were fully there.
     shares = enumerate(result.fit.standstill_fraction.tolist(), start=1)
     still = [f"{j} ({100 * share:.0f} %)" for j, share in shares if share > MUCH_STANDSTILL]
-    if not still:
-        return []
-    return [
-        f"stand still in much of the fitted rows, where friction can hold any torque: joint "
-        f"{', '.join(still)}; their friction is biased, --rows moving leaves these rows out"
-    ]
-
-
-def _standstill(label: str, e: Errors | None) -> list[str]:
-    """Says when standstill holds much of the error: friction at rest can hold any torque."""
-    if e is None:
-        return []
-    pairs = zip(e.standstill_fraction.tolist(), e.standstill_error_share.tolist(), strict=True)
-    held = [
-        f"{j} ({100 * rows:.0f} % of the rows, {100 * share:.0f} % of the error)"
-        for j, (rows, share) in enumerate(pairs, start=1)
-        if share > 0.5 and rows > 0.02
-    ]
-    if not held:
-        return []
-    return [
-        f"{label}: rows at rest hold most of the squared error, joint {', '.join(held)}; "
-        "compare the rows `moving`"
-    ]
+    if still and result.settings.rows == "all" and any(e.jumps for e in result.effects):
+        said.append(
+            "stand still in much of the fitted rows, where friction can hold any torque: joint "
+            f"{', '.join(still)}; their friction is biased, --rows moving leaves these rows out"
+        )
+    # Standstill holds much of the error: friction at rest can hold any torque.
+    for where, e in (("fit", result.fit), ("held-out data", result.held_out)):
+        if e is None:
+            continue
+        rest = zip(e.standstill_fraction.tolist(), e.standstill_error_share.tolist(), strict=True)
+        held = [
+            f"{j} ({100 * rows:.0f} % of the rows, {100 * share:.0f} % of the error)"
+            for j, (rows, share) in enumerate(rest, start=1)
+            if share > 0.5 and rows > 0.02
+        ]
+        if held:
+            said.append(
+                f"{where}: rows at rest hold most of the squared error, joint {', '.join(held)}; "
+                "compare the rows `moving`"
+            )
+    return said

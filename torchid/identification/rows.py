@@ -10,7 +10,6 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeGuard
 
 import torch
 
@@ -152,7 +151,11 @@ class RowSource:
         self.measured = tuple(measured)
         self.layout = layout
         self.moving_only = moving_only
-        self._chunks = _regressor(layout.robot, compiled)
+        self._chunks: Chunks = partial(regressor_chunks, layout.robot)
+        if compiled:
+            from torchid.dynamics.compiled import compiled_dynamics
+
+            self._chunks = compiled_dynamics(layout.robot).regressor_chunks
         self._progress = progress
         self._kept: list[RowBlock] | None = None
 
@@ -160,11 +163,11 @@ class RowSource:
         if self._kept is not None:
             yield from self._kept
             return
-        kept: list[RowBlock] | None = [] if self._bytes <= MEMORY else None
+        size = 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
+        kept: list[RowBlock] | None = [] if size <= MEMORY else None
         total = sum(len(_pieces(m)) for m in self.measured)
-        first_instants = itertools.accumulate((_kept_instants(m) for m in self.measured), initial=0)
         done = 0
-        for m, first in zip(self.measured, first_instants, strict=False):
+        for m, first in zip(self.measured, self.boundaries, strict=False):
             for block in _blocks(m, self.layout, self._chunks, self.moving_only, first):
                 if kept is not None:
                     kept.append(block)
@@ -177,7 +180,7 @@ class RowSource:
     @property
     def instants(self) -> int:
         """Instants of all blocks together, after decimation."""
-        return sum(_kept_instants(m) for m in self.measured)
+        return self.boundaries[-1]
 
     @cached_property
     def boundaries(self) -> list[int]:
@@ -189,18 +192,6 @@ class RowSource:
     def interval(self) -> list[float]:
         """Seconds between instants, per trajectory."""
         return [_step(m) / m.rate for m in self.measured]
-
-    @property
-    def _bytes(self) -> float:
-        return 8.0 * self.instants * sum(len(c) for c in self.layout.columns)
-
-
-def _regressor(robot: Robot, compiled: bool) -> Chunks:
-    if compiled:
-        from torchid.dynamics.compiled import compiled_dynamics
-
-        return compiled_dynamics(robot).regressor_chunks
-    return partial(regressor_chunks, robot)
 
 
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:
@@ -229,7 +220,9 @@ def _blocks(
     low_pass, step = _filter(m), _step(m)
     moving = m.moving
     # What remembers the past is evaluated from the trajectory's beginning, once a pass.
-    whole: dict[Effect, Tensor] = {e: e.columns(m.motion) for e in layout.effects if _remembers(e)}
+    whole: dict[Effect, Tensor] = {
+        e: e.columns(m.motion) for e in layout.effects if isinstance(e, JointEffect) and e.memory
+    }
     for start, stop in _pieces(m):
         tail = 0 if low_pass is None else low_pass.tail
         lo, hi = max(0, start - tail), min(m.samples, stop + tail)
@@ -274,17 +267,8 @@ def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
     return [columns[:, j] for j in effect.joints]
 
 
-def _remembers(effect: Effect) -> TypeGuard[JointEffect]:
-    return isinstance(effect, JointEffect) and effect.memory
-
-
 def _columns(
-    m: Measurement,
-    layout: Layout,
-    chunks: Chunks,
-    whole: Mapping[Effect, Tensor],
-    lo: int,
-    hi: int,
+    m: Measurement, layout: Layout, chunks: Chunks, whole: Mapping[Effect, Tensor], lo: int, hi: int
 ) -> Float[Tensor, "C M"]:
     """Unfiltered columns of all torque rows, each row's torque behind its own, samples lo..hi."""
     motion = m.motion.part(slice(lo, hi))

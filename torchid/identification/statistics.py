@@ -1,7 +1,6 @@
 """Standard deviations of base parameters, by the block jackknife of torchid.statistics."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,13 +8,9 @@ import torch
 from torchid.identification.least_squares import Fit, whitened_rows
 from torchid.identification.rows import RowSource
 from torchid.statistics import jackknife as blocks_jackknife
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import block_length, block_numbers, block_products
 from torchid.typing import Bool, Float, Tensor
-
-CORRELATION_TIMES = 4.0
-"""Correlation times of the residual in the shortest block whose sum is nearly independent of its
-neighbours'."""
 
 
 @dataclass(frozen=True)
@@ -64,32 +59,10 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
             "the residual: standard deviations are rough, and more likely too small than too large"
         )
     free = fit.free.nonzero().flatten()
-    found = _of_free_columns(source, fit, free, block_numbers(bounds, length))
-    covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
-    covariance[free.unsqueeze(-1), free] = found.covariance
-    by_one = torch.zeros(len(fit.x), dtype=torch.bool)
-    by_one[free] = found.by_one_block
-    interval = max(source.interval)
-    return Uncertainty(
-        covariance, by_one, found.blocks, length * interval, correlation * interval, tuple(warnings)
-    )
-
-
-def correlation_instants(
-    residual: Float[Tensor, "I n"], bounds: Sequence[slice] | None = None
-) -> float:
-    """Integrated autocorrelation time [instants] of the joint whose residual is slowest."""
-    return float(integrated_time(residual.T, bounds).amax())
-
-
-def _of_free_columns(
-    source: RowSource, fit: Fit, free: Tensor, block: Tensor
-) -> blocks_jackknife.Jackknife:
-    """Jackknife of the free coefficients, one pass over the rows.
-
-    Normal equations are summed in the coordinates that the fit's own triangular factor gives: the
-    columns are orthonormal there, so that no digits are lost to the square of a condition number.
-    """
+    block = block_numbers(bounds, length)
+    # Normal equations are summed in the coordinates that the fit's own triangular factor gives, one
+    # pass over the rows: the columns are orthonormal there, so that no digits are lost to the
+    # square of a condition number.
     basis = torch.linalg.qr(fit.factor[:, free], mode="r").R
     eye = torch.eye(len(free), dtype=basis.dtype)
     inverse = torch.linalg.solve_triangular(basis, eye, upper=True)
@@ -110,4 +83,12 @@ def _of_free_columns(
     # Mean square of the weighted residuals: about 1 where rows are whitened.
     rows_kept = int((fit.robust > 0).sum())
     variance = float(fit.factor[-1, -1] ** 2) / max(1, rows_kept - len(free))
-    return blocks_jackknife.jackknife(hessians, gradients, variance=variance, combinations=inverse)
+    found = blocks_jackknife.jackknife(hessians, gradients, variance=variance, combinations=inverse)
+    covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
+    covariance[free.unsqueeze(-1), free] = found.covariance
+    by_one = torch.zeros(len(fit.x), dtype=torch.bool)
+    by_one[free] = found.by_one_block
+    interval = max(source.interval)
+    return Uncertainty(
+        covariance, by_one, found.blocks, length * interval, correlation * interval, tuple(warnings)
+    )

@@ -4,8 +4,8 @@ Torque i feels links >= i only, so each torque row has a factor of its own colum
 factors are put on top of each other at the end.
 """
 
-from collections.abc import Iterable, Iterator
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Iterable
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -13,7 +13,7 @@ from torch import Tensor
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.errors import IdentificationError
 from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.factor import TriangularFactor, combined_factor, stacked_factor
+from torchid.identification.least_squares import TriangularFactor, combined_factor, stacked_factor
 from torchid.identification.rows import layout
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -21,11 +21,6 @@ from torchid.typing import Float, Samples
 
 SEGMENT = 12280
 """Samples taken at a time."""
-
-
-@runtime_checkable
-class _ChunkMaker(Protocol):
-    def __call__(self, q: Tensor, dq: Tensor, ddq: Tensor) -> Iterable[RegressorChunk]: ...
 
 
 def reduce_to_factor(
@@ -36,7 +31,7 @@ def reduce_to_factor(
     ddq: Samples,
     tau: Samples,
     *,
-    chunks: _ChunkMaker | None = None,
+    chunks: Callable[[Tensor, Tensor, Tensor], Iterable[RegressorChunk]] | None = None,
 ) -> Float[Tensor, "C C"]:
     """R of [Y_base tau] over all samples and joints, by one pass.
 
@@ -57,47 +52,28 @@ def reduce_to_factor(
         IdentificationError: base parameters with coefficients of effects, signals of different
             shapes.
     """
-    _check(robot, base, q, dq, ddq, tau)
-    columns = layout(robot, base, ())
-    factors = [TriangularFactor(len(c) + 1, device=q.device) for c in columns.columns]
-    for chunk, torque in _with_torque(chunks or _eager(robot), q, dq, ddq, tau):
-        for i, (own, factor) in enumerate(zip(columns.rigid, factors, strict=True)):
-            rows = [*(chunk.entry(i, *pair) for pair in own), torque[i]]
-            factor.add(torch.stack(rows).T)
-    r = combined_factor([f.factor() for f in factors], columns.columns, columns.size)
-    back = torch.tensor([*columns.order, columns.size], device=q.device).argsort()
-    return stacked_factor([r[:, back]])
-
-
-def _eager(robot: Robot) -> _ChunkMaker:
-    def make(q: Tensor, dq: Tensor, ddq: Tensor) -> Iterator[RegressorChunk]:
-        return regressor_chunks(robot, q, dq, ddq, size=SEGMENT)
-
-    return make
-
-
-def _with_torque(
-    make: _ChunkMaker, q: Tensor, dq: Tensor, ddq: Tensor, tau: Tensor
-) -> Iterator[tuple[RegressorChunk, Tensor]]:
-    """Chunks of the regressor, each with its torque (n, m)."""
-    start = 0
-    for chunk in make(q, dq, ddq):
-        stop = start + chunk.like.shape[0]
-        yield chunk, tau[start:stop].T
-        start = stop
-
-
-def _check(robot: Robot, base: BaseParameters, *signals: Tensor) -> None:
     if any(k >= PARAMETERS_PER_LINK * robot.n for k in base.independent):
         raise IdentificationError(
             "reduce_to_factor takes the rigid body's base parameters, without effects.",
             got=f"{len(base)} base parameters, {base.n_rigid} of the rigid body",
             hint="for a fit with effects use torchid.identification.identify",
         )
-    shapes = {tuple(x.shape) for x in signals}
-    if len(shapes) > 1 or signals[0].shape[-1] != robot.n:
+    shapes = [tuple(x.shape) for x in (q, dq, ddq, tau)]
+    if len(set(shapes)) > 1 or q.shape[-1] != robot.n:
         raise IdentificationError(
             "q, dq, ddq and tau do not match each other or the robot.",
-            got=[tuple(x.shape) for x in signals],
+            got=shapes,
             expected=f"(T, {robot.n}) each",
         )
+    columns = layout(robot, base, ())
+    factors = [TriangularFactor(len(c) + 1, device=q.device) for c in columns.columns]
+    start = 0
+    for chunk in (chunks or partial(regressor_chunks, robot, size=SEGMENT))(q, dq, ddq):
+        stop = start + chunk.like.shape[0]
+        for i, (own, factor) in enumerate(zip(columns.rigid, factors, strict=True)):
+            rows = [*(chunk.entry(i, *pair) for pair in own), tau[start:stop, i]]
+            factor.add(torch.stack(rows).T)
+        start = stop
+    r = combined_factor([f.factor() for f in factors], columns.columns, columns.size)
+    back = torch.tensor([*columns.order, columns.size], device=q.device).argsort()
+    return stacked_factor([r[:, back]])

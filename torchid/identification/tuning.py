@@ -12,14 +12,14 @@ biases it. A low reversal speed takes velocity noise for motion; a high one dela
 
 import itertools
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
 
 from torchid.design.motion import Measurement, fast_speed, measurements
 from torchid.errors import LogError
-from torchid.identification.factor import stacked_factor
-from torchid.identification.least_squares import Fit, factor, fit, solve
+from torchid.identification.least_squares import factor, fit, solve, stacked_factor
 from torchid.identification.rows import Layout, RowSource
 from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
@@ -97,26 +97,19 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
     speed = fast_speed(measurements(log, tried[len(tried) // 2]))
     scores: list[float] = []
     for k, cutoff in enumerate(tried):
-        skipped = cutoff is not None and _hopeless(scores)
-        scores.append(float("inf") if skipped else _score(training, log, cutoff, speed))
+        # Twice in a row a tenth worse than the best: noise has taken over, higher is worse still.
+        hopeless = len(scores) > 2 and min(scores[-2:]) > 1.1 * min(scores)
+        score = float("inf")
+        if cutoff is None or not hopeless:
+            # A log may be too short for it.
+            with suppress(LogError):
+                measured = measurements(log, cutoff, REVERSALS[2] * speed)
+                score = float(_cross_validated(training, measured, filtered=False).nanmean())
+        scores.append(score)
         if report is not None:
             report(k + 1, len(tried))
     best = min(range(len(tried)), key=scores.__getitem__)
     return CutoffChoice(tried[best], tuple(tried), tuple(scores))
-
-
-def _score(training: Training, log: Log, cutoff: float | None, speed: Tensor) -> float:
-    """Mean error over joints of unfiltered torque [%]; inf where the log is too short."""
-    try:
-        measured = measurements(log, cutoff, REVERSALS[2] * speed)
-    except LogError:
-        return float("inf")
-    return float(_cross_validated(training, measured, filtered=False).nanmean())
-
-
-def _hopeless(scores: list[float]) -> bool:
-    """Twice in a row a tenth worse than the best: noise has taken over, higher is worse still."""
-    return len(scores) > 2 and min(scores[-2:]) > 1.1 * min(scores)
 
 
 def choose_reversal(
@@ -164,7 +157,13 @@ def _cross_validated(
     """Relative error of the stretches left out, per joint [%]."""
     source = RowSource(measured, training.layout, moving_only=training.moving_only)
     whole = fit(source, non_negative=training.non_negative)
-    folds = _fold_factors(source, whole)
+    # Factor of each stretch, with the weights of the whole.
+    lengths = [b - a for a, b in itertools.pairwise(source.boundaries)]
+    fold = torch.cat([torch.arange(length) * FOLDS // max(1, length) for length in lengths])
+    folds = [
+        factor(source, whole.robust * (fold == k).unsqueeze(-1), whole.whitening)
+        for k in range(FOLDS)
+    ]
     error = torch.zeros(training.layout.robot.n, dtype=torch.float64)
     energy = torch.zeros_like(error)
     for k in range(FOLDS):
@@ -174,17 +173,6 @@ def _cross_validated(
             e, t = _left_out(m, training.layout, x, k, filtered)
             error, energy = error + e, energy + t
     return 100 * (error / energy).sqrt()
-
-
-def _fold_factors(source: RowSource, whole: Fit) -> list[Float[Tensor, "C C"]]:
-    """Factor of each stretch, with the weights of the whole."""
-    edges = source.boundaries
-    lengths = [b - a for a, b in itertools.pairwise(edges)]
-    fold = torch.cat([torch.arange(length) * FOLDS // max(1, length) for length in lengths])
-    return [
-        factor(source, whole.robust * (fold == k).unsqueeze(-1), whole.whitening)
-        for k in range(FOLDS)
-    ]
 
 
 def _left_out(

@@ -10,10 +10,10 @@ import torch
 from torchid.design.motion import Measurement
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.registry import Valued, in_rounds
+from torchid.effects.registry import in_rounds
 from torchid.identification.base_parameters import BaseParameters
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Samples, Tensor
 
@@ -91,50 +91,34 @@ def model_torque(
     effects: Sequence[Effect],
     values: Float[Tensor, " B"],
     motion: Motion,
+    *,
+    load_only: bool = False,
 ) -> Float[Tensor, "*batch n"]:
-    """Torque (..., n) of base parameters and effects; those of the torque see the `load`."""
-    first, later = in_rounds(_valued(base, effects, values))
-    tau = _of_motion(robot, base, first, values, motion)
-    if not later:
-        return tau
-    loaded = motion._replace(torque=tau)
-    return tau + sum(effect.all_torques(loaded, own, robot) for effect, own in later)
+    """Torque (..., n) of base parameters and effects.
 
-
-def load(
-    robot: Robot,
-    base: BaseParameters,
-    effects: Sequence[Effect],
-    values: Float[Tensor, " B"],
-    motion: Motion,
-) -> Float[Tensor, "*batch n"]:
-    """Torque (..., n) that effects of the torque see: of all that needs no torque itself."""
-    return _of_motion(robot, base, in_rounds(_valued(base, effects, values))[0], values, motion)
-
-
-def _valued(base: BaseParameters, effects: Sequence[Effect], values: Tensor) -> list[Valued]:
-    """Effects with their coefficients; those that are part of another base parameter are zero."""
+    Args:
+        robot, base, effects, values: the model; the values (B,) are those of `base`.
+        motion: states (..., n).
+        load_only: whether to leave out effects of the torque. The rest is the load that they see.
+    """
+    # The independent parameters carry the base values and the dependent ones are zero, which is one
+    # of the full sets with these.
     full = values.new_zeros(len(base.parameter_names))
     full[list(base.independent)] = values
-    own = full[base.n_rigid_parameters :].split([len(e.coefficients) for e in effects])
-    return [(e, x.tolist()) for e, x in zip(effects, own, strict=True)]
-
-
-def _of_motion(
-    robot: Robot, base: BaseParameters, effects: Sequence[Valued], values: Tensor, motion: Motion
-) -> Float[Tensor, "*batch n"]:
-    """Torque of base parameters with effects of the motion: the independent parameters carry the
-    base values and the dependent ones are zero, which is one of the full sets with these."""
-    full = values.new_zeros(len(base.parameter_names))
-    full[list(base.independent)] = values
-    pi = InertialParameters.from_paper_order(full[: PARAMETERS_PER_LINK * robot.n])
-    tau = inverse_dynamics(robot, *motion.state, pi)
-    for effect, own in effects:
+    rigid, rest = full.tensor_split([base.n_rigid_parameters])
+    parts = rest.split([len(e.coefficients) for e in effects])
+    valued = [(e, x.tolist()) for e, x in zip(effects, parts, strict=True)]
+    first, later = in_rounds(valued)
+    tau = inverse_dynamics(robot, *motion.state, InertialParameters.from_paper_order(rigid))
+    for effect, own in first:
         if isinstance(effect, JointEffect):
             tau[..., effect.joint] += effect.torque(motion, own)
         else:
             tau = tau + effect.all_torques(motion, own, robot)
-    return tau
+    if load_only or not later:
+        return tau
+    loaded = motion._replace(torque=tau)
+    return tau + sum(effect.all_torques(loaded, own, robot) for effect, own in later)
 
 
 def predict(

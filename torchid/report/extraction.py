@@ -8,7 +8,7 @@ import torch
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.penalty import gamma
-from torchid.extraction.problem import Problem
+from torchid.extraction.problem import FAR, Problem, torque_error
 from torchid.extraction.record import (
     SCHEMA,
     certificate_record,
@@ -16,7 +16,6 @@ from torchid.extraction.record import (
     problem_record,
     sets_record,
 )
-from torchid.extraction.torque import FAR, torque_error
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from torchid.report.table import Table
-from torchid.withheld.own import OwnCheck
-from torchid.withheld.planting import LEVELS, Planted
+from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
 
 def own_headline(found: OwnCheck) -> str:

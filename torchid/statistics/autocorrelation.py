@@ -11,6 +11,17 @@ WINDOW = 5.0
 """Correlation times after which the sum over lags ends (Sokal 1997): what is left of an
 exponential correlation is 1 %, and further lags add only their noise."""
 
+CORRELATION_TIMES = 4.0
+"""Correlation times of the residual in the shortest block whose sum is nearly independent of its
+neighbours'."""
+
+
+def correlation_instants(
+    residual: Float[Tensor, "I n"], bounds: Sequence[slice] | None = None
+) -> float:
+    """Integrated autocorrelation time [instants] of the joint whose residual is slowest."""
+    return float(integrated_time(residual.T, bounds).amax())
+
 
 def integrated_time(
     x: Float[Tensor, "*batch N"], bounds: Sequence[slice] | None = None, *, centred: bool = True

@@ -23,8 +23,7 @@ def record(study: Study) -> dict[str, Any]:
         "robot": study.robot.name,
         "section": study.settings.section,
         "identification": {
-            "names": list(result.base.names),
-            "values": result.values.tolist(),
+            **picked(result, "names=base.names values"),
             "true": study.truth.tolist(),
             "largest_error": float((result.values - study.truth).abs().max()),
             "rows": int(study.log.samples * study.robot.n),
@@ -44,10 +43,7 @@ def record(study: Study) -> dict[str, Any]:
             ],
             "unit": "N, largest joint's rms against the true set, all runs of all scenarios",
         },
-        "payload": {
-            "true": study.payload.true.tolist(),
-            **payload_record(study.payload.estimate),
-        },
+        "payload": {"true": study.payload.true.tolist(), **payload_record(study.payload.estimate)},
         "search": picked(
             study.settings.search, "runs stages generations schedule engine polish seed"
         ),

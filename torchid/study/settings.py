@@ -17,6 +17,9 @@ _KEYS = (
     "wrench_motion", "search", "total_mass", "geometry", "scenarios", "payload",
 )  # fmt: skip
 
+_TEXTS = ("title", "section", "robot", "geometry")
+_MOTIONS = ("excitation", "validation", "sets_motion", "wrench_motion")
+
 
 @dataclass(frozen=True)
 class MotionSettings:
@@ -135,21 +138,29 @@ def load_study(name: str) -> StudySettings:
         )
     try:
         low, high = (float(x) for x in data["total_mass"])
+        values: dict[str, Any] = {key: str(data[key]) for key in _TEXTS}
+        values |= {key: _motion(data, key) for key in _MOTIONS}
+        # At least one scenario, each with an id of its own that can be the name of a file.
+        scenarios = tuple(Scenario(**entry) for entry in data["scenarios"])
+        ids = [scenario.id for scenario in scenarios]
+        if not ids or len(set(ids)) < len(ids):
+            raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
+        for own in ids:
+            if not isinstance(own, str) or Path(own).name != own:
+                raise ValueError(f"the scenario's id {own!r} cannot be the name of a file")
+        body = data["payload"]
+        com, inertia = (tuple(float(x) for x in body[k]) for k in ("com", "inertia_about_com"))
+        payload = PayloadSettings(float(body["mass"]), com, inertia)
+        if not payload.mass > 0 or len(com) != 3 or len(inertia) != 6:
+            raise ValueError(f"payload: mass > 0, three of com, six of inertia_about_com: {body}")
         return StudySettings(
             name=path.stem,
-            title=str(data["title"]),
-            section=str(data["section"]),
-            robot=str(data["robot"]),
+            **values,
             effects=tuple(data["effects"]),
-            excitation=_motion(data, "excitation"),
-            validation=_motion(data, "validation"),
-            sets_motion=_motion(data, "sets_motion"),
-            wrench_motion=_motion(data, "wrench_motion"),
             search=SearchSettings(**data["search"]),
             total_mass=(low, high),
-            geometry=str(data["geometry"]),
-            scenarios=_scenarios(data["scenarios"]),
-            payload=_payload(data["payload"]),
+            scenarios=scenarios,
+            payload=payload,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
@@ -162,28 +173,4 @@ def _motion(data: Mapping[str, Any], key: str) -> MotionSettings:
         value = getattr(found, name)
         if not isinstance(value, int | float) or not 0 < value < math.inf:
             raise ValueError(f"{key}: {name} {value!r} is not a positive number")
-    return found
-
-
-def _scenarios(entries: Any) -> tuple[Scenario, ...]:
-    """At least one, each with an id of its own that can be the name of a file."""
-    found = tuple(Scenario(**entry) for entry in entries)
-    ids = [scenario.id for scenario in found]
-    if not ids or len(set(ids)) < len(ids):
-        raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
-    for name in ids:
-        if not isinstance(name, str) or Path(name).name != name:
-            raise ValueError(f"the scenario's id {name!r} cannot be the name of a file")
-    return found
-
-
-def _payload(entry: Mapping[str, Any]) -> PayloadSettings:
-    """A body of positive mass: com of three numbers, inertia_about_com of six."""
-    found = PayloadSettings(
-        float(entry["mass"]),
-        tuple(float(x) for x in entry["com"]),
-        tuple(float(x) for x in entry["inertia_about_com"]),
-    )
-    if not found.mass > 0 or len(found.com) != 3 or len(found.inertia_about_com) != 6:
-        raise ValueError(f"payload: mass > 0, three of com, six of inertia_about_com: {entry}")
     return found

@@ -14,12 +14,12 @@ import torch
 from torchid.errors import MissingExtraError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.extraction.convex.certificate import Certificate, certificate_where_possible
-from torchid.extraction.extract import Extraction, extract
-from torchid.extraction.problem import Problem, Target, extraction_problem, two_step
+from torchid.extraction.extract import extract
+from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
 from torchid.feasibility.conditions import conditions
 from torchid.feasibility.margins import feasibility
-from torchid.feasibility.sets import ParameterSets, joined, nominal_set
+from torchid.feasibility.sets import joined, nominal_set
 from torchid.identification.base_parameters import nominal_values
 from torchid.identification.identify import Settings, identify
 from torchid.identification.payload import estimate_payload, with_payload
@@ -30,7 +30,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.study.motions import excitation, new_motion, sets_torque, simulated, state, with_real
 from torchid.study.result import PayloadResult, ScenarioResult, SetsOnMotion, Study
-from torchid.study.settings import Scenario, StudySettings
+from torchid.study.settings import StudySettings
 from torchid.wrenches.compare import compare
 from torchid.wrenches.deviation import alike, wrench_errors
 from torchid.wrenches.regressor import wrench_norms
@@ -79,7 +79,20 @@ def run_study(
     effects = plain_effects(result.effects, "a study")
     target = two_step(result.base, effects, result.values)
     clock.start("certificates")
-    problems, certificates, warnings = _problems(robot, target, settings)
+    # By group of bounds: the problem, its phi_min if it can be had, and what to know of it.
+    geometry = read_bounds(robot, settings.geometry).com
+    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
+    problems: dict[str, Problem] = {}
+    certificates: dict[str, Certificate] = {}
+    warnings: list[str] = []
+    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
+        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
+        problems[group] = problem
+        try:
+            certificates[group], notes = certificate_where_possible(problem)
+            warnings += notes
+        except MissingExtraError as error:
+            warnings.append(f"no certificate: {error}")
     scenarios = []
     test = new_motion(robot, settings.sets_motion)
     for k, scenario in enumerate(settings.scenarios):
@@ -92,16 +105,27 @@ def run_study(
             keep=True,
             device=device,
         )
-        scenarios.append(_scenario(robot, scenario, found, test))
+        best = replace(found.sets.part([found.best]), ids=(scenario.id,))
+        torque = sets_torque(robot, with_real(best, nominal_set(robot)), test)
+        rms = (torque[1] - torque[0]).square().mean(0).sqrt()
+        own = ScenarioResult(
+            scenario=scenario,
+            extraction=found,
+            feasibility=feasibility(found.sets, found.problem.conditions),
+            best=best,
+            torque_rms=rms,
+            torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
+        )
+        scenarios.append(own)
         # A feasible set with less loss than is possible is a fault, never to be passed over.
         proof = certificates.get(scenario.bounds)
         least = proof.phi_min * (1 - _BELOW) if proof is not None else -math.inf
-        below = int((scenarios[-1].feasibility.feasible & (found.phi < least)).sum())
+        below = int((own.feasibility.feasible & (found.phi < least)).sum())
         if below:
             said = f"{below} sets are feasible and have a loss below phi_min"
             warnings.append(f"{scenario.id}: {said}")
     clock.start("wrenches")
-    best = joined([s.best for s in scenarios])
+    shown = with_real(joined([s.best for s in scenarios]), nominal_set(robot))
     reference = new_motion(robot, settings.wrench_motion)
     every = joined([s.extraction.sets for s in scenarios])
     real = robot.require_parameters("the study")
@@ -113,7 +137,15 @@ def run_study(
         torch.cat([s.feasibility.degree for s in scenarios]),
         cluster=alike(errors.force_rms, torch.arange(len(errors.force_rms)) // runs),
     )
-    on_sets, on_reference = (_on_motion(robot, best, plan) for plan in (test, reference))
+    on_sets, on_reference = (
+        SetsOnMotion(
+            plan,
+            shown.ids,
+            sets_torque(robot, shown, plan),
+            *wrench_norms(robot, *state(plan), shown.parameters),
+        )
+        for plan in (test, reference)
+    )
     clock.start("payload")
     payload = _payload(robot, settings, reference)
     return Study(
@@ -164,45 +196,6 @@ class _Clock:
         if self._part:
             self._seconds[self._part] = time.monotonic() - self._began
         return self._seconds
-
-
-def _problems(
-    robot: Robot, target: Target, settings: StudySettings
-) -> tuple[dict[str, Problem], dict[str, Certificate], list[str]]:
-    """By group of bounds: the problem, its phi_min if it can be had, and what to know of it."""
-    geometry = read_bounds(robot, settings.geometry).com
-    asked = conditions(robot, com_box=geometry, total_mass=settings.total_mass)
-    problems, certificates, warnings = {}, {}, list[str]()
-    for group in dict.fromkeys(scenario.bounds for scenario in settings.scenarios):
-        problem = extraction_problem(robot, target, read_bounds(robot, group), asked)
-        problems[group] = problem
-        try:
-            certificates[group], notes = certificate_where_possible(problem)
-            warnings += notes
-        except MissingExtraError as error:
-            warnings.append(f"no certificate: {error}")
-    return problems, certificates, warnings
-
-
-def _scenario(robot: Robot, scenario: Scenario, found: Extraction, motion: Log) -> ScenarioResult:
-    best = replace(found.sets.part([found.best]), ids=(scenario.id,))
-    torque = sets_torque(robot, with_real(best, nominal_set(robot)), motion)
-    rms = (torque[1] - torque[0]).square().mean(0).sqrt()
-    return ScenarioResult(
-        scenario=scenario,
-        extraction=found,
-        feasibility=feasibility(found.sets, found.problem.conditions),
-        best=best,
-        torque_rms=rms,
-        torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),
-    )
-
-
-def _on_motion(robot: Robot, sets: ParameterSets, motion: Log) -> SetsOnMotion:
-    everything = with_real(sets, nominal_set(robot))
-    force, moment = wrench_norms(robot, *state(motion), everything.parameters)
-    torque = sets_torque(robot, everything, motion)
-    return SetsOnMotion(motion, everything.ids, torque, force, moment)
 
 
 def _payload(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResult:

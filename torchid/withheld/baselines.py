@@ -179,8 +179,7 @@ def _thresholded(gram: Tensor, b: Tensor, threshold: float) -> Tensor:
     again; those that stay are fitted without the ridge."""
     kept = torch.ones(len(b), dtype=torch.bool)
     for _ in range(ITERATIONS):
-        values = _ridge(gram, b, kept, RIDGE)
-        new = kept & (values.abs() >= threshold)
+        new = kept & (_ridge(gram, b, kept, RIDGE).abs() >= threshold)
         if bool((new == kept).all()):
             break
         kept = new
@@ -208,7 +207,24 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
     the other; what was chosen, was chosen on all of them, in the baseline's favour."""
     x = data.normal.of(subset_of(data.normal, terms)).solve(data.weight).x
     parts = x.split([len(t.at) for t in terms]) if terms else ()
-    which = [_entry(data, term, part) for term, part in zip(terms, parts, strict=True)]
+    which: list[dict[str, Any]] = []
+    for term, part in zip(terms, parts, strict=True):
+        effect = term.effects[0]
+        square = torch.zeros_like(data.weight)
+        for j in range(len(square)) if term.place is None else (term.place,):
+            own = data.normal.g[j][term.at.unsqueeze(1), term.at]
+            square[j] = data.weight[j] * (part @ own @ part)
+        felt = (square > FELT_SHARE * square.sum()).nonzero().flatten().tolist()
+        entry = {
+            "effect": effect.name,
+            "family": effect.family,
+            "joints": [j + 1 for j in (effect.joints or felt)],
+            "places": ["joint"] if effect.joints else [],
+            "ambiguous_with": [],
+            "parameters": {},
+            "share": float(square.sum()),
+        }
+        which.append(entry)
     which.sort(key=lambda entry: -entry["share"])
     inertial = bool(which) and all(entry["effect"] == LINK for entry in which)
     status = "parametric_only" if inertial else "explained" if which else "no_gap"
@@ -218,25 +234,6 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
         "parametric": [],
         "not_testable": [],
         "how_far": {"closed": _closed(data, terms), "closed_ci95": None},
-    }
-
-
-def _entry(data: Data, term: Term, x: Float[Tensor, " C"]) -> dict[str, Any]:
-    effect = term.effects[0]
-    joints = range(len(data.weight)) if term.place is None else (term.place,)
-    square = torch.zeros_like(data.weight)
-    for j in joints:
-        own = data.normal.g[j][term.at.unsqueeze(1), term.at]
-        square[j] = data.weight[j] * (x @ own @ x)
-    felt = (square > FELT_SHARE * square.sum()).nonzero().flatten().tolist()
-    return {
-        "effect": effect.name,
-        "family": effect.family,
-        "joints": [j + 1 for j in (effect.joints or felt)],
-        "places": ["joint"] if effect.joints else [],
-        "ambiguous_with": [],
-        "parameters": {},
-        "share": float(square.sum()),
     }
 
 

@@ -1,4 +1,4 @@
-"""A set of cases on disk: what lies in its folder, and the sealed keys beside it.
+"""A set of cases on disk: what lies in its folder, and the sealed keys beside it; how it is made.
 
     DIR/cases.json         {schema, seed, cases: [ID...], keys_sha256, version}
     DIR/<ID>/robot.urdf    the nominal model: all that the diagnosis is told of the arm
@@ -11,13 +11,22 @@ can check that no key was changed after the answers were known.
 """
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from torchid import __version__
 from torchid.errors import TorchidError
+from torchid.files import atomic_write
 from torchid.json_data import read_json, write_json
+from torchid.withheld.parallel import each
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
@@ -139,3 +148,93 @@ def read_answers(found: CaseSet) -> dict[str, dict[str, Any]]:
 def _check_schema(data: Mapping[str, Any], schema: str, path: Path) -> None:
     if data.get("schema") != schema:
         raise TorchidError(f"'{path}' has another schema.", got=data.get("schema"), expected=schema)
+
+
+Progress = Callable[[str, int, int], None]
+
+
+def make(
+    folder: Path,
+    count: int,
+    seed: int,
+    *,
+    keys: Path | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> CaseSet:
+    """Write the first `count` cases of a seed, and their keys apart.
+
+    A case depends on the seed and its number alone, so a smaller set is the beginning of a larger
+    one. A set appears in its place when it is complete, or not at all.
+
+    Args:
+        folder: of the set; it must not exist yet, or be empty.
+        count: cases.
+        seed: of everything random.
+        keys: file of the keys, outside the folder; `FOLDER.keys.json` if None.
+        jobs: processes.
+        progress: called with (stage, done, total).
+
+    Raises:
+        TorchidError: the folder or the key file is there already, or the keys would lie inside.
+        MissingExtraError: the simulator is not installed.
+    """
+    if count < 1:
+        raise TorchidError("a set has at least one case.", got=count)
+    keys = keys_beside(folder) if keys is None else keys
+    # Before any work is done.
+    if (folder / CASES).exists():
+        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another --out")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another --out")
+    if keys.exists():
+        raise TorchidError(
+            f"'{keys}' exists, and keys are never overwritten.", hint="another --keys"
+        )
+    if folder.resolve() in keys.resolve().parents:
+        raise TorchidError(
+            "the keys must not lie in the folder of the cases.", got=keys, hint="another --keys"
+        )
+    for above in (folder.resolve().parent, keys.resolve().parent):
+        if not above.is_dir():
+            raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
+    say = progress or (lambda stage, done, total: None)
+    # A folder that takes the place of `folder` only when all went well.
+    place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.resolve().parent))
+    place.chmod(0o755)
+    try:
+        write = partial(write_case, place, seed)
+        found = each(write, range(count), jobs, partial(say, "simulating cases"))
+        sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
+        done = CaseSet(place, seed, tuple(map(case_id, range(count))), sealed, __version__)
+        write_cases(done)
+        if folder.exists():
+            folder.rmdir()
+        os.replace(place, folder)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
+    return replace(done, folder=folder)
+
+
+def write_case(folder: Path, seed: int, number: int) -> dict[str, Any]:
+    """Simulate one case and write what the diagnosis may see; returns its key."""
+    from torchid.withheld.plant.case import draw_case, simulate_case
+
+    case = simulate_case(draw_case(seed, number))
+    name = case_id(number)
+    write_shown(case.urdf, case.columns, folder / name)
+    return {"id": name} | case.key | {"id": name}
+
+
+def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> None:
+    """Write what the diagnosis sees of a case: model and log."""
+    place.mkdir(exist_ok=True)
+    with atomic_write(place / ROBOT, "w") as text:
+        text.write(urdf)
+    with atomic_write(place / LOG, "wb") as file:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
+        pq.write_table(table, file)

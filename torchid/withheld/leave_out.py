@@ -6,29 +6,24 @@ their folder holds keys, for a diagnosis that is told what to leave out is not a
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, get_args
 
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
-from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
-from torchid.withheld.case_set import ANSWER, LOG, ROBOT
-from torchid.withheld.make import write_shown
-from torchid.withheld.measures import Verdict, verdict
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_shown
+from torchid.withheld.measures import Verdict, rate, verdict
 from torchid.withheld.parallel import each
-from torchid.withheld.rows import row_of
-from torchid.withheld.run import ERROR, Job, run
-from torchid.withheld.shares import rate
+from torchid.withheld.rows import named_record, row_of
+from torchid.withheld.run import ERROR, Job, Progress, default_settings, run
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
-
-Progress = Callable[[str, int, int], None]
 
 
 @cache
@@ -108,7 +103,6 @@ def leave_out(
     folder.mkdir(parents=True, exist_ok=True)
     todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
     # Keys of all cases; those that are not there yet are simulated.
-    say = progress or (lambda stage, done, total: None)
     keys: dict[str, dict[str, Any]] = {}
     new = []
     for one in todo:
@@ -124,11 +118,15 @@ def leave_out(
                 expected=one.seed,
             )
         keys[one.case] = key
-    say("simulating cases", 0, len(new))
-    for k, (one, key) in enumerate(each(write_left_out, new, jobs)):
-        keys[one.case] = key
-        say("simulating cases", k + 1, len(new))
-    answers = run([_job(one) for one in todo], jobs=jobs, again=again, progress=progress)
+    say = progress or (lambda stage, done, total: None)
+    made = each(write_left_out, new, jobs, partial(say, "simulating cases"))
+    keys |= {one.case: key for one, key in zip(new, made, strict=True)}
+    diagnoses = []
+    for one in todo:
+        rest = tuple(name for name in KINDS if name != one.effect)
+        files = one.place / ROBOT, one.place / LOG, one.place / ANSWER
+        diagnoses.append(Job(one.case, *files, default_settings(effects=rest)))
+    answers = run(diagnoses, jobs=jobs, again=again, progress=progress)
     return summary(seed, todo, keys, answers)
 
 
@@ -145,12 +143,6 @@ def write_left_out(one: LeftOut) -> dict[str, Any]:
     return key
 
 
-def _job(one: LeftOut) -> Job:
-    rest = tuple(name for name in KINDS if name != one.effect)
-    settings = GapSettings(effects=rest, rollout=False)
-    return Job(one.case, one.place / ROBOT, one.place / LOG, one.place / ANSWER, settings)
-
-
 def summary(
     seed: int,
     todo: Sequence[LeftOut],
@@ -158,7 +150,19 @@ def summary(
     answers: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Verdicts in all, by effect, and case by case."""
-    cases = [_verdict(one, keys[one.case], answers[one.case]) for one in todo]
+    cases = []
+    for one in todo:
+        row = row_of(keys[one.case], answers[one.case])
+        found = {
+            "case": one.case,
+            "effect": one.effect,
+            "family": FAMILIES[one.effect],
+            "size": row.planted[0].size,
+            "verdict": ERROR if row.status == ERROR else verdict(row, FAMILIES, every=False),
+            "status": row.status,
+            "named": named_record(row),
+        }
+        cases.append(found)
     judged = [c for c in cases if c["verdict"] != ERROR]
     by_effect = {
         name: dict(Counter(c["verdict"] for c in cases if c["effect"] == name))
@@ -175,20 +179,3 @@ def summary(
             "cases": cases,
         }
     )
-
-
-def _verdict(one: LeftOut, key: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
-    row = row_of(key, answer)
-    said = ERROR if row.status == ERROR else verdict(row, FAMILIES, every=False)
-    return {
-        "case": one.case,
-        "effect": one.effect,
-        "family": FAMILIES[one.effect],
-        "size": row.planted[0].size,
-        "verdict": said,
-        "status": row.status,
-        "named": [
-            {"name": c.name, "joints": c.place or c.joints, "ambiguous_with": c.ambiguous}
-            for c in row.claims
-        ],
-    }

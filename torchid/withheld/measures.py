@@ -1,9 +1,17 @@
-"""What one diagnosis got right, beside what was planted: pure functions of both."""
+"""What one diagnosis got right, beside what was planted: pure functions of both.
+
+Shares, F1 and medians come with 95 % intervals, as data; of nothing they are None.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from torchid.statistics.proportion import wilson
+from torchid.statistics.resampling import bootstrap, percentile_interval
 from torchid.withheld.rows import Claim, Planted, Row
 
 Counts = tuple[int, int, int]
@@ -58,16 +66,13 @@ def joint_counts(row: Row) -> Counts:
     the whole arm those whose torque it changes."""
     true = {j for p in row.planted for j in p.located}
     everywhere = any(not p.place for p in row.planted)
-    said = {j for c in row.claims for j in _pointed_at(c, everywhere)}
+    said: set[int] = set()
+    for c in row.claims:
+        # A link's inertia is felt by all joints below it: beside an effect of the whole arm, such
+        # as a payload, from which the last link's inertia cannot be told, those count.
+        all_below = everywhere and c.name == "link_inertia" and c.place
+        said |= set(range(1, max(c.place) + 1) if all_below else c.place or c.joints)
     return len(true & said), len(said - true), len(true - said)
-
-
-def _pointed_at(claim: Claim, everywhere: bool) -> Sequence[int]:
-    """A link's inertia is felt by all joints below it: beside an effect of the whole arm, such as
-    a payload, from which the last link's inertia cannot be told, those count."""
-    if everywhere and claim.name == "link_inertia" and claim.place:
-        return range(1, max(claim.place) + 1)
-    return claim.place or claim.joints
 
 
 def f1(counts: Counts) -> float:
@@ -92,33 +97,23 @@ def matched(row: Row, strict: bool) -> Counts:
         strict: whether name and place must be the same; else the name may be among a claim's
             alternatives, on a common joint or where one of them is on the whole arm.
     """
-    fits = [[_fits(p, c, strict) for c in row.claims] for p in row.planted]
-    hits = largest_matching(fits)
+
+    def fits(planted: Planted, claim: Claim) -> bool:
+        here, there = set(planted.place), set(claim.place)
+        if strict:
+            return planted.name == claim.name and here == there
+        return planted.name in claim.names and (not here or not there or bool(here & there))
+
+    hits = largest_matching([[fits(p, c) for c in row.claims] for p in row.planted])
     return hits, len(row.claims) - hits, len(row.planted) - hits
 
 
-def _fits(planted: Planted, claim: Claim, strict: bool) -> bool:
-    here, there = set(planted.place), set(claim.place)
-    if strict:
-        return planted.name == claim.name and here == there
-    same = not here or not there or bool(here & there)
-    return planted.name in claim.names and same
-
-
 def largest_matching(fits: Sequence[Sequence[bool]]) -> int:
-    """Most pairs (i, j) with fits[i][j], each i and each j in one pair (augmenting paths)."""
-    owner: dict[int, int] = {}
-
-    def place(i: int, seen: set[int]) -> bool:
-        for j, good in enumerate(fits[i]):
-            if good and j not in seen:
-                seen.add(j)
-                if j not in owner or place(owner[j], seen):
-                    owner[j] = i
-                    return True
-        return False
-
-    return sum(place(i, set()) for i in range(len(fits)))
+    """Most pairs (i, j) with fits[i][j], each i and each j in one pair."""
+    if not fits or not fits[0]:
+        return 0
+    table = np.array(fits)
+    return int(table[linear_sum_assignment(table, maximize=True)].sum())
 
 
 def verdict(row: Row, families: Mapping[str, str], *, every: bool) -> Verdict:
@@ -138,15 +133,14 @@ def verdict(row: Row, families: Mapping[str, str], *, every: bool) -> Verdict:
     if not row.claims:
         return "missed"
     judged = row.claims if every else row.claims[:1]
-    ranks = [_rank(row.planted, claim, families) for claim in judged]
-    return max(ranks, key=("right_family", "hedged", "confident_wrong").index)
-
-
-def _rank(planted: Sequence[Planted], claim: Claim, families: Mapping[str, str]) -> Verdict:
-    if any(p.allows(claim.name, claim.family) for p in planted):
-        return "right_family"
-    hedged = any(p.allows(n, families.get(n)) for p in planted for n in claim.ambiguous)
-    return "hedged" if hedged else "confident_wrong"
+    worst: Verdict = "right_family"
+    for claim in judged:
+        if any(p.allows(claim.name, claim.family) for p in row.planted):
+            continue
+        if not any(p.allows(n, families.get(n)) for p in row.planted for n in claim.ambiguous):
+            return "confident_wrong"
+        worst = "hedged"
+    return worst
 
 
 PoorVerdict = Literal["not_testable", "hedged", "right", "confident_wrong", "missed"]
@@ -164,19 +158,17 @@ def poor_verdict(row: Row) -> PoorVerdict:
     if row.status == "detected_unexplained":
         return "hedged"
     if not row.claims:
-        listed = bool(row.planted) and all(_listed(p, row) for p in row.planted)
-        return "not_testable" if listed else "missed"
+        # Whether every effect is said to be invisible, at one of its joints.
+        listed = []
+        for p in row.planted:
+            places = {joint for name, joint in row.not_testable if name == p.name}
+            listed.append(bool(places & {None, *p.place} if p.place else places))
+        return "not_testable" if listed and all(listed) else "missed"
     true = {p.name for p in row.planted}
     if all(true & claim.names for claim in row.claims):
         alone = all(len(claim.names) == 1 for claim in row.claims)
         return "right" if alone else "hedged"
     return "confident_wrong"
-
-
-def _listed(planted: Planted, row: Row) -> bool:
-    """Whether an effect is said to be invisible, at one of its joints."""
-    places = {joint for name, joint in row.not_testable if name == planted.name}
-    return bool(places & {None, *planted.place}) if planted.place else bool(places)
 
 
 def inside(value: float, std: float, true: float, z: float = 1.96) -> bool:
@@ -199,3 +191,46 @@ def coefficient_coverage(row: Row) -> list[bool]:
         for name, true in planted.coefficients.items()
         if name in same[0].coefficients
     ]
+
+
+DRAWS = 1000
+
+
+def rate(flags: Iterable[bool]) -> dict[str, Any]:
+    """A share with its interval; `share` is None of nothing."""
+    known = list(flags)
+    hits, total = sum(known), len(known)
+    share = hits / total if total else None
+    return {"hits": hits, "total": total, "share": share, "ci95": list(wilson(hits, total))}
+
+
+def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
+    """F1 of all cases together, with an interval over cases; None of nothing."""
+    if not counts:
+        return {"f1": None, "ci95": None, "hits": 0, "extra": 0, "missed": 0, "cases": 0}
+    table = np.array(counts)
+    draws = table[_draws(len(table))].sum(1)
+    values = [f1((int(h), int(e), int(m))) for h, e, m in draws]
+    hits, extra, missed = added(counts)
+    return {
+        "f1": f1((hits, extra, missed)),
+        "ci95": list(percentile_interval(np.array(values))),
+        "hits": hits,
+        "extra": extra,
+        "missed": missed,
+        "cases": len(counts),
+    }
+
+
+def median(values: Sequence[float]) -> dict[str, Any]:
+    """A median with an interval over cases; None of nothing."""
+    if not values:
+        return {"median": None, "ci95": None, "cases": 0}
+    drawn = np.median(np.array(values)[_draws(len(values))], axis=1)
+    interval = list(percentile_interval(drawn))
+    return {"median": float(np.median(values)), "ci95": interval, "cases": len(values)}
+
+
+def _draws(count: int) -> np.ndarray:
+    """Cases of each draw, the same in every score of as many cases."""
+    return bootstrap(count, DRAWS, np.random.default_rng(0))

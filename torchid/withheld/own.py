@@ -9,13 +9,23 @@ log.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
-from torchid.effects.registry import EVENTS, nominal_effects
+from torchid.design.motion import measurements
+from torchid.effects.base import JointEffect, Motion
+from torchid.effects.registry import (
+    EVENTS,
+    KINDS,
+    Valued,
+    effect_kind,
+    model_torque,
+    nominal_effects,
+)
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
@@ -25,13 +35,135 @@ from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
+from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
+from torchid.log.sampling import resample
 from torchid.robot.model import Robot
 from torchid.withheld.parallel import each
-from torchid.withheld.planting import Bed, Planted, in_set, named, plantable, smallest_found
+
+LEVELS = (1.0, 2.0, 5.0, 10.0)
+"""Sizes planted, in units of the noise of the joint's torque."""
+
+FIRST_LEVEL = 1
+"""Number of the level tried first; the search goes down where it is named, else up."""
+
+BAND = 20.0
+"""Of the motion along which effects are planted [Hz]."""
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A known effect on top of a real log.
+
+    Attributes:
+        effect: its name.
+        joint: from 0.
+        level: its RMS below BAND, in units of the joint's noise.
+        coefficients: by name.
+        named, in_set, status: as Withheld's.
+    """
+
+    effect: str
+    joint: int
+    level: float
+    coefficients: dict[str, float]
+    named: bool
+    in_set: bool
+    status: str
+
+
+@dataclass(frozen=True)
+class Bed:
+    """Where an effect is planted: the corrected model, the untouched log, and the joint's noise."""
+
+    robot: Robot
+    log: Log
+    settings: GapSettings
+    kind: type[JointEffect]
+    joint: int
+    noise: float
+
+
+def plantable(name: str) -> type[JointEffect]:
+    """The effect of this name, which must be one of a joint's own motion.
+
+    Raises:
+        TorchidError: it is not.
+    """
+    kind = effect_kind(name)
+    if not issubclass(kind, JointEffect):
+        raise TorchidError(
+            "only effects of one joint's motion can be planted in a log.",
+            got=name,
+            available=[n for n, k in KINDS.items() if issubclass(k, JointEffect)],
+        )
+    return kind
+
+
+def named(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
+    """Whether an effect was named at its place."""
+    return any((f.effect.name, f.located) == (name, place) for f in found.findings)
+
+
+def in_set(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
+    """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
+    said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
+    said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
+    return any(name in names and (not place or not at or at == place) for names, at in said)
+
+
+def smallest_found(bed: Bed) -> list[Planted]:
+    """The smallest level that is named, and what was tried on the way to it."""
+    torch.set_num_threads(1)
+    tried: list[Planted] = []
+    k = FIRST_LEVEL
+    while 0 <= k < len(LEVELS):
+        tried.append(_one_level(bed, LEVELS[k]))
+        down = tried[0].in_set
+        if tried[-1].in_set is not down:
+            break
+        k += -1 if down else 1
+    return sorted(tried, key=lambda p: p.level)
+
+
+def _one_level(bed: Bed, level: float) -> Planted:
+    effect, values, log = _on_top(bed, level)
+    found = diagnose(bed.robot, log, settings=bed.settings)
+    at = effect.name, (bed.joint,)
+    coefficients = {c.name: v for c, v in zip(effect.coefficients, values, strict=True)}
+    said = named(found, *at), in_set(found, *at), found.status
+    return Planted(effect.name, bed.joint, level, coefficients, *said)
+
+
+def _on_top(bed: Bed, level: float) -> tuple[JointEffect, list[float], Log]:
+    """The log with an effect's torque added, each coefficient's part of the same RMS."""
+    effect = bed.kind(bed.joint)
+    parts = list(resample(bed.log).trajectories())
+    effects: list[Valued] = nominal_effects(bed.robot)
+    # The effect's columns on its own joint along each trajectory, and the same below BAND.
+    columns, low = [], []
+    for part in parts:
+        (m,) = measurements(part, BAND)
+        motion: Motion = m.motion._replace(t=part.t - part.t[0])
+        motion = motion._replace(torque=model_torque(bed.robot, effects, motion))
+        columns.append(effect.torque_columns(motion, bed.robot)[:, effect.joint])
+        low.append(ZeroPhaseFilter(m.rate, BAND).apply(columns[-1].T).T)
+    size = torch.cat(low).square().mean(0).sqrt()
+    values = torch.where(size > 0, 1 / size.clamp(min=1e-300), torch.zeros_like(size))
+    together = torch.cat(low) @ values
+    values = values * (level * bed.noise / together.square().mean().sqrt().clamp(min=1e-300))
+    grown = []
+    for part, full in zip(parts, columns, strict=True):
+        assert part.tau is not None
+        tau = part.tau.clone()
+        tau[:, bed.joint] += full @ values
+        grown.append(part.replace(tau=tau))
+    return effect, values.tolist(), Log.concatenate(grown)
+
 
 SCHEMA = "torchid.withheld.own/1"
+_PLANTED = "size_over_noise=level coefficients named in_set status"
 
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
@@ -130,7 +262,12 @@ def check_own(
         TorchidError: an effect that does not act on one joint, or a joint that is not there.
     """
     kinds = [plantable(name) for name in plant]
-    places = list(range(robot.n)) if joints is None else _joints(joints, robot)
+    places = list(range(robot.n) if joints is None else joints)
+    wrong = [j + 1 for j in places if not 0 <= j < robot.n]
+    if wrong:
+        raise TorchidError(
+            f"robot '{robot.name}' has no such joint.", got=wrong, expected=f"1..{robot.n}"
+        )
     settings = replace(settings or GapSettings(), rollout=False, held_out_fraction=0.0)
     say = progress or (lambda stage, done, total: None)
     whole = untouched is not None
@@ -151,8 +288,8 @@ def check_own(
     beds = [
         Bed(first.corrected, untouched, again, kind, j, noise[j]) for kind in kinds for j in places
     ]
-    withheld = _all(_withheld, hidden, jobs, "withholding what was accepted", say)
-    planted = _all(smallest_found, beds, jobs, "planting known effects", say)
+    withheld = each(_withheld, hidden, jobs, partial(say, "withholding what was accepted"))
+    planted = each(smallest_found, beds, jobs, partial(say, "planting known effects"))
     flat = tuple(one for several in planted for one in several)
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
 
@@ -170,56 +307,22 @@ def own_record(found: OwnCheck) -> dict[str, Any]:
                 {
                     "effect": w.effect,
                     "joints": [j + 1 for j in w.joints],
-                    "named": w.named,
-                    "in_set": w.in_set,
+                    **picked(w, "named in_set"),
                     "found": [
                         {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
                     ],
-                    "known_closed": w.known,
-                    "closed": w.closed,
-                    "closed_ci95": w.closed_ci95,
-                    "as_much": w.as_much,
-                    "status": w.status,
+                    **picked(w, "known_closed=known closed closed_ci95 as_much status"),
                 }
                 for w in found.withheld
             ],
             "planted": [
-                {
-                    "effect": p.effect,
-                    "joint": p.joint + 1,
-                    "size_over_noise": p.level,
-                    "coefficients": p.coefficients,
-                    "named": p.named,
-                    "in_set": p.in_set,
-                    "status": p.status,
-                }
+                {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)}
                 for p in found.planted
             ],
             "diagnosis": record(found.first),
         }
     )
     return data
-
-
-def _joints(joints: Sequence[int], robot: Robot) -> list[int]:
-    wrong = [j + 1 for j in joints if not 0 <= j < robot.n]
-    if wrong:
-        raise TorchidError(
-            f"robot '{robot.name}' has no such joint.", got=wrong, expected=f"1..{robot.n}"
-        )
-    return list(joints)
-
-
-def _all(
-    function: Callable[[Any], Any], todo: Sequence[Any], jobs: int, stage: str, say: Progress
-) -> list[Any]:
-    """Results in the order of the jobs."""
-    done: dict[int, Any] = {}
-    say(stage, 0, len(todo))
-    for job, result in each(function, todo, jobs):
-        done[id(job)] = result
-        say(stage, len(done), len(todo))
-    return [done[id(job)] for job in todo]
 
 
 def _without(corrected: Robot, finding: Finding) -> Robot:
@@ -235,15 +338,13 @@ def _without(corrected: Robot, finding: Finding) -> Robot:
     return replace(corrected, effects=tuple(kept))
 
 
-def _model(robot: Robot) -> Model:
-    return Model(robot, tuple(nominal_effects(robot)))
-
-
 def _withheld(job: _Hidden) -> Withheld:
     torch.set_num_threads(1)
     found = diagnose(job.robot, job.log, settings=job.settings)
     given = prepare(job.robot, job.log, found.cutoff)
-    before, after = _model(job.robot), _model(job.corrected)
+    before, after = (
+        Model(robot, tuple(nominal_effects(robot))) for robot in (job.robot, job.corrected)
+    )
     reach = stuck(Columns(after, given.samples), found.floor.high)
     shown = traces(given.samples, None, [before], [after], found.band, reach=reach)
     known = closing(shown, found.floor, job.settings.seed)

@@ -19,32 +19,38 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def each(
-    function: Callable[[Job], Result], jobs: Sequence[Job], processes: int
-) -> Iterator[tuple[Job, Result]]:
-    """Every job with its result, in the order in which they end.
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    processes: int,
+    said: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """The results, in the order of the jobs.
 
     Args:
         function: of a module, so that another process can find it.
         jobs: any number.
         processes: 1 stays in this one.
+        said: called with (done, total).
 
     Raises:
         TorchidError: a process was ended from outside.
     """
+    said(0, len(jobs))
     if processes == 1 or len(jobs) < 2:
+        out = []
         for job in jobs:
-            yield job, function(job)
-        return
+            out.append(function(job))
+            said(len(out), len(jobs))
+        return out
     context = multiprocessing.get_context("spawn")
     count = min(processes, len(jobs))
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(count, context, end_with_parent) as pool,
-    ):
-        waiting = {pool.submit(function, job): job for job in jobs}
+    with _one_thread_each(), ProcessPoolExecutor(count, context, end_with_parent) as pool:
+        waiting = [pool.submit(function, job) for job in jobs]
         try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
+            for done, future in enumerate(as_completed(waiting), 1):
+                future.result()
+                said(done, len(jobs))
+            return [future.result() for future in waiting]
         except BrokenProcessPool as error:
             raise TorchidError(
                 "a process was ended from outside; memory may have run out.",

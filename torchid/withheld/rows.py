@@ -112,10 +112,21 @@ class Row:
         return bool(self.claims) or self.status in (*SURE, "detected_unexplained")
 
 
+def named_record(row: Row) -> list[dict[str, Any]]:
+    """What was named, as plain data."""
+    return [
+        {"name": c.name, "joints": c.place or c.joints, "ambiguous_with": c.ambiguous}
+        for c in row.claims
+    ]
+
+
 def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
     """A case from its key and its answer, as they are in files."""
     claims = [_claim(c) for c in answer.get("which", ())]
-    claims += [_all_base(p) for p in answer.get("parametric", ()) if p["all_base_parameters"]]
+    for p in answer.get("parametric", ()):
+        if p["all_base_parameters"]:
+            share, others = float(p.get("share") or 0.0), tuple(p["ambiguous_with"])
+            claims.append(Claim("all_base", "inertia", (), (), others, share))
     return Row(
         str(answer["status"]),
         tuple(_planted(e) for e in key["effects"]),
@@ -144,11 +155,6 @@ def _claim(found: Mapping[str, Any]) -> Claim:
             if s is not None and isinstance(values.get(name), int | float)
         },
     )
-
-
-def _all_base(found: Mapping[str, Any]) -> Claim:
-    share = float(found.get("share") or 0.0)
-    return Claim("all_base", "inertia", (), (), tuple(found["ambiguous_with"]), share)
 
 
 def _planted(effect: Mapping[str, Any]) -> Planted:

@@ -42,17 +42,19 @@ class Job:
     settings: GapSettings
 
 
-def default_settings(*, rollout: bool = False) -> GapSettings:
-    """Those of `torchid gap`; simulating forwards has no part in the scores."""
-    return GapSettings(rollout=rollout)
+def default_settings(**changes: Any) -> GapSettings:
+    """Those of `torchid gap`, but for changes; simulating forwards has no part in the scores."""
+    return GapSettings(**{"rollout": False, **changes})
+
+
+def job_of(cases: CaseSet, case: str, answer: Path, settings: GapSettings | None = None) -> Job:
+    """A job for a case, its answer in any file; `default_settings` if None."""
+    return Job(case, cases.robot(case), cases.log(case), answer, settings or default_settings())
 
 
 def jobs_of(cases: CaseSet, settings: GapSettings) -> list[Job]:
     """A job a case."""
-    return [
-        Job(case, cases.robot(case), cases.log(case), cases.answer(case), settings)
-        for case in cases.ids
-    ]
+    return [job_of(cases, case, cases.answer(case), settings) for case in cases.ids]
 
 
 def run(
@@ -86,9 +88,14 @@ def run(
         if not one.answer.is_file():
             continue
         old = read_json(one.answer, "an answer")
-        reason = _stale(old, one.settings)
-        if reason is not None:
+        # Why it is not one of this diagnosis.
+        if old.get("version") != __version__:
+            reason = f"they are of torchid {old.get('version')}, and this is {__version__}"
             other[one.case] = reason
+        elif old.get("code") != code():
+            other[one.case] = "the diagnosis has changed since"
+        elif old.get("settings") != as_record(one.settings):
+            other[one.case] = "they were found with other settings"
         elif old.get("status") != ERROR:
             answers[one.case] = old
     if other and not again:
@@ -99,22 +106,15 @@ def run(
             hint="--again replaces them",
         )
     left = [job for job in todo if job.case not in answers]
-    say("diagnosing", len(answers), len(todo))
-    for job, answer in each(method or diagnose_case, left, jobs):
-        answers[job.case] = answer
-        say("diagnosing", len(answers), len(todo))
+    kept = len(answers)
+    found = each(
+        method or diagnose_case,
+        left,
+        jobs,
+        lambda done, _: say("diagnosing", kept + done, len(todo)),
+    )
+    answers |= {job.case: answer for job, answer in zip(left, found, strict=True)}
     return {job.case: answers[job.case] for job in todo}
-
-
-def _stale(answer: dict[str, Any], settings: GapSettings) -> str | None:
-    """Why an answer is not one of this diagnosis, or None."""
-    if answer.get("version") != __version__:
-        return f"they are of torchid {answer.get('version')}, and this is {__version__}"
-    if answer.get("code") != code():
-        return "the diagnosis has changed since"
-    if answer.get("settings") != as_record(settings):
-        return "they were found with other settings"
-    return None
 
 
 def diagnose_case(job: Job) -> dict[str, Any]:
@@ -152,10 +152,8 @@ def written(
 
 
 def _answer(job: Job) -> dict[str, Any]:
-    from torchid.gap.diagnose import diagnose
+    from torchid import diagnose, load_robot, read_log
     from torchid.gap.record import record
-    from torchid.log.readers import read_log
-    from torchid.robot.library import load_robot
 
     found = diagnose(load_robot(job.robot), read_log(job.log), settings=job.settings)
     corrected = {

@@ -16,12 +16,14 @@ from torchid.withheld.measures import (
     coefficient_coverage,
     joint_counts,
     matched,
+    median,
+    micro_f1,
     named,
     poor_verdict,
+    rate,
     verdict,
 )
 from torchid.withheld.rows import Row, row_of
-from torchid.withheld.shares import median, micro_f1, rate
 
 CLOSES = 0.1
 """Share that the oracle closes, below which a ratio to it says nothing."""
@@ -63,9 +65,17 @@ class Scored:
     seconds: float | None
 
 
+def closed_by(answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
+    """Closed shares, by case."""
+    closed = {case: (a.get("how_far") or {}).get("closed") for case, a in answers.items()}
+    return {case: None if value is None else float(value) for case, value in closed.items()}
+
+
 def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     """A case from its key and answer, as they are in files."""
     far = answer.get("how_far") or {}
+    # As in a file, where what is not a number is null.
+    low, high = far.get("closed_ci95") or (None, None)
     return Scored(
         case=str(key["id"]),
         kind=str(key["kind"]),
@@ -73,16 +83,9 @@ def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
         level=key.get("level"),
         row=row_of(key, answer),
         closed=float(far.get("closed") or 0.0),
-        closed_ci95=_interval(far.get("closed_ci95")),
+        closed_ci95=None if low is None or high is None else (float(low), float(high)),
         seconds=answer.get("seconds"),
     )
-
-
-def _interval(found: Sequence[float | None] | None) -> tuple[float, float] | None:
-    """As in a file, where what is not a number is null."""
-    if found is None or found[0] is None or found[1] is None:
-        return None
-    return float(found[0]), float(found[1])
 
 
 def scores(
@@ -97,10 +100,10 @@ def scores(
         oracle: per case the closed share of the diagnosis that was told the effect and the joint.
         truly_closed: per case the closed share of the corrected model without any noise.
     """
-    kinds: dict[str, list[Scored]] = defaultdict(list)
-    for case in cases:
-        kinds[case.kind].append(case)
-    single, several = kinds["single"], kinds["several"]
+    kinds = _by(cases, lambda c: c.kind)
+    single, several, severity = (kinds.get(k, []) for k in ("single", "several", "severity"))
+    quiet = [c for c in kinds.get("none", []) if c.row.status != "error"]
+    only_parameters, outside = kinds.get("parameters", []), kinds.get("outside", [])
     # Of logs with one effect: its name, in all and by effect.
     out = _naming(single)
     groups = _by(single, lambda c: c.row.planted[0].name)
@@ -108,21 +111,34 @@ def scores(
     out["white"] = _naming([c for c in single if c.colour_hz is None])
     out["coloured"] = _naming([c for c in single if c.colour_hz is not None])
     return {
-        "false_alarms": _false_alarms(kinds["none"]),
-        "parameters": _parameters(kinds["parameters"]),
+        # Of logs without any effect: whether anything is said to be there.
+        "false_alarms": {
+            "all": rate(c.row.alarm for c in quiet),
+            "white": rate(c.row.alarm for c in quiet if c.colour_hz is None),
+            "coloured": rate(c.row.alarm for c in quiet if c.colour_hz is not None),
+        },
+        # Of logs where only inertial parameters are wrong.
+        "parameters": {
+            "structural": rate(any(c.structural for c in s.row.claims) for s in only_parameters),
+            "found": rate(s.row.alarm for s in only_parameters),
+            "parametric_only": rate(s.row.status == "parametric_only" for s in only_parameters),
+        },
         "single": out,
         "single_clear": _naming([c for c in single if c.row.planted[0].size >= CLEAR]),
-        "wrong_for_sure": _wrong_for_sure(single + kinds["severity"]),
+        # Of one effect of any size: whether a wrong family is named for sure.
+        "wrong_for_sure": rate(
+            verdict(c.row, FAMILIES, every=False) == "confident_wrong" for c in single + severity
+        ),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
         "several": _several(several),
-        "outside": _outside(kinds["outside"]),
-        "poor": _poor(kinds["poor"]),
+        "outside": _outside(outside),
+        "poor": _poor(kinds.get("poor", [])),
         "closing": _closing(single, oracle or {}),
         "coverage": _coverage(cases, truly_closed or {}),
-        "status": _statuses(kinds),
+        "status": {k: dict(Counter(c.row.status for c in some)) for k, some in kinds.items()},
         "confusion": confusion(single),
-        "confusion_outside": confusion(kinds["outside"]),
-        "detection": detection(kinds["severity"]),
+        "confusion_outside": confusion(outside),
+        "detection": detection(severity),
         "errors": [c.case for c in cases if c.row.status == "error"],
         "seconds_median": _median([c.seconds for c in cases if c.seconds is not None]),
     }
@@ -132,42 +148,17 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _false_alarms(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs without any effect: whether anything is said to be there."""
-    ran = [c for c in cases if c.row.status != "error"]
-    return {
-        "all": rate(c.row.alarm for c in ran),
-        "white": rate(c.row.alarm for c in ran if c.colour_hz is None),
-        "coloured": rate(c.row.alarm for c in ran if c.colour_hz is not None),
-    }
-
-
-def _parameters(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs where only inertial parameters are wrong."""
-    return {
-        "structural": rate(any(c.structural for c in s.row.claims) for s in cases),
-        "found": rate(s.row.alarm for s in cases),
-        "parametric_only": rate(s.row.status == "parametric_only" for s in cases),
-    }
-
-
 def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
     found = [named(c.row) for c in cases]
     sizes = [n.set_size for n in found if n.set_size is not None]
     return {
         "detected": rate(c.row.alarm for c in cases),
-        "top1": rate(n.top1 for n in found),
-        "in_set": rate(n.in_set for n in found),
-        "anywhere": rate(n.anywhere for n in found),
-        "family": rate(n.family for n in found),
-        "exact": rate(n.exact for n in found),
+        **{
+            name: rate(getattr(n, name) for n in found)
+            for name in ("top1", "in_set", "anywhere", "family", "exact")
+        },
         "set_size": sum(sizes) / len(sizes) if sizes else None,
     }
-
-
-def _wrong_for_sure(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of one effect of any size: whether a wrong family is named for sure."""
-    return rate(verdict(c.row, FAMILIES, every=False) == "confident_wrong" for c in cases)
 
 
 def _several(cases: Sequence[Scored]) -> dict[str, Any]:
@@ -234,12 +225,6 @@ def _coverage(cases: Sequence[Scored], truly_closed: Mapping[str, float]) -> dic
     return {
         "closed": rate(held),
         "coefficients": rate(flag for c in graded for flag in coefficient_coverage(c.row)),
-    }
-
-
-def _statuses(kinds: Mapping[str, Sequence[Scored]]) -> dict[str, dict[str, int]]:
-    return {
-        kind: dict(Counter(c.row.status for c in cases)) for kind, cases in kinds.items() if cases
     }
 
 

@@ -7,13 +7,12 @@ from typing import Any
 from torchid import __version__
 from torchid.effects.registry import FAMILIES
 from torchid.errors import TorchidError
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.measures import joint_counts, matched, named, poor_verdict, verdict
-from torchid.withheld.oracle import closed_by
-from torchid.withheld.rows import Row
+from torchid.withheld.rows import Row, named_record
 from torchid.withheld.run import ERROR
-from torchid.withheld.score import Scored, scored, scores
+from torchid.withheld.score import Scored, closed_by, scored, scores
 
 SCHEMA = "torchid.withheld.score/1"
 
@@ -56,6 +55,7 @@ def summary(
         oracle: by case, answers of the diagnosis that was told.
         truly_closed: as `score.scores`.
     """
+    by_id = {str(key["id"]): key for key in keys}
     ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
     closed = None if oracle is None else closed_by(oracle)
     own = [answers[c.case] for c in ours]
@@ -86,25 +86,16 @@ def summary(
             "kinds": dict(Counter(c.kind for c in ours)),
             "scores": scores(ours, closed, truly_closed),
             "baselines": out,
-            "answers": [_listed(c, k) for c, k in _pairs(ours, keys)],
+            "answers": [_listed(c, by_id[c.case]) for c in ours],
         }
     )
-
-
-def _pairs(
-    ours: Sequence[Scored], keys: Sequence[Mapping[str, Any]]
-) -> list[tuple[Scored, Mapping[str, Any]]]:
-    by_id = {str(key["id"]): key for key in keys}
-    return [(c, by_id[c.case]) for c in ours]
 
 
 def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:
     """One case, for the reader who wants to know what went wrong."""
     return {
-        "case": case.case,
-        "kind": case.kind,
-        "arm": key.get("arm"),
-        "rate_hz": key.get("rate_hz"),
+        **picked(case, "case kind"),
+        **{name: key.get(name) for name in ("arm", "rate_hz")},
         "colour_hz": case.colour_hz,
         "repeats": key.get("repeats"),
         "level": case.level,
@@ -112,10 +103,7 @@ def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:
             {"name": p.name, "joints": p.located, "size": p.size} for p in case.row.planted
         ],
         "status": case.row.status,
-        "named": [
-            {"name": c.name, "joints": c.place or c.joints, "ambiguous_with": c.ambiguous}
-            for c in case.row.claims
-        ],
+        "named": named_record(case.row),
         "closed": case.closed,
         "right": right(case.kind, case.row),
         "seconds": case.seconds,

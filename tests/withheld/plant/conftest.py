@@ -12,9 +12,8 @@ from torchid.withheld.plant.arms import arm_named
 from torchid.withheld.plant.draw import CaseSpec, draw_case
 from torchid.withheld.plant.model import plant_of
 from torchid.withheld.plant.motion import MotionPlan
-from torchid.withheld.plant.nominal import Nominal, nominal_of
 from torchid.withheld.plant.plan import Plan, Scene
-from torchid.withheld.plant.scene import friction_known, scene_of
+from torchid.withheld.plant.scene import Nominal, friction_known, nominal_of, scene_of
 
 SHORT = MotionPlan(
     seed=3,

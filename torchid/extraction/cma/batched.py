@@ -74,11 +74,7 @@ def strategy(n: int, population: int) -> Strategy:
     mu_eff_bad = sum(bad) ** 2 / sum(w * w for w in bad)
     c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)
     c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))
-    mass = min(
-        1 + c_1 / c_mu,
-        1 + 2 * mu_eff_bad / (mu_eff + 2),
-        (1 - c_1 - c_mu) / (n * c_mu),
-    )
+    mass = min(1 + c_1 / c_mu, 1 + 2 * mu_eff_bad / (mu_eff + 2), (1 - c_1 - c_mu) / (n * c_mu))
     weights = [w / sum(good) for w in good] + [mass * w / -sum(bad) for w in bad]
     c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
     return Strategy(

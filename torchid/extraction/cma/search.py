@@ -57,11 +57,7 @@ class SearchState:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All of it as arrays on the CPU, by attribute name: for npz. Nothing is rounded."""
-        arrays = {
-            f.name: getattr(self, f.name).detach().cpu().numpy().copy()
-            for f in fields(self)
-            if f.name != "generation"
-        }
+        arrays = {k: x.detach().cpu().numpy().copy() for k, x in self._tensors().items()}
         return arrays | {"generation": np.asarray(self.generation, dtype=np.int64)}
 
     @classmethod
@@ -84,10 +80,11 @@ class SearchState:
 
     def to(self, device: torch.device | str) -> "SearchState":
         """The same state on another device."""
-        tensors = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "generation"}
-        return SearchState(
-            **{name: t.to(device) for name, t in tensors.items()}, generation=self.generation
-        )
+        moved = {name: t.to(device) for name, t in self._tensors().items()}
+        return SearchState(**moved, generation=self.generation)
+
+    def _tensors(self) -> dict[str, Tensor]:
+        return {name: x for name, x in vars(self).items() if name != "generation"}
 
 
 @runtime_checkable

@@ -20,19 +20,103 @@ linear over { y : conditions homogenised by 1 / m, mass of y = 1 } (A. Charnes, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
+from scipy import stats
 
 from torchid.errors import TorchidError
+from torchid.extraction.convex.certificate import loss_matrix
 from torchid.extraction.convex.conic import Rows, Status
 from torchid.extraction.convex.rows import AXES
 from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
-from torchid.extraction.convex.torque_region import Kind, confidence_region, least_loss_region
 from torchid.extraction.problem import Problem
 from torchid.robot.inertia import parameter_names, parameter_units
 from torchid.robot.model import JointType
 from torchid.typing import Float, Tensor
+
+Kind = Literal["exact", "least loss", "confidence"]
+
+EXACT = 1e-8
+"""Least norm of the residual, relative to the target's, that counts as reproduced exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Feasible sets of equal torque.
+
+    Attributes:
+        sets: the feasible sets.
+        kind: what equal torque means.
+        radius: of the region, in units of its norm.
+        widened: whether it was grown until it holds a feasible set.
+    """
+
+    sets: ConvexSets
+    kind: Kind
+    radius: float
+    widened: bool = False
+
+
+def least_loss_region(problem: Problem, body: ConvexSets, slack: float) -> Region:
+    """Feasible sets with exactly the target's base parameters; where there are none, those with at
+    most (1 + slack) times the least loss."""
+    matrix, offset = loss_matrix(problem)
+    least = body.least_norm(matrix, offset)
+    if not least.solution.usable or least.value <= EXACT * float(np.linalg.norm(offset)):
+        # Without any feasible set the ends say so.
+        return Region(_on_solutions(body, matrix, offset), "exact", 0.0)
+    radius = float(np.sqrt(1 + slack) * least.value)
+    ball = body.ball(matrix, offset, radius, "torque")
+    return Region(body.plus([ball]), "least loss", radius)
+
+
+def confidence_region(
+    problem: Problem, body: ConvexSets, covariance: Tensor, level: float, slack: float
+) -> Region:
+    """Feasible sets in the confidence ellipsoid of the base parameters.
+
+    Raises:
+        TorchidError: a covariance of another size.
+    """
+    target = problem.target
+    c = covariance.detach().cpu().double().numpy()
+    if c.shape != (len(target.base), len(target.base)):
+        raise TorchidError(
+            "the covariance does not belong to the base parameters.",
+            got=c.shape,
+            expected=f"({len(target.base)}, {len(target.base)})",
+        )
+    grouping = target.base.grouping.cpu().double().numpy()
+    values = target.values.cpu().double().numpy()
+    variance = c.diagonal()
+    known, free = variance == 0, np.isfinite(variance) & (variance > 0)
+    if known.any():
+        body = _on_solutions(body, grouping[known], -values[known])
+    if not free.any():
+        return Region(body, "confidence", 0.0)
+    scale = np.sqrt(variance[free])
+    eigenvalues, vectors = np.linalg.eigh(c[np.ix_(free, free)] / scale / scale[:, None])
+    whiten = vectors.T / np.sqrt(np.maximum(eigenvalues, 1e-12))[:, None] / scale
+    matrix, offset = whiten @ grouping[free], -whiten @ values[free]
+    radius = float(np.sqrt(stats.chi2.ppf(level, int(free.sum()))))
+    least = body.least_norm(matrix, offset)
+    widened = least.solution.usable and least.value > radius
+    radius = float(np.sqrt(1 + slack) * least.value) if widened else radius
+    ball = body.ball(matrix, offset, radius, "torque")
+    return Region(body.plus([ball]), "confidence", radius, widened)
+
+
+def _on_solutions(body: ConvexSets, matrix: np.ndarray, offset: np.ndarray) -> ConvexSets:
+    """The sets with matrix x + offset = 0, in coordinates of the solutions (least squares, where
+    there is none): so every point meets the equations to rounding."""
+    a, b = body.affine(matrix, offset)
+    u, size, vh = np.linalg.svd(a)
+    rank = int((size > 1e-10 * size[0]).sum())
+    origin = -vh[:rank].T @ ((u[:, :rank].T @ b) / size[:rank])
+    return body.on(vh[rank:].T, origin)
+
 
 _KNOWN = 1e-12
 """Share of a parameter that the sets can change, below which it is the same for all."""
@@ -113,7 +197,15 @@ def atlas(
         raise TorchidError("level lies in (0, 1), slack is positive.", got=f"{level}, {slack}")
     conditions = problem.conditions if with_conditions else None
     box = com_box(problem.n, conditions, problem.bounds if com_bounds else None)
-    quantities = _chosen(_quantities(problem, box), only)
+    quantities = _quantities(problem, box)
+    if only is not None:
+        named = {q.name: q for q in quantities}
+        unknown = [name for name in only if name not in named]
+        if unknown or not only:
+            raise TorchidError(
+                "no such parameters.", got=unknown or list(only), available=list(named)
+            )
+        quantities = [named[name] for name in only]
     body = convex_sets(
         problem.robot,
         problem.target.effects,
@@ -190,16 +282,6 @@ def _quantities(problem: Problem, box: np.ndarray) -> list[_Quantity]:
             low = max(low, 0.0) if c.non_negative else low
             found.append(_Quantity(name, c.unit_for(prismatic), len(found), low, high))
     return found
-
-
-def _chosen(quantities: list[_Quantity], only: Sequence[str] | None) -> list[_Quantity]:
-    if only is None:
-        return quantities
-    known = {q.name: q for q in quantities}
-    unknown = [name for name in only if name not in known]
-    if unknown or not only:
-        raise TorchidError("no such parameters.", got=unknown or list(only), available=list(known))
-    return [known[name] for name in only]
 
 
 def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Status, np.ndarray]:

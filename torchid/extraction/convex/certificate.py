@@ -9,16 +9,94 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from torchid.extraction.convex.reasons import NOTHING, conflict_of, forcing_conditions
+from torchid.extraction.convex.conic import Solution, minimise
 from torchid.extraction.convex.rows import AXES, ENTRIES, link_columns
-from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets, sets_of
+from torchid.extraction.convex.sets import ConvexSets, Nearest, com_box, convex_sets, sets_of
 from torchid.extraction.problem import Problem
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets
+
+NEARLY_ZERO = 1e-3
+"""Share of a least loss that counts as none."""
+_ACTIVE = 1e-7
+"""Multipliers below this share of the largest are zero."""
+NOTHING = 1e-6
+"""A least norm below this share of the offset's needs no explanation."""
+
+
+def conflict_of(body: ConvexSets) -> tuple[str, ...]:
+    """Conditions that no x meets together, none of which can be left out; () if some x does.
+
+    The solver's proof of infeasibility (Farkas) names candidates; each that is not needed for the
+    contradiction is then dropped.
+    """
+    nothing = np.zeros(body.basis.shape[1])
+    found = minimise(nothing, body.rows)
+    if found.usable:
+        return ()
+    kept = _active(body, found)
+    everything = set(body.names)
+    for name in list(kept):
+        rest = set(kept) - {name}
+        if rest and minimise(nothing, body.without(everything - rest).rows).status == "infeasible":
+            kept.remove(name)
+    return tuple(kept)
+
+
+def forcing_conditions(
+    body: ConvexSets, matrix: np.ndarray, offset: np.ndarray, found: Nearest
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """What holds a least norm up.
+
+    Args:
+        body: the sets.
+        matrix, offset: of the norm ||matrix x + offset||.
+        found: its minimum over the sets.
+
+    Returns:
+        The squared minimum without each active condition (without any other it stays), and a small
+        group of conditions, found greedily, without which it is nearly zero; () if there is none
+        or the minimum is zero.
+    """
+    if found.bound <= NOTHING * float(np.linalg.norm(offset)):
+        return {}, ()
+    first: dict[str, float] = {}
+    goal, group, left = NEARLY_ZERO * found.value**2, list[str](), found
+    while left.value**2 > goal:
+        rest = body.without(group)
+        trials = {
+            name: rest.without([name]).least_norm(matrix, offset)
+            for name in _active(rest, left.solution)
+        }
+        trials = {name: t for name, t in trials.items() if t.solution.usable}
+        first = first or {name: t.bound**2 for name, t in trials.items()}
+        if not trials:
+            break
+        best = min(trials, key=lambda name: trials[name].value)
+        group.append(best)
+        left = trials[best]
+    if left.value**2 > goal:
+        return first, ()
+    for name in list(group):
+        rest = body.without(set(group) - {name})
+        if len(group) > 1 and rest.least_norm(matrix, offset).value ** 2 <= goal:
+            group.remove(name)
+    return first, tuple(group)
+
+
+def _active(body: ConvexSets, found: Solution) -> list[str]:
+    """Conditions whose multipliers are not zero: without any other, the optimum stays."""
+    sizes = [float(np.linalg.norm(z)) for z in found.multipliers[: len(body.rows)]]
+    least = _ACTIVE * max(sizes)
+    # Not "s > least": a multiplier that is not a number counts.
+    names = [r.name for r, s in zip(body.rows, sizes, strict=True) if not s <= least]
+    return list(dict.fromkeys(names))
+
 
 STRICT = 1e-6
 """Smallest eigenvalue of the pseudo-inertias of a set called strictly feasible [kg m^2, kg]."""
@@ -125,12 +203,18 @@ def certificate(
     begun = time.perf_counter()
     question = _Question(problem, with_conditions, com_bounds, inertia_bounds, margin)
     conflict = question.crossed()
-    if conflict:
-        return _infeasible(conflict, with_conditions, begun)
     matrix, offset = loss_matrix(problem)
-    inner = question.strictly_inside(matrix, offset)
+    inner = None if conflict else question.strictly_inside(matrix, offset)
     if inner is None:
-        return _infeasible(conflict_of(question.body(margin + STRICT)), with_conditions, begun)
+        conflict = conflict or conflict_of(question.body(margin + STRICT))
+        return Certificate(
+            feasible=False,
+            phi_min=np.inf if conflict else np.nan,
+            conflict=conflict,
+            with_conditions=with_conditions,
+            status="infeasible" if conflict else "failed",
+            seconds=time.perf_counter() - begun,
+        )
     outer = question.body(margin)
     # Rows that only bound the inertias help some proofs and harm others; without them the bound
     # still holds within the radius.
@@ -155,8 +239,7 @@ def certificate(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Inner:
+class _Inner(NamedTuple):
     """A strictly feasible set, its loss and margin, and what it or the relaxation misses."""
 
     sets: ParameterSets
@@ -271,14 +354,3 @@ def loss_matrix(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """W G (R, P) and -t (R,): phi = ||W G x - t||^2."""
     target = problem.target
     return target.matrix.cpu().double().numpy(), -target.offset.cpu().double().numpy()
-
-
-def _infeasible(conflict: tuple[str, ...], with_conditions: bool, begun: float) -> Certificate:
-    return Certificate(
-        feasible=False,
-        phi_min=np.inf if conflict else np.nan,
-        conflict=conflict,
-        with_conditions=with_conditions,
-        status="infeasible" if conflict else "failed",
-        seconds=time.perf_counter() - begun,
-    )

@@ -175,10 +175,7 @@ def matrix_of(entries: np.ndarray) -> np.ndarray:
 
 
 def _dual_feasible(
-    cost: np.ndarray,
-    rows: Sequence[Rows],
-    matrix: np.ndarray,
-    multipliers: Sequence[np.ndarray],
+    cost: np.ndarray, rows: Sequence[Rows], matrix: np.ndarray, multipliers: Sequence[np.ndarray]
 ) -> np.ndarray:
     """z in the cones with A'z near the cost: the one with the smaller residual of the projected z
     and the z that was moved before.

@@ -202,10 +202,7 @@ class RowBuilder:
             return
         x, y = _MIXED[entry]
         rows, offsets = [], []
-        for sign, limit, corners in (
-            (-1.0, high, ((0, 0), (1, 1))),
-            (1.0, -low, ((1, 0), (0, 1))),
-        ):
+        for sign, limit, corners in ((-1.0, high, ((0, 0), (1, 1))), (1.0, -low, ((1, 0), (0, 1)))):
             for i, k in corners:
                 cx, cy = float(box[0, i]), float(box[1, k])
                 rows.append(

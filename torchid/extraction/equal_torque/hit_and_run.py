@@ -107,10 +107,8 @@ def interior_point(region: Region) -> tuple[Tensor, Tensor]:
     inside = _derivatives(region, z)[2]
     if bool(inside.all()):
         return z, inside
-    rows = (~inside).nonzero().flatten()
-    found, ok = _first_stage(region.part(rows))
-    z[rows] = found
-    inside[rows] = ok
+    outside = (~inside).nonzero().flatten()
+    z[outside], inside[outside] = _first_stage(region.part(outside))
     return z, inside
 
 

@@ -34,17 +34,128 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.extraction.equal_torque.hit_and_run import analytic_centre, hit_and_run, interior_point
-from torchid.extraction.equal_torque.relaxations import relaxed_limits
-from torchid.extraction.equal_torque.space import EqualTorqueSpace, equal_torque_space, kernel
+from torchid.extraction.equal_torque.space import (
+    EqualTorqueSpace,
+    Limits,
+    equal_torque_space,
+    kernel,
+)
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.margins import kinds as kinds_of
 from torchid.feasibility.sets import ParameterSets, joined
 from torchid.identification.base_parameters import BaseParameters
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Int, Tensor
+
+SLIGHTEST = 0.02
+"""Relaxation of the first chain of a kind; the last has 1, those between a geometric sequence."""
+FIRMEST = 0.5
+"""Degree that the most firmly feasible chain asks for, if there are such sets."""
+
+
+def relaxed_limits(
+    walk: EqualTorqueSpace, relaxed: frozenset[str], chains: int, generator: np.random.Generator
+) -> Limits | None:
+    """Limits of the chains of a kind, from slightly to grossly relaxed; None if the conditions
+    leave the kind nothing to violate."""
+    limits = walk.limits(chains)
+    if not relaxed:
+        # Feasible with a degree of at least: nothing in half of the chains, then growing from chain
+        # to chain. Chains that ask for more than there is have an empty region.
+        level = torch.linspace(-1.0, 1.0, chains, dtype=walk.x.dtype)
+        firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(FIRMEST), level).flatten()
+        firm = torch.where(level > 0, firm, 0.0)
+        by = firm.unsqueeze(-1)
+        low, high = limits.com.unbind(-1)
+        side = by.unsqueeze(-1) * (high - low) / 2
+        half = (limits.total[:, 1:] - limits.total[:, :1]) / 2
+        inner = torch.where(torch.isfinite(half), by * half, 0.0)
+        return replace(
+            limits,
+            firm=firm,
+            com=torch.stack([low + side, high - side], -1),
+            radius=limits.radius * (1 - by),
+            total=limits.total + torch.cat([inner, -inner], -1),
+        )
+    # What leaves a kind nothing to violate.
+    wider = torch.isfinite(walk.conditions.com_box) & (walk.widest != walk.conditions.com_box)
+    possible = {
+        "com": bool(wider.any()),
+        "total_mass": bool(torch.isfinite(walk.conditions.total_mass).any()),
+        "shape": bool(torch.isfinite(walk.conditions.round_radius).any()),
+    }
+    if not all(possible.get(kind, True) for kind in relaxed):
+        return None
+    for kind in sorted(relaxed):
+        level = torch.linspace(0.0, 1.0, chains, dtype=walk.x.dtype)
+        if len(relaxed) > 1:
+            level = level[torch.from_numpy(generator.permutation(chains))]
+        # Random links (chains, n), any number of them from 1 to n, all numbers equally often.
+        order = generator.permuted(np.tile(np.arange(walk.n), (chains, 1)), axis=1)
+        count = generator.permutation(np.arange(chains) % walk.n) + 1
+        links = torch.from_numpy(order < count[:, None])
+        limits = _relaxed(kind, walk, limits, level, links, generator)
+    return limits
+
+
+def _between(slight: Tensor, gross: Tensor, level: Tensor) -> Tensor:
+    """Geometrically from slight (n,) at level 0 to gross (n,) at 1, for each level: (K, n)."""
+    power = level.reshape(-1, *[1] * slight.ndim)
+    return gross * (slight / gross) ** (1 - power)
+
+
+def _relaxed(
+    kind: str,
+    walk: EqualTorqueSpace,
+    limits: Limits,
+    level: Tensor,
+    links: Tensor,
+    generator: np.random.Generator,
+) -> Limits:
+    """The limits (K regions) without those of one kind, for levels (K,) and links (K, n)."""
+    k, n = links.shape
+    chain = torch.arange(k)
+    share = _between(level.new_tensor(SLIGHTEST), level.new_tensor(1.0), level).reshape(-1, 1)
+    if kind == "inertia":
+        # Second moments from slightly below zero to where only |J| limits them.
+        gross = torch.maximum(3 * walk.inertia.amax(-1), walk.scale)
+        depth = _between(SLIGHTEST * walk.scale, gross, level)
+        return replace(limits, second=torch.where(links, -depth, 0.0))
+    if kind == "com":
+        # Boxes on the way from the conditions' to the outer ones, and one coordinate of each chain
+        # beyond one of its faces: otherwise few draws would violate anything.
+        reach = (walk.widest - limits.com[0]).abs()
+        faces = (reach.flatten() > 0).nonzero().flatten()
+        face = faces[torch.from_numpy(generator.permutation(np.arange(k) % len(faces)))]
+        link, side = face // 6, face % 2
+        links = links | torch.nn.functional.one_hot(link, n).bool()
+        com = limits.com + (share * links).reshape(k, n, 1, 1) * (walk.widest - limits.com)
+        beyond = com.flatten(1)
+        beyond[chain, face + 1 - 2 * side] = limits.com[0].flatten()[face]
+        return replace(limits, com=beyond.reshape_as(com))
+    if kind == "mass":
+        # Negative masses: of one link in every other chain, of several in the rest.
+        one = torch.nn.functional.one_hot(chain // 2 % n, n).bool()
+        negative = torch.where((chain % 2 == 0).unsqueeze(-1), one, links)
+        deepest = _between(SLIGHTEST * walk.mass_scale.expand(n), walk.heaviest, level)
+        low = torch.where(negative, 0.0, limits.mass[..., 0])
+        high = torch.where(negative, deepest, limits.mass[..., 1])
+        sign = torch.where(negative, -1.0, 1.0).to(low)
+        return replace(limits, sign=sign, mass=torch.stack([low, high], -1))
+    if kind == "total_mass":
+        # Above the interval, and below it in every other chain.
+        low, high = limits.total.unbind(-1)
+        part = share.flatten()
+        above = torch.stack([high, high + part * (walk.heaviest.sum() - high).clamp(min=0.0)], -1)
+        below = torch.stack([low * (1 - part), low], -1)
+        down = ((chain % 2 == 1) & (low > 0)) | ~torch.isfinite(high)
+        return replace(limits, total=torch.where(down.unsqueeze(-1), below, above))
+    # Radii of the shapes up to twice themselves and the reach of the boxes.
+    grown = limits.radius + share * (limits.radius + walk.widest.abs().amax(-1).norm(dim=-1))
+    return replace(limits, radius=torch.where(links, grown, limits.radius))
+
 
 FEASIBLE = "feasible"
 RELAXABLE = ("inertia", "com", "mass", "total_mass", "shape")
@@ -57,7 +168,7 @@ STEPS_PER_DIMENSION = 2
 time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the slowest)."""
 
 _BINS = 10
-_NEWTON_STEPS = 80
+_NEWTON_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,47 +195,6 @@ def null_space(base: BaseParameters) -> Float[Tensor, "P D"]:
     return kernel(base.grouping)
 
 
-def interior_reference(
-    robot: Robot,
-    start: ParameterSets | Float[Tensor, " P"],
-    base: BaseParameters,
-    conditions: Conditions,
-    outer: Bounds,
-) -> ParameterSets:
-    """The firmly feasible set with the torque of `start`: the analytic centre of all of them.
-
-    Args:
-        robot: the arm.
-        start: one set; or its vector in the paper's stacking, for a robot without effects. It need
-            not be feasible if some set with its torque is.
-        base: the robot's base parameters, with the set's effects.
-        conditions: to be met.
-        outer: limits of the masses, of |J|, and of CoMs that `conditions` leaves free.
-
-    Returns:
-        One set, named interior.
-
-    Raises:
-        TorchidError: no set with this torque meets the conditions; a coefficient of an effect,
-            which stays, violates its sign; sizes that do not match.
-    """
-    reference = _one_set(robot, start, base)
-    walk = equal_torque_space(reference, base, conditions, outer)
-    limits = walk.limits(1)
-    region = walk.region(limits)
-    z, inside = interior_point(region)
-    if not bool(inside[0]):
-        raise TorchidError(
-            "no set with this torque meets all conditions within the outer bounds.",
-            got=f"set '{reference.ids[0]}'",
-            hint="take the base parameters of the closest feasible set, or wider boxes or bounds",
-        )
-    centre, _ = analytic_centre(region, z, _NEWTON_STEPS)
-    found = walk.sets(centre, ("interior",))
-    _require_feasible(found, conditions)
-    return found
-
-
 def equal_torque_sets(
     robot: Robot,
     base: BaseParameters,
@@ -142,7 +212,7 @@ def equal_torque_sets(
     Args:
         robot: the arm.
         base: its base parameters with the reference's effects.
-        reference: one feasible set; `interior_reference` gives a good one.
+        reference: one feasible set.
         conditions: what is kept, and what is violated by choice.
         outer: limits of the masses, of |J|, and of the CoMs where their boxes are relaxed.
         kinds: feasible, or names of `RELAXABLE`, several joined by +.
@@ -171,8 +241,21 @@ def equal_torque_sets(
         raise TorchidError(
             "per_kind and chains must be positive.", got=f"{per_kind} and {chains}", expected=">= 1"
         )
-    reference = _one_set(robot, reference, base)
-    _require_feasible(reference, conditions)
+    expected = robot.n, len(base.parameter_names)
+    got = reference.parameters.mass.shape[-1], reference.vector.shape[-1]
+    if len(reference) != 1 or got != expected:
+        raise TorchidError(
+            "the reference must be one set of this robot, with the effects of the base parameters.",
+            got=f"{len(reference)} sets of {got[0]} links and {got[1]} parameters",
+            expected=f"1 set of {expected[0]} links and {expected[1]} parameters",
+        )
+    checked = feasibility(reference, conditions)
+    if not bool(checked.feasible[0]):
+        raise TorchidError(
+            "the reference of a family with equal torque must be feasible.",
+            got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
+            hint="coefficients of effects stay as they are: correct their signs first",
+        )
     walk = equal_torque_space(reference, base, conditions, outer)
     parts: list[ParameterSets] = []
     names: list[str] = []
@@ -200,36 +283,6 @@ def equal_torque_sets(
     )
 
 
-def _one_set(robot: Robot, start: ParameterSets | Tensor, base: BaseParameters) -> ParameterSets:
-    """The start as one set whose vector fits the base parameters."""
-    if isinstance(start, Tensor):
-        start = ParameterSets(
-            ("start",),
-            InertialParameters.from_paper_order(start.reshape(1, -1)),
-            (),
-            start.new_zeros(1, 0),
-        )
-    names = (robot.n, len(base.parameter_names))
-    got = (start.parameters.mass.shape[-1], start.vector.shape[-1])
-    if len(start) != 1 or got != names:
-        raise TorchidError(
-            "the reference must be one set of this robot, with the effects of the base parameters.",
-            got=f"{len(start)} sets of {got[0]} links and {got[1]} parameters",
-            expected=f"1 set of {names[0]} links and {names[1]} parameters",
-        )
-    return start
-
-
-def _require_feasible(reference: ParameterSets, conditions: Conditions) -> None:
-    checked = feasibility(reference, conditions)
-    if not bool(checked.feasible[0]):
-        raise TorchidError(
-            "the reference of a family with equal torque must be feasible.",
-            got=f"set '{reference.ids[0]}' violates {', '.join(checked.reasons(0))}",
-            hint="coefficients of effects stay as they are: correct their signs first",
-        )
-
-
 def _draw(
     walk: EqualTorqueSpace,
     relaxed: frozenset[str],
@@ -239,16 +292,15 @@ def _draw(
 ) -> tuple[ParameterSets, Tensor]:
     """Draws of all chains of a kind, and (K,) the chain of each; none if the kind is empty."""
     limits = relaxed_limits(walk, relaxed, chains, generator)
-    nothing = walk.reference.part([]), torch.zeros(0, dtype=torch.long)
-    if limits is None:
-        return nothing
-    region = walk.region(limits)
-    start, inside = interior_point(region)
-    rows = inside.nonzero().flatten()
+    rows = torch.zeros(0, dtype=torch.long)
+    if limits is not None:
+        region = walk.region(limits)
+        start, inside = interior_point(region)
+        rows = inside.nonzero().flatten()
     if not len(rows):
-        return nothing
+        return walk.reference.part([]), rows
     region, start = region.part(rows), start[rows]
-    centre, axes = analytic_centre(region, start, _NEWTON_STEPS // 2)
+    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
     draws = math.ceil(DRAWS * per_kind / len(rows))
     thin = STEPS_PER_DIMENSION * start.shape[1]
     seeds = generator.integers(2**62, size=chains)[rows.numpy()]

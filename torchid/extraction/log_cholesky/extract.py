@@ -25,8 +25,7 @@ from dataclasses import dataclass
 import torch
 
 from torchid.errors import TorchidError
-from torchid.extraction.log_cholesky.merit import Merit, along, theta_of
-from torchid.extraction.log_cholesky.start import moved_inside, room_of
+from torchid.extraction.log_cholesky.merit import Merit, along, moved_inside, room_of, theta_of
 from torchid.extraction.problem import Problem
 from torchid.robot.inertia import second_moment
 from torchid.typing import Bool, Float, Tensor

@@ -59,7 +59,17 @@ def region(problem: Problem, *, conditions: bool) -> Region:
         middle = problem.box.mean(-1)
         return Region(problem.box, False, middle, (), none, no_total)
     box, contradictions = _narrowed(problem)
-    mass, total, against = _masses(problem, box[:n])
+    # Masses inside their bounds whose sum is inside the total mass's interval.
+    asked = problem.conditions.total_mass.to(box)
+    low = torch.maximum(asked[0], box[:n, 0].sum())
+    high = torch.minimum(asked[1], box[:n, 1].sum())
+    mass, total = box[:n].mean(-1), no_total
+    if low < high:
+        span = box[:n, 1] - box[:n, 0]
+        mass = box[:n, 0] + ((low + high) / 2 - box[:n, 0].sum()) / span.sum() * span
+        total = torch.stack([low, high]) if bool(torch.isfinite(asked).any()) else asked
+    else:
+        contradictions.append("total_mass")
     com, round_links, outside = _centres(problem, box[n : 4 * n].reshape(n, 3, 2))
     # Inertias (n, 6) inside their bounds with S as positive definite as the bounds allow.
     inertia = torch.stack([_best_inertia(own) for own in box[4 * n : 10 * n].reshape(n, 6, 2)])
@@ -69,7 +79,7 @@ def region(problem: Problem, *, conditions: bool) -> Region:
         box,
         not impossible,
         inside,
-        (*contradictions, *against, *outside, *impossible),
+        (*contradictions, *outside, *impossible),
         round_links,
         total,
     )
@@ -98,20 +108,6 @@ def _narrowed(problem: Problem) -> tuple[Tensor, list[str]]:
     ]
     box[n : 4 * n] = torch.stack([low, high], -1)
     return box, found
-
-
-def _masses(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:
-    """Masses inside their bounds whose sum is inside the total mass's interval."""
-    asked = problem.conditions.total_mass.to(box)
-    low = torch.maximum(asked[0], box[:, 0].sum())
-    high = torch.minimum(asked[1], box[:, 1].sum())
-    if not low < high:
-        no_total = torch.tensor([-torch.inf, torch.inf], dtype=box.dtype)
-        return box.mean(-1), no_total, ["total_mass"]
-    span = box[:, 1] - box[:, 0]
-    share = ((low + high) / 2 - box[:, 0].sum()) / span.sum()
-    within = torch.stack([low, high]) if bool(torch.isfinite(asked).any()) else asked
-    return box[:, 0] + share * span, within, []
 
 
 def _centres(problem: Problem, box: Tensor) -> tuple[Tensor, Tensor, list[str]]:

@@ -23,8 +23,8 @@ from torchid.gap.localise.resampling import (
     permuted,
     quadratic,
 )
-from torchid.identification.statistics import CORRELATION_TIMES, correlation_instants
 from torchid.log.filtering import low_passed
+from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.typing import Float, Tensor
 

@@ -16,19 +16,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.extraction.equal_torque.sample import FEASIBLE, KINDS, EqualTorqueSets
+from torchid.extraction.equal_torque.sample import (
+    FEASIBLE,
+    KINDS,
+    EqualTorqueSets,
+    equal_torque_sets,
+)
 from torchid.extraction.equal_torque.space import equal_torque_space
-from torchid.feasibility.margins import Feasibility
+from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.study.equal_torque.family import Drawn, draw
-from torchid.study.equal_torque.force_reach import ForceReach, force_reach
-from torchid.study.equal_torque.other_truths import FirmTruths, OtherTruths, other_truths
+from torchid.study.equal_torque.force_reach import ForceReach, force_reach, force_squares
 from torchid.study.equal_torque.setting import (
     MARGIN,
     RATE,
@@ -36,10 +40,153 @@ from torchid.study.equal_torque.setting import (
     equal_torque_setting,
     reference_motion,
 )
-from torchid.study.equal_torque.statistics import Statistics, statistics
+from torchid.study.equal_torque.statistics import (
+    FirmTruths,
+    OtherTruths,
+    Samples,
+    Statistics,
+    other_truths,
+    statistics,
+)
 from torchid.typing import Float, Tensor
-from torchid.wrenches.compare import RESAMPLES, Comparison
+from torchid.wrenches.classes import class_of, ordered_classes
+from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
+
+_OTHER_BOUNDS = (
+    ("outer bounds a quarter as far", 0.25, True),
+    ("total mass unknown", 1.0, False),
+    ("both", 0.25, False),
+)
+"""Names of other settings, share of the way to the outer bounds, whether the total mass counts."""
+_REPORTS_PAIR = ("CoM only", "inertia only")
+_CONDITION_KINDS = {
+    "mass": "mass",
+    "eigenvalue": "inertia",
+    "triangle": "inertia",
+    "shape": "shape",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A family of sets with equal torque, and its errors against the reference.
+
+    Attributes:
+        setting: where it is from.
+        family: the sets.
+        checked: their feasibility.
+        errors: of their wrenches.
+        squares: (n, D, D) see `force_squares`.
+        z: (K, D) the sets' coordinates in the null space.
+    """
+
+    setting: Setting
+    family: EqualTorqueSets
+    checked: Feasibility
+    errors: WrenchErrors
+    squares: Float[Tensor, "n D D"]
+    z: Float[Tensor, "K D"]
+
+    @property
+    def carried(self) -> Float[Tensor, "K n"]:
+        """(K, n) difference of the mass that each joint carries [kg]."""
+        sets, reference = self.family.sets.parameters, self.setting.reference.parameters
+        return (sets.mass - reference.mass).flip(-1).cumsum(-1).flip(-1)
+
+    def samples(self) -> Samples:
+        """For the statistics."""
+        return Samples(
+            kind=np.array(self.family.kind),
+            error=self.errors.force_rms.amax(-1).numpy(),
+            degree=self.degree.numpy(),
+            carried=self.carried.abs().amax(-1).numpy(),
+            coordinates=self.checked.violated[..., 3:6].sum((1, 2)).numpy(),
+            tightest=self.tightest(),
+            cluster=self.family.cluster.numpy(),
+        )
+
+    def distances(self) -> np.ndarray:
+        """(F, K) force error of each set if feasible set f is the truth: by joint from z'G z."""
+        feasible = [k for k, own in enumerate(self.family.kind) if own == FEASIBLE]
+        largest = self.z.new_zeros(len(feasible), len(self.z))
+        for square in self.squares:
+            values, vectors = torch.linalg.eigh(square)
+            y = self.z @ (vectors * values.clamp(min=0.0).sqrt())
+            largest = torch.maximum(largest, torch.cdist(y[feasible], y))
+        return largest.numpy()
+
+    def compared(self, resamples: int, seed: int, errors: WrenchErrors | None = None) -> Comparison:
+        """By class and degree; each class against the feasible, and CoM against inertia."""
+        reasons = [self.checked.reasons(k) for k in range(len(self.z))]
+        present = ordered_classes(class_of(r) for r in reasons)
+        pairs = [(name, present[0]) for name in present[1:]]
+        pairs += [_REPORTS_PAIR] if set(_REPORTS_PAIR) <= set(present) else []
+        return compare(
+            (errors or self.errors).force_rms.amax(-1),
+            reasons,
+            self.degree,
+            cluster=self.family.cluster,
+            pairs=pairs,
+            resamples=resamples,
+            seed=seed,
+        )
+
+    @property
+    def degree(self) -> Float[Tensor, " K"]:
+        """(K,) smallest degree of the conditions on the links and on the total mass: coefficients
+        of effects are the same in all sets."""
+        return self._degrees().amin(-1)
+
+    def tightest(self) -> np.ndarray:
+        """(K,) kind of the condition with the smallest degree."""
+        names = [_CONDITION_KINDS.get(c, "com") for c in LINK_CONDITIONS]
+        names = [*names * self.checked.degrees.shape[1], "total_mass"]
+        return np.array(names)[self._degrees().argmin(-1).numpy()]
+
+    def _degrees(self) -> Float[Tensor, "K C"]:
+        links = self.checked.degrees.flatten(1)
+        return torch.cat([links, self.checked.total_mass_degree.unsqueeze(-1)], -1)
+
+
+def draw(
+    setting: Setting, motion: Motion, kinds: Sequence[str], per_kind: int, chains: int, seed: int
+) -> Drawn:
+    """Draw the sets of each kind and compare their wrenches with the reference's.
+
+    Raises:
+        TorchidError: there is no other feasible set, so nothing to compare with.
+    """
+    reference = setting.reference
+    family = equal_torque_sets(
+        setting.robot,
+        setting.base,
+        reference,
+        setting.conditions,
+        setting.outer,
+        kinds=kinds,
+        per_kind=per_kind,
+        seed=seed,
+        chains=chains,
+    )
+    if family.kind.count(FEASIBLE) < 2:
+        raise TorchidError(
+            "no feasible sets with the reference's torque were found beside it.",
+            got=f"bounds '{setting.geometry}' and '{setting.outer.name}'",
+            hint="wider boxes, or a reference with a larger margin",
+        )
+    space = equal_torque_space(reference, setting.base, setting.conditions, setting.outer)
+    own = InertialParameters(reference.parameters.pi[0])
+    rigid = family.sets.parameters
+    return Drawn(
+        setting=setting,
+        family=family,
+        checked=feasibility(family.sets, setting.conditions),
+        errors=wrench_errors(setting.robot, *motion.state, rigid, own),
+        squares=force_squares(setting.robot, motion, space.directions),
+        z=(rigid.to_paper_order() - space.x) @ space.directions,
+    )
+
 
 Progress = Callable[[str, int, int], None]
 
@@ -64,20 +211,14 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class EqualTorqueStudy:
-    """What was found. All errors of forces are against `setting.reference`.
+class EqualTorqueStudy(Drawn):
+    """What was found of a family. All errors of forces are against `setting.reference`.
 
     Attributes:
-        setting: robot, conditions, outer bounds, reference.
         motion: on which forces were compared.
         rate: samples per second of the motion [Hz]; None for a motion that was given.
-        family: the sets.
-        checked: their feasibility.
-        errors: of their wrenches, per set and joint.
         torque_relative: (K, n) root mean square of the difference of the joint torques over that of
             the torque itself: rounding.
-        degree: (K,) of the conditions on links and total mass, see `Drawn.degree`.
-        carried: (K, n) difference of the mass that each joint carries [kg].
         comparison: of the largest force error over the joints, by class and degree.
         statistics: thirds of the degree, correlations, comparison at equal carried mass.
         truths, firm_truths: with every feasible set as the truth.
@@ -92,15 +233,9 @@ class EqualTorqueStudy:
         warnings: sentences for the user.
     """
 
-    setting: Setting
     motion: Motion
     rate: float | None
-    family: EqualTorqueSets
-    checked: Feasibility
-    errors: WrenchErrors
     torque_relative: Float[Tensor, "K n"]
-    degree: Float[Tensor, " K"]
-    carried: Float[Tensor, "K n"]
     comparison: Comparison
     statistics: Statistics
     truths: tuple[OtherTruths, ...]
@@ -172,29 +307,45 @@ def equal_torque_study(
     drawn = draw(setting, motion, kinds, per_kind, chains, seed)
     tell("statistics and greatest errors", 1, total)
     samples = drawn.samples()
-    to_nominal, offset = _to_nominal(drawn, motion, resamples, seed)
+    # Against the nominal parameters, and how far the reference is from them.
+    to_nominal, offset = None, 0.0
+    if setting.origin != "nominal":
+        errors, apart = (
+            wrench_errors(setting.robot, *motion.state, sets.parameters, _first(setting.nominal))
+            for sets in (drawn.family.sets, setting.reference)
+        )
+        to_nominal = drawn.compared(resamples, seed, errors)
+        offset = float(apart.force_rms.amax())
     reach, warnings = _reach(setting, drawn.squares)
     truths, firm = other_truths(samples.kind, samples.degree, drawn.distances())
-    variants: tuple[Variant, ...] = ()
     found = statistics(samples, resamples=resamples, seed=seed)
     tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
     weight = samples.carried * float(setting.robot.gravity.norm())
     low, middle, high = np.percentile(weight / samples.error, [2.5, 50, 97.5]).tolist()
     comparison = drawn.compared(resamples, seed)
+    variants = []
     if with_variants:
         tell("other outer bounds", 2, total)
-        variants = _variants(setting, motion, kinds, per_kind, chains, resamples, seed)
+    for name, share, total_mass in _OTHER_BOUNDS if with_variants else ():
+        other = setting.widened(name, share, total_mass=total_mass)
+        more = draw(other, motion, kinds, per_kind, chains, seed)
+        compared = more.compared(resamples, seed)
+        worst, own = more.samples().error, np.array(more.family.kind)
+        medians = {k: float(np.median(worst[own == k])) for k in dict.fromkeys(more.family.kind)}
+        deltas = {
+            e.first: (e.delta.value, e.delta.low, e.delta.high)
+            for e in compared.effects
+            if e.second == "feasible"
+        }
+        rho = compared.correlation.rho
+        far, _ = _reach(other, more.squares)
+        variants.append(Variant(name, medians, deltas, (rho.value, rho.low, rho.high), far))
     tell("done", total, total)
     return EqualTorqueStudy(
-        setting=setting,
+        **vars(drawn),
         motion=motion,
         rate=rate,
-        family=drawn.family,
-        checked=drawn.checked,
-        errors=drawn.errors,
         torque_relative=drawn.errors.torque_rms / tau.square().mean(0).sqrt(),
-        degree=drawn.degree,
-        carried=drawn.carried,
         comparison=comparison,
         statistics=found,
         truths=truths,
@@ -203,7 +354,7 @@ def equal_torque_study(
         static_share=(middle, low, high),
         to_nominal=to_nominal,
         reference_to_nominal=offset,
-        variants=variants,
+        variants=tuple(variants),
         seed=seed,
         warnings=(*setting.notes, *drawn.family.warnings, *warnings),
     )
@@ -222,50 +373,3 @@ def _reach(
 
 def _first(one: ParameterSets) -> InertialParameters:
     return InertialParameters(one.parameters.pi[0])
-
-
-def _to_nominal(
-    drawn: Drawn, motion: Motion, resamples: int, seed: int
-) -> tuple[Comparison | None, float]:
-    """The comparison against the nominal parameters, and how far the reference is from them."""
-    setting = drawn.setting
-    if setting.origin == "nominal":
-        return None, 0.0
-    own = _first(setting.nominal)
-    errors, offset = (
-        wrench_errors(setting.robot, *motion.state, sets.parameters, own)
-        for sets in (drawn.family.sets, setting.reference)
-    )
-    return drawn.compared(resamples, seed, errors), float(offset.force_rms.amax())
-
-
-def _variants(
-    setting: Setting,
-    motion: Motion,
-    kinds: Sequence[str],
-    per_kind: int,
-    chains: int,
-    resamples: int,
-    seed: int,
-) -> tuple[Variant, ...]:
-    asked = (
-        ("outer bounds a quarter as far", 0.25, True),
-        ("total mass unknown", 1.0, False),
-        ("both", 0.25, False),
-    )
-    found = []
-    for name, share, total_mass in asked:
-        other = setting.widened(name, share, total_mass=total_mass)
-        drawn = draw(other, motion, kinds, per_kind, chains, seed)
-        compared = drawn.compared(resamples, seed)
-        rho = compared.correlation.rho
-        worst, own = drawn.samples().error, np.array(drawn.family.kind)
-        medians = {k: float(np.median(worst[own == k])) for k in dict.fromkeys(drawn.family.kind)}
-        deltas = {
-            e.first: (e.delta.value, e.delta.low, e.delta.high)
-            for e in compared.effects
-            if e.second == "feasible"
-        }
-        reach, _ = _reach(other, drawn.squares)
-        found.append(Variant(name, medians, deltas, (rho.value, rho.low, rho.high), reach))
-    return tuple(found)

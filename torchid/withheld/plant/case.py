@@ -1,6 +1,5 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +10,10 @@ from torchid.withheld.plant.catalogue import kind_named
 from torchid.withheld.plant.draw import CaseSpec, draw_case
 from torchid.withheld.plant.logger import logged
 from torchid.withheld.plant.model import plant_of
-from torchid.withheld.plant.nominal import nominal_of, rms
 from torchid.withheld.plant.plan import Plan, Scene
-from torchid.withheld.plant.scene import friction_known, moved_otherwise, scene_of
+from torchid.withheld.plant.scene import friction_known, moved_otherwise, nominal_of, rms, scene_of
 from torchid.withheld.plant.simulate import simulated
-from torchid.withheld.plant.sizes import Sized, gaps, planted, readings, size_of, sized
+from torchid.withheld.plant.sizes import gaps, planted, readings, size_of, sized
 
 __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
@@ -55,14 +53,21 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
         TorchidError: an unknown arm or effect, or a simulation that diverged.
         MissingExtraError: MuJoCo is not installed.
     """
-    scene, base = _scene(spec)
-    nominal = nominal_of(scene.arm, base.known_damping, base.known_friction)
+    # The scene, and the arm without effects.
+    arm = arm_named(spec.arm)
+    known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
+    nominal, base = nominal_of(arm, *known), Plan(plant_of(arm, *known), *known)
+    controllers = spec.bandwidth_hz, spec.damping_ratio
+    scene = scene_of(arm, nominal, spec.motion, spec.noise_share, *controllers)
     found = [sized(scene, base, nominal, effect, spec.level or 5.0) for effect in spec.effects]
     if spec.poor:
         scene = moved_otherwise(scene, nominal, spec.poor)
     if fresh:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
-    plan, parameters = _all(scene, base, spec, found)
+    plan, parameters = base, []
+    for effect, one in zip(spec.effects, found, strict=True):
+        plan, own = planted(scene, plan, effect, one.scale)
+        parameters.append(own)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
     left = gaps(plan, nominal, traces)
@@ -70,8 +75,24 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
     if len(sizes) == 1:
         sizes = [rms(left) / scene.noise]
     elif spec.poor:
-        sizes = [_alone(scene, base, spec, k, one) for k, one in enumerate(found)]
-    effects = [_effect_key(spec, k, parameters[k], sizes[k]) for k in range(len(spec.effects))]
+        # Of each effect alone on the case's motion.
+        for k, (effect, one) in enumerate(zip(spec.effects, found, strict=True)):
+            alone, _ = planted(scene, base, effect, one.scale)
+            own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
+            moved = simulated(scene, alone, own_nominal, FINE * 2)
+            sizes[k] = size_of(scene, alone, own_nominal, moved)
+    effects = [
+        {
+            "name": effect.name,
+            "family": kind_named(effect.name).family,
+            "acceptable": list(kind_named(effect.name).akin),
+            "joints": [j + 1 for j in effect.joints],
+            "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
+            "parameters": own,
+            "size": float(size.max()),
+        }
+        for effect, own, size in zip(spec.effects, parameters, sizes, strict=True)
+    ]
     logger, noise = spec.logger, scene.noise
     if ideal:
         logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
@@ -79,54 +100,6 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
     columns = logged(logger, plan, readings(plan, traces), noise)
     key = _key(spec, scene, plan, effects, rms(left))
     return SimulatedCase(urdf(scene.arm, plan.known_damping, plan.known_friction), columns, key)
-
-
-def _scene(spec: CaseSpec) -> tuple[Scene, Plan]:
-    """The scene, and the arm without effects."""
-    arm = arm_named(spec.arm)
-    damping, friction = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
-    scene = scene_of(
-        arm,
-        nominal_of(arm, damping, friction),
-        spec.motion,
-        spec.noise_share,
-        spec.bandwidth_hz,
-        spec.damping_ratio,
-    )
-    return scene, Plan(plant_of(arm, damping, friction), damping, friction)
-
-
-def _all(
-    scene: Scene, base: Plan, spec: CaseSpec, found: Sequence[Sized]
-) -> tuple[Plan, list[dict[str, Any]]]:
-    """The plan with every effect at its scale, and their parameters."""
-    plan, parameters = base, []
-    for effect, one in zip(spec.effects, found, strict=True):
-        plan, own = planted(scene, plan, effect, one.scale)
-        parameters.append(own)
-    return plan, parameters
-
-
-def _alone(scene: Scene, base: Plan, spec: CaseSpec, k: int, one: Sized) -> np.ndarray:
-    """Size (n,) of one effect of several on the case's motion."""
-    plan, _ = planted(scene, base, spec.effects[k], one.scale)
-    nominal = nominal_of(scene.arm, plan.known_damping, plan.known_friction)
-    return size_of(scene, plan, nominal, simulated(scene, plan, nominal, FINE * 2))
-
-
-def _effect_key(
-    spec: CaseSpec, k: int, parameters: dict[str, Any], size: np.ndarray
-) -> dict[str, Any]:
-    effect = spec.effects[k]
-    return {
-        "name": effect.name,
-        "family": kind_named(effect.name).family,
-        "acceptable": list(kind_named(effect.name).akin),
-        "joints": [j + 1 for j in effect.joints],
-        "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
-        "parameters": parameters,
-        "size": float(size.max()),
-    }
 
 
 def _key(

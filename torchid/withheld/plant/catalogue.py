@@ -6,13 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchid.errors import TorchidError
-from torchid.withheld.plant import bodies_off, drives, friction, outside, sensing
+from torchid.withheld.plant import friction, mechanics, sensing
 from torchid.withheld.plant.friction import Planted
 from torchid.withheld.plant.plan import EffectSpec, Plan, Scene
 
 Rng = np.random.Generator
 Plant = Callable[[Scene, Plan, EffectSpec, float], Planted]
 Size = Callable[[Scene, EffectSpec], float]
+Draws = Callable[[Rng, int, tuple[int, ...]], dict[str, float]]
+"""From a generator, the number of joints and the joints."""
 
 OUTSIDE = "outside"
 
@@ -38,25 +40,21 @@ class Kind:
     plant: Plant
     usual: Size
     largest: Size
-    draws: Callable[[Rng, int, tuple[int, ...]], dict[str, float]]
+    draws: Draws
     place: str = "joint"
     first: int = 0
     sensing: bool = False
     akin: tuple[str, ...] = ()
 
 
-def _uniform(
-    **ranges: tuple[float, float],
-) -> Callable[[Rng, int, tuple[int, ...]], dict[str, float]]:
+def _uniform(**ranges: tuple[float, float]) -> Draws:
     """Draws of numbers from ranges."""
     return lambda rng, n, joints: {
         name: float(rng.uniform(*between)) for name, between in ranges.items()
     }
 
 
-def _signed(
-    **ranges: tuple[float, float],
-) -> Callable[[Rng, int, tuple[int, ...]], dict[str, float]]:
+def _signed(**ranges: tuple[float, float]) -> Draws:
     """Draws of numbers from ranges, and of a direction, 1 or -1."""
     return _uniform(direction=(-1.0, 1.0), **ranges)
 
@@ -86,18 +84,14 @@ def _source_draws(rng: Rng, n: int, joints: tuple[int, ...]) -> dict[str, float]
     return {"source": float(rng.choice(others)), "direction": float(rng.uniform(-1, 1))}
 
 
-def _crosstalk_usual(scene: Scene, effect: EffectSpec) -> float:
-    return scene.unit(effect.joints[0], scene.torque[int(effect.draws["source"])])
-
-
 def _soft(scene: Scene, effect: EffectSpec) -> float:
     """Compliance at the lowest resonance allowed."""
     heavy = float(scene.inertia[effect.joints[0], 1])
-    return 1 / ((2 * np.pi * drives.LOWEST_HZ) ** 2 * heavy)
+    return 1 / ((2 * np.pi * mechanics.LOWEST_HZ) ** 2 * heavy)
 
 
 def _soft_base(scene: Scene, effect: EffectSpec) -> float:
-    return 1 / ((2 * np.pi * drives.LOWEST_BASE_HZ) ** 2 * drives.arm_inertia(scene))
+    return 1 / ((2 * np.pi * mechanics.LOWEST_BASE_HZ) ** 2 * mechanics.arm_inertia(scene))
 
 
 def _half(size: Size) -> Size:
@@ -121,7 +115,7 @@ KINDS: dict[str, Kind] = {
     ),
     "gear_coupling": Kind(
         "speed",
-        drives.coupling,
+        mechanics.coupling,
         _column(lambda s, e, j: s.moving_rms[e.joints[1]]),
         _EVER,
         _uniform(ratio=(-1.0, 1.0), coulomb=(0.0, 0.5)),
@@ -147,7 +141,7 @@ KINDS: dict[str, Kind] = {
         _signed(viscous=(0.0, 0.6), deflection=(5e-5, 3e-4)),
     ),
     "base_tilt": Kind(
-        "gravity", bodies_off.tilt, _GRAVITY, _fixed(0.3), _uniform(heading=(0.0, 2 * np.pi)),
+        "gravity", mechanics.tilt, _GRAVITY, _fixed(0.3), _uniform(heading=(0.0, 2 * np.pi)),
         place="arm",
     ),
     "torque_gain": Kind(
@@ -155,13 +149,14 @@ KINDS: dict[str, Kind] = {
         sensing=True,
     ),
     "torque_crosstalk": Kind(
-        "gravity", sensing.crosstalk, _crosstalk_usual, _fixed(0.8), _source_draws, sensing=True
+        "gravity", sensing.crosstalk, _column(lambda s, e, j: s.torque[int(e.draws["source"])]),
+        _fixed(0.8), _source_draws, sensing=True,
     ),
     "encoder_offset": Kind(
         "gravity", sensing.encoder_offset, _GRAVITY, _fixed(0.3), _signed(), first=1
     ),
     "kinematic_error": Kind(
-        "gravity", bodies_off.kinematics, _ONE, _fixed(5.0),
+        "gravity", mechanics.kinematics, _ONE, _fixed(5.0),
         _uniform(**{f"{w}{a}": (-1.0, 1.0) for w in ("shift", "turn") for a in "xyz"}),
         place="joint", first=1,
     ),
@@ -171,10 +166,10 @@ KINDS: dict[str, Kind] = {
         _uniform(rest=(0.0, 1.0), counterbalance=(0.0, 1.0)),
     ),
     "rotor_inertia": Kind(
-        "inertia", bodies_off.armature, _column(lambda s, e, j: s.brisk_rms[j]), _EVER, _uniform()
+        "inertia", mechanics.armature, _column(lambda s, e, j: s.brisk_rms[j]), _EVER, _uniform()
     ),
     "payload": Kind(
-        "inertia", bodies_off.payload, _ONE, _fixed(12.0),
+        "inertia", mechanics.payload, _ONE, _fixed(12.0),
         _uniform(
             x=(-0.04, 0.04), y=(-0.04, 0.04), z=(0.0, 0.06),
             width=(0.04, 0.15), depth=(0.04, 0.15), height=(0.04, 0.15),
@@ -182,7 +177,7 @@ KINDS: dict[str, Kind] = {
         place="arm",
     ),
     "link_inertia": Kind(
-        "inertia", bodies_off.link_inertia, _fixed(0.5), _fixed(2.5), _link_draws,
+        "inertia", mechanics.link_inertia, _fixed(0.5), _fixed(2.5), _link_draws,
         first=1,  # of the first link only the moment about its axis is felt
     ),
     "time_delay": Kind(
@@ -193,10 +188,10 @@ KINDS: dict[str, Kind] = {
         sensing=True,
     ),
     "joint_elasticity": Kind(
-        "phase", drives.elastic, _half(_soft), _soft, _uniform(damping=(0.03, 0.08))
+        "phase", mechanics.elastic, _half(_soft), _soft, _uniform(damping=(0.03, 0.08))
     ),
     "backlash": Kind(
-        "hysteresis", drives.backlash, _fixed(3e-3), _fixed(0.02), _uniform(damping=(0.04, 0.1))
+        "hysteresis", mechanics.backlash, _fixed(3e-3), _fixed(0.02), _uniform(damping=(0.04, 0.1))
     ),
     "presliding_hysteresis": Kind(
         "hysteresis", friction.presliding, _column(lambda s, e, j: 0.8), _EVER,
@@ -226,27 +221,27 @@ KINDS: dict[str, Kind] = {
         _uniform(rate=(0.4, 1.5), seed=(0.0, 2.0**31)), sensing=True,
     ),
     "uneven_friction": Kind(
-        OUTSIDE, outside.uneven_friction, _column(lambda s, e, j: 0.7), _EVER,
+        OUTSIDE, friction.uneven_friction, _column(lambda s, e, j: 0.7), _EVER,
         _uniform(periods=(1.0, 3.0), phase=(0.0, 2 * np.pi)),
         akin=("sign",),
     ),
     "uneven_damping": Kind(
-        OUTSIDE, outside.uneven_damping, _column(lambda s, e, j: 0.7 * s.moving_rms[j]), _EVER,
+        OUTSIDE, friction.uneven_damping, _column(lambda s, e, j: 0.7 * s.moving_rms[j]), _EVER,
         _uniform(periods=(1.0, 3.0), phase=(0.0, 2 * np.pi)),
         akin=("speed",),
     ),
     "motor_ripple": Kind(
-        OUTSIDE, outside.motor_ripple, _column(lambda s, e, j: 0.7 * s.torque[j]), _fixed(0.5),
+        OUTSIDE, friction.motor_ripple, _column(lambda s, e, j: 0.7 * s.torque[j]), _fixed(0.5),
         _uniform(frequency=(2.0, 8.0), phase=(0.0, 2 * np.pi)), first=1,
         akin=("periodic",),
     ),
     "flexible_base": Kind(
-        OUTSIDE, drives.flexible_base, _half(_soft_base), _soft_base, _uniform(damping=(0.03, 0.1)),
-        place="arm",
+        OUTSIDE, mechanics.flexible_base, _half(_soft_base), _soft_base,
+        _uniform(damping=(0.03, 0.1)), place="arm",
         akin=("phase",),
     ),
     "fluid_drag": Kind(
-        OUTSIDE, drives.fluid, _fixed(50.0), _fixed(1200.0), _uniform(), place="arm",
+        OUTSIDE, mechanics.fluid, _fixed(50.0), _fixed(1200.0), _uniform(), place="arm",
         akin=("speed",),
     ),
 }  # fmt: skip

@@ -1,8 +1,8 @@
 """What a case is, drawn from a seed and its number alone."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from torchid.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effe
 from torchid.withheld.plant.logger import Logger
 from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
+
+Item = TypeVar("Item")
 
 BLOCK = (
     *["none"] * 4,
@@ -127,14 +129,16 @@ def draw_case(
     """
     if kind is None and effects is not None:
         kind = ("none", "single")[len(effects)] if len(effects) < 2 else "several"
-    kind = kind or _kind(seed, number)
+    kind = kind or _in_turn(seed, number, BLOCK, 101)
     if kind not in CASE_KINDS:
         raise TorchidError(f"unknown kind of case '{kind}'.", available=list(CASE_KINDS))
     rng = np.random.default_rng([seed, number, 1])
     name = arm or str(rng.choice(list(ARMS)))
     n = arm_named(name).n
     planted = _effects(np.random.default_rng([seed, number, 2]), seed, number, kind, n, effects)
-    wanted = None if not planted else level or _level(seed, number, kind)
+    wanted = level or LEVEL if planted else None
+    if planted and not level and kind == "severity":
+        wanted = _in_turn(seed, _turn(seed, number, kind), LEVELS, 102)
     motion = _motion(np.random.default_rng([seed, number, 3]), n)
     poor, excitation = None, "rich"
     if kind == "poor":
@@ -150,27 +154,29 @@ def draw_case(
         else:
             count = int(rng.integers(1, 3))
             moving = tuple(sorted(int(j) for j in rng.choice(n, count, replace=False)))
-        plan = MotionPlan(
-            motion.seed, motion.shapes, levels, motion.seconds, motion.pauses, moving, reach
-        )
-        poor, excitation = plan, what
+        poor, excitation = replace(motion, levels=levels, moving=moving, reach=reach), what
     quiet = np.random.default_rng([seed, number, 5])
     knows = quiet.random() < 0.7
     viscous, coulomb = (quiet.uniform(0.003, 0.02, n) * knows for _ in range(2))
+    rng = np.random.default_rng([seed, number, 6])
+    logger = Logger(
+        rate_hz=int(rng.choice([250, 500, 1000])),
+        encoder_bits=int(rng.integers(17, 21)),
+        colour_hz=5.0 if rng.random() < 0.5 else None,
+        jitter=float(rng.choice([0.0, 0.01, 0.03])),
+        own_velocity=bool(rng.random() < 0.35),
+        velocity_noise=float(rng.uniform(1e-4, 1e-3)),
+        clock=float(rng.uniform(0, 1000).__round__(3)),
+        seed=int(rng.integers(2**31)),
+    )
     return CaseSpec(
         seed, number, kind, name, planted, wanted, motion, poor, excitation,
         tuple(viscous.tolist()), tuple(coulomb.tolist()),
         noise_share=float(quiet.uniform(0.005, 0.02)),
         bandwidth_hz=float(quiet.uniform(3.0, 8.0)),
         damping_ratio=float(quiet.uniform(0.6, 1.0)),
-        logger=_logger(np.random.default_rng([seed, number, 6])),
+        logger=logger,
     )  # fmt: skip
-
-
-def _kind(seed: int, number: int) -> str:
-    block, place = divmod(number, len(BLOCK))
-    order = np.random.default_rng([seed, block, 101]).permutation(len(BLOCK))
-    return BLOCK[order[place]]
 
 
 def _turn(seed: int, number: int, kind: str) -> int:
@@ -181,19 +187,11 @@ def _turn(seed: int, number: int, kind: str) -> int:
     return block * BLOCK.count(kind) + before
 
 
-def _in_turn(seed: int, turn: int, names: Sequence[str], salt: int) -> str:
-    """One of the names, each once before any comes twice."""
+def _in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
+    """One of the items, each once before any comes twice."""
     lap, place = divmod(turn, len(names))
     order = np.random.default_rng([seed, lap, salt]).permutation(len(names))
     return names[int(order[place])]
-
-
-def _level(seed: int, number: int, kind: str) -> float:
-    if kind != "severity":
-        return LEVEL
-    lap, place = divmod(_turn(seed, number, kind), len(LEVELS))
-    order = np.random.default_rng([seed, lap, 102]).permutation(len(LEVELS))
-    return LEVELS[int(order[place])]
 
 
 def _effects(
@@ -270,17 +268,4 @@ def _motion(rng: np.random.Generator, n: int) -> MotionPlan:
         seconds=tuple(rng.uniform(12.0, 15.0, count).round(2).tolist()),
         pauses=(0.0, *rng.uniform(2.0, 6.0, 3).round(2).tolist()),
         moving=tuple(range(n)),
-    )
-
-
-def _logger(rng: np.random.Generator) -> Logger:
-    return Logger(
-        rate_hz=int(rng.choice([250, 500, 1000])),
-        encoder_bits=int(rng.integers(17, 21)),
-        colour_hz=5.0 if rng.random() < 0.5 else None,
-        jitter=float(rng.choice([0.0, 0.01, 0.03])),
-        own_velocity=bool(rng.random() < 0.35),
-        velocity_noise=float(rng.uniform(1e-4, 1e-3)),
-        clock=float(rng.uniform(0, 1000).__round__(3)),
-        seed=int(rng.integers(2**31)),
     )

@@ -1,4 +1,5 @@
-"""Effects of friction and of torque at the joints: how each is planted at a scale.
+"""Effects of friction and of torque at the joints, the last three of them outside of torchid's
+library: how each is planted at a scale.
 
 Every function takes (scene, plan, effect, s) and returns the plan with the effect, and its
 parameters in physical units. s is the coefficient that decides the effect's size.
@@ -6,6 +7,7 @@ parameters in physical units. s is the coefficient that decides the effect's siz
 
 from dataclasses import replace
 from math import exp
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +16,9 @@ from torchid.withheld.plant.laws import (
     loaded_bristles,
     one_sided_bristles,
     resisting,
+    rippling_motor,
     slip_elements,
-    warming,
+    varying,
 )
 from torchid.withheld.plant.model import Spring
 from torchid.withheld.plant.plan import EffectSpec, Law, Parameters, Plan, Scene, sign
@@ -28,11 +31,16 @@ def with_law(plan: Plan, law: Law) -> Plan:
     return replace(plan, laws=(*plan.laws, law))
 
 
+def with_plant(plan: Plan, **changes: Any) -> Plan:
+    """The plan with another arm."""
+    return replace(plan, plant=replace(plan.plant, **changes))
+
+
 def viscous(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """MuJoCo's damping."""
     damping = plan.plant.damping.copy()
     damping[effect.joints[0]] += s
-    return replace(plan, plant=replace(plan.plant, damping=damping)), {"Fv": s}
+    return with_plant(plan, damping=damping), {"Fv": s}
 
 
 def power_law(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
@@ -104,7 +112,7 @@ def spring(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
         law = resisting(joint, lambda q, dq: s * float(np.sin(q - rest)))
         return with_law(plan, law), {"amplitude": s, "rest": rest}
     springs = (*plan.plant.springs, Spring(joint, s, rest))
-    return replace(plan, plant=replace(plan.plant, springs=springs)), {"stiffness": s, "rest": rest}
+    return with_plant(plan, springs=springs), {"stiffness": s, "rest": rest}
 
 
 def presliding(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
@@ -140,10 +148,10 @@ def thermal(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     if direction < 0:
         plan = knowing(plan, joint, damping=1.2 * abs(wet), friction=1.2 * abs(dry))
 
-    def warmth(t: float) -> float:
+    def warmth(_: float, t: float) -> float:
         return 1 - 0.75 * exp(-t / T) - 0.25 * exp(-t / (4 * T))
 
-    plan = with_law(replacing(plan, joint), warming(joint, wet, dry, warmth))
+    plan = with_law(replacing(plan, joint), varying(joint, wet, dry, warmth))
     return plan, {"viscous": wet, "coulomb": dry, "times": [T, 4 * T]}
 
 
@@ -157,12 +165,9 @@ def knowing(plan: Plan, joint: int, damping: float = 0.0, friction: float = 0.0)
     more = np.zeros((2, plan.plant.n))
     more[0, joint] = max(0.0, damping - plan.known_damping[joint])
     more[1, joint] = max(0.0, friction - plan.known_friction[joint])
-    plant = replace(
-        plan.plant, damping=plan.plant.damping + more[0], friction=plan.plant.friction + more[1]
-    )
+    there = plan.plant.damping + more[0], plan.plant.friction + more[1]
     return replace(
-        plan,
-        plant=plant,
+        with_plant(plan, damping=there[0], friction=there[1]),
         known_damping=plan.known_damping + more[0],
         known_friction=plan.known_friction + more[1],
     )
@@ -177,3 +182,29 @@ def _deflection(scene: Scene, effect: EffectSpec, joint: int, torque: float) -> 
     """Of stiff bristles [rad]: as drawn, but not stiffer than a step can follow."""
     softest = torque * (5e-4) ** 2 / (0.3 * float(scene.inertia[joint, 0]))
     return max(effect.draws["deflection"], softest)
+
+
+def uneven_friction(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Dry friction Fc + s sin(k q + phase), as of a bent shaft; Fc is known and more than s."""
+    joint = effect.joints[0]
+    return _uneven(replacing(knowing(plan, joint, friction=1.1 * s), joint), effect, 0.0, s)
+
+
+def uneven_damping(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Viscous friction Fv + s sin(k q + phase); Fv is known and more than s."""
+    return _uneven(knowing(plan, effect.joints[0], damping=1.1 * s), effect, s, 0.0)
+
+
+def _uneven(plan: Plan, effect: EffectSpec, damping: float, friction: float) -> Planted:
+    k, phase = effect.draws["periods"], effect.draws["phase"]
+    law = varying(effect.joints[0], damping, friction, lambda q, _: float(np.sin(k * q + phase)))
+    parameters = {"amplitude": damping + friction, "wave_number": k, "phase": phase}
+    return with_law(plan, law), parameters
+
+
+def motor_ripple(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """The motor's torque constant ripples with its angle, below 20 Hz."""
+    joint, phase = effect.joints[0], effect.draws["phase"]
+    k = wave_number(scene, joint, effect.draws["frequency"])
+    law = rippling_motor(joint, s, k, phase)
+    return with_law(plan, law), {"share": s, "wave_number": k, "phase": phase}

@@ -90,23 +90,32 @@ def resisting(joint: int, torque: Callable[[float, float], float]) -> Law:
     return start
 
 
+def _bent(z: float, speed: float, step: float, deflection: float) -> float:
+    """How far bristles are bent after a step, 1 or -1 where they slide."""
+    slides = copysign(1.0, speed)
+    return slides + (z - slides) * exp(-abs(speed) * step / deflection)
+
+
+def _motor(live: Live, joint: int) -> Callable[[int], float]:
+    """Torque of a joint's motor at step k [N m]."""
+    dof, q, dq = int(live.motors[joint]), live.q, live.dq
+    kp, kd = float(live.kp[joint]), float(live.kd[joint])
+    command = np.ascontiguousarray(live.command[:, joint])
+    return lambda k: float(command[k]) - kp * float(q[dof]) - kd * float(dq[dof])
+
+
 def loaded_bristles(joint: int, share: float, deflection: float) -> Law:
     """Bristles whose limit is a share of the torque that the gear transmits just now."""
 
     def start(live: Live) -> Act:
-        dof = int(live.motors[joint])
-        q, dq, applied = live.q, live.dq, live.applied
-        kp, kd = float(live.kp[joint]), float(live.kd[joint])
-        command, step = np.ascontiguousarray(live.command[:, joint]), live.step
+        dof, motor_at = int(live.motors[joint]), _motor(live, joint)
+        dq, applied, step = live.dq, live.applied, live.step
         z, torque = 0.0, 0.0
 
         def act(k: int) -> None:
             nonlocal z, torque
-            speed = float(dq[dof])
-            motor = float(command[k]) - kp * float(q[dof]) - kd * speed
-            slides = copysign(1.0, speed)
-            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
-            torque = share * abs(motor - torque) * z
+            z = _bent(z, float(dq[dof]), step, deflection)
+            torque = share * abs(motor_at(k) - torque) * z
             applied[dof] -= torque
 
         return act
@@ -124,9 +133,7 @@ def one_sided_bristles(joint: int, torque: float, deflection: float) -> Law:
 
         def act(k: int) -> None:
             nonlocal z
-            speed = float(dq[dof])
-            slides = copysign(1.0, speed)
-            z = slides + (z - slides) * exp(-abs(speed) * step / deflection)
+            z = _bent(z, float(dq[dof]), step, deflection)
             applied[dof] -= torque * abs(z)
 
         return act
@@ -138,52 +145,32 @@ def rippling_motor(joint: int, share: float, k: float, phase: float) -> Law:
     """A motor whose torque constant ripples with its angle: u share sin(k q + phase) is lost."""
 
     def start(live: Live) -> Act:
-        dof = int(live.motors[joint])
-        q, dq, applied = live.q, live.dq, live.applied
-        kp, kd = float(live.kp[joint]), float(live.kd[joint])
-        command = np.ascontiguousarray(live.command[:, joint])
+        dof, motor_at = int(live.motors[joint]), _motor(live, joint)
+        q, applied = live.q, live.applied
 
         def act(step: int) -> None:
-            angle = float(q[dof])
-            motor = float(command[step]) - kp * angle - kd * float(dq[dof])
-            applied[dof] -= motor * share * np.sin(k * angle + phase)
+            applied[dof] -= motor_at(step) * share * np.sin(k * float(q[dof]) + phase)
 
         return act
 
     return start
 
 
-def warming(joint: int, damping: float, friction: float, warmth: Callable[[float], float]) -> Law:
-    """MuJoCo's own damping and dry friction, changed by so much times a function of time."""
+def varying(
+    joint: int, damping: float, friction: float, wave: Callable[[float, float], float]
+) -> Law:
+    """MuJoCo's own damping and dry friction, changed by so much times a function of the joint's
+    position [rad] and of time [s]."""
 
     def start(live: Live) -> Act:
         dof = int(live.motors[joint])
-        fields = live.damping, live.friction
-        cold = float(fields[0][dof]), float(fields[1][dof])
-        t = live.t
-
-        def act(k: int) -> None:
-            warm = warmth(float(t[k]))
-            fields[0][dof] = cold[0] + damping * warm
-            fields[1][dof] = cold[1] + friction * warm
-
-        return act
-
-    return start
-
-
-def varying(joint: int, damping: float, friction: float, k: float, phase: float) -> Law:
-    """MuJoCo's own damping and dry friction, changed by so much times sin(k q + phase)."""
-
-    def start(live: Live) -> Act:
-        dof = int(live.motors[joint])
-        fields, q = (live.damping, live.friction), live.q
+        fields, q, t = (live.damping, live.friction), live.q, live.t
         mean = float(fields[0][dof]), float(fields[1][dof])
 
         def act(step: int) -> None:
-            wave = float(np.sin(k * float(q[dof]) + phase))
-            fields[0][dof] = mean[0] + damping * wave
-            fields[1][dof] = mean[1] + friction * wave
+            now = wave(float(q[dof]), float(t[step]))
+            fields[0][dof] = mean[0] + damping * now
+            fields[1][dof] = mean[1] + friction * now
 
         return act
 

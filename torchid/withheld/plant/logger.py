@@ -47,7 +47,24 @@ def logged(
         readings: noise-free, one a trajectory, on a grid that the rate divides.
         noise_std: (n,) of the torque [N m].
     """
-    parts = [_sampled(logger, plan, r, noise_std, k) for k, r in enumerate(readings)]
+    parts = []
+    for number, reading in enumerate(readings):
+        rng = np.random.default_rng([logger.seed, number])
+        fine = (reading.t[-1] - reading.t[0]) / (len(reading.t) - 1)
+        every = round(1 / logger.rate_hz / fine)
+        t, q, dq, tau = (x[::every] for x in (reading.t, reading.q, reading.dq, reading.tau))
+        tau = tau + noise_std * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
+        for held in plan.held:
+            tau[:, held.joint] = hold(tau[:, held.joint], t - t[0], held.windows[number])
+        tick = 2 * np.pi / 2**logger.encoder_bits
+        # Bounded, so that stamps never go backwards.
+        jitter = np.clip(rng.standard_normal(len(t)) * logger.jitter, -0.4, 0.4) / logger.rate_hz
+        columns = {"t": t + jitter + logger.clock} | _numbered("q", np.round(q / tick) * tick)
+        speed_noise = logger.velocity_noise * rng.standard_normal(dq.shape)
+        if logger.own_velocity or plan.own_velocity:
+            columns |= _numbered("dq", dq + speed_noise)
+        columns |= _numbered("tau", tau)
+        parts.append(columns | {"traj": np.full(len(t), number, dtype=np.int64)})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -61,31 +78,6 @@ def noise(
     keep = float(np.exp(-2 * np.pi * corner / rate))
     begin = keep * rng.standard_normal((1, shape[1]))
     return np.asarray(lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white, axis=0, zi=begin)[0])
-
-
-def _sampled(
-    logger: Logger, plan: Plan, reading: Signals, noise_std: Array, number: int
-) -> dict[str, Array]:
-    rng = np.random.default_rng([logger.seed, number])
-    fine = (reading.t[-1] - reading.t[0]) / (len(reading.t) - 1)
-    every = round(1 / logger.rate_hz / fine)
-    rows = slice(None, None, every)
-    t, q, dq = reading.t[rows], reading.q[rows], reading.dq[rows]
-    tau = reading.tau[rows]
-    tau = tau + noise_std * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
-    for held in plan.held:
-        windows = held.windows[number]
-        tau[:, held.joint] = hold(tau[:, held.joint], t - t[0], windows)
-    tick = 2 * np.pi / 2**logger.encoder_bits
-    # Bounded, so that stamps never go backwards.
-    jitter = np.clip(rng.standard_normal(len(t)) * logger.jitter, -0.4, 0.4) / logger.rate_hz
-    columns = {"t": t + jitter + logger.clock} | _numbered("q", np.round(q / tick) * tick)
-    speed_noise = logger.velocity_noise * rng.standard_normal(dq.shape)
-    if logger.own_velocity or plan.own_velocity:
-        columns |= _numbered("dq", dq + speed_noise)
-    columns |= _numbered("tau", tau)
-    columns["traj"] = np.full(len(t), number, dtype=np.int64)
-    return columns
 
 
 def _numbered(prefix: str, values: Array) -> dict[str, Array]:

@@ -6,9 +6,23 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from torchid.errors import MissingExtraError
 from torchid.withheld.plant.arms import Arm, spaced
 from torchid.withheld.plant.bodies import Array, Inertial, combined
-from torchid.withheld.plant.engine import mujoco
+
+
+def mujoco() -> Any:
+    """The module.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import mujoco as module
+    except ImportError as error:
+        raise MissingExtraError("mujoco", "mjcf", "Simulating withheld cases") from error
+    return module
+
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -200,7 +214,11 @@ def _body(plant: Plant, k: int, inner: str) -> str:
         # Forces at the tool act on a body of its own, whose weight is nothing.
         inner += f'<body name="tool" pos="{spaced(plant.tool)}">{_WEIGHTLESS}</body>'
     motor = f'<joint name="motor{k}" {axis} {friction}/>'
-    content = f"{_inertial(body)}{inner}"
+    entries = spaced(body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    content = (
+        f'<inertial pos="{spaced(body.com)}" mass="{float(body.mass)!r}" '
+        f'fullinertia="{entries}"/>{inner}'
+    )
     if not drive:
         return f'<body name="link{k}" {pose}>{motor}{content}</body>'
     # The link's own joint is the gear's deflection: in this order MuJoCo's implicit damping of the
@@ -208,14 +226,6 @@ def _body(plant: Plant, k: int, inner: str) -> str:
     return (
         f'<body name="rotor{k}" {pose}>{motor}{_WEIGHTLESS}<body name="link{k}">'
         f'<joint name="gear{k}" {axis} damping="{drive.damping!r}"/>{content}</body></body>'
-    )
-
-
-def _inertial(body: Inertial) -> str:
-    entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return (
-        f'<inertial pos="{spaced(body.com)}" mass="{float(body.mass)!r}" '
-        f'fullinertia="{spaced(entries)}"/>'
     )
 
 

@@ -81,29 +81,28 @@ class Sum:
 
 def sums(arm: Arm, plan: MotionPlan) -> list[Sum]:
     """The different motions of a plan, each within the limits at its level of speed."""
-    return [_sum(arm, plan, number) for number in range(len(plan.levels))]
-
-
-def _sum(arm: Arm, plan: MotionPlan, number: int) -> Sum:
-    rng = np.random.default_rng([plan.seed, number])
-    level, seconds = plan.levels[number], plan.seconds[number]
-    lower, upper = (np.array([getattr(j, side) for j in arm.joints]) for side in ("lower", "upper"))
-    speed = np.array([j.velocity for j in arm.joints])
-    shape = (arm.n, _HARMONICS)
-    # A slower motion is the same dance at lower frequencies, not only a smaller one.
-    frequencies = np.sort(rng.uniform(0.08, 0.75, shape), axis=1) * max(level, 0.15) ** 0.6
-    amplitudes = rng.uniform(0.3, 1.0, shape) / (frequencies + 0.15)
-    phases = rng.uniform(0, 2 * np.pi, shape)
-    room = (upper - lower) / 2 * _REACH
-    middle = (upper + lower) / 2 + rng.uniform(-0.25, 0.25, arm.n) * room
-    raw = Sum(middle, amplitudes, frequencies, phases, seconds)
-    grid = np.arange(0, seconds, 0.01)
-    q, dq, ddq = (np.abs(x).max(0) for x in replace(raw, middle=middle * 0).state(grid))
-    left = np.minimum(upper - middle, middle - lower) * _REACH * plan.reach
-    factor = np.minimum(left / q, level * speed / dq)
-    factor = np.minimum(factor, level * speed / _BRISK / ddq)
-    moves = np.isin(np.arange(arm.n), plan.moving)
-    return raw.scaled(factor * moves)
+    lower, upper, speed = (
+        np.array([getattr(j, limit) for j in arm.joints])
+        for limit in ("lower", "upper", "velocity")
+    )
+    shape, moves = (arm.n, _HARMONICS), np.isin(np.arange(arm.n), plan.moving)
+    out = []
+    for number, (level, seconds) in enumerate(zip(plan.levels, plan.seconds, strict=True)):
+        rng = np.random.default_rng([plan.seed, number])
+        # A slower motion is the same dance at lower frequencies, not only a smaller one.
+        frequencies = np.sort(rng.uniform(0.08, 0.75, shape), axis=1) * max(level, 0.15) ** 0.6
+        amplitudes = rng.uniform(0.3, 1.0, shape) / (frequencies + 0.15)
+        phases = rng.uniform(0, 2 * np.pi, shape)
+        room = (upper - lower) / 2 * _REACH
+        middle = (upper + lower) / 2 + rng.uniform(-0.25, 0.25, arm.n) * room
+        raw = Sum(middle, amplitudes, frequencies, phases, seconds)
+        grid = np.arange(0, seconds, 0.01)
+        q, dq, ddq = (np.abs(x).max(0) for x in replace(raw, middle=middle * 0).state(grid))
+        left = np.minimum(upper - middle, middle - lower) * _REACH * plan.reach
+        factor = np.minimum(left / q, level * speed / dq)
+        factor = np.minimum(factor, level * speed / _BRISK / ddq)
+        out.append(raw.scaled(factor * moves))
+    return out
 
 
 def _fade(t: Array, seconds: float) -> tuple[Array, Array, Array]:

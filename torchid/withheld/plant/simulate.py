@@ -15,11 +15,10 @@ import numpy as np
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant.bodies import Array
-from torchid.withheld.plant.engine import mujoco
-from torchid.withheld.plant.model import compiled
+from torchid.withheld.plant.model import compiled, mujoco
 from torchid.withheld.plant.motion import SETTLE, Sum
-from torchid.withheld.plant.nominal import Nominal
 from torchid.withheld.plant.plan import Act, Live, Plan, Scene, Signals
+from torchid.withheld.plant.scene import Nominal
 
 _FEED = 0.004  # seconds between two instants of the feed-forward
 _ASTRAY = 1.0  # rad from the reference at which a simulation is no longer one of this arm
@@ -80,23 +79,9 @@ def _trajectory(scene: Scene, plan: Plan, nominal: Nominal, step: float, number:
     if not np.isfinite(dq).all() or np.abs(error).max() > _ASTRAY:
         raise TorchidError("a withheld case could not be simulated: the arm diverged.")
     tau = command - scene.kp * q[:-1] - scene.kd * dq[1:]
-    truth = Signals(
-        t=live.t,
-        q=q[:-1] - offset,
-        dq=(dq[1:] + dq[:-1]) / 2,
-        ddq=np.diff(dq, axis=0) / step,
-        tau=tau,
-    )
+    truth = live.t, q[:-1] - offset, (dq[1:] + dq[:-1]) / 2, np.diff(dq, axis=0) / step, tau
     return Trace(
-        Signals(
-            truth.t[settle:],
-            truth.q[settle:],
-            truth.dq[settle:],
-            truth.ddq[settle:],
-            truth.tau[settle:],
-        ),
-        friction[settle:],
-        (friction + added)[settle:],
+        Signals(*(x[settle:] for x in truth)), friction[settle:], (friction + added)[settle:]
     )
 
 

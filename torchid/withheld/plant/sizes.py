@@ -8,8 +8,8 @@ from scipy.ndimage import uniform_filter1d
 
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import kind_named
-from torchid.withheld.plant.nominal import Nominal, dry, low_passed, rms
 from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene, Signals
+from torchid.withheld.plant.scene import Nominal, dry, low_passed, rms
 from torchid.withheld.plant.sensing import hold
 from torchid.withheld.plant.simulate import Trace, simulated
 
@@ -63,8 +63,9 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
         for held in plan.held:
             since = reading.t - reading.t[0]
             tau[:, held.joint] = hold(tau[:, held.joint], since, held.windows[number])
+        # One row of so many, of triangular means, which hold back what would be folded.
         tau, q, dq, ddq, friction, resistance = (
-            _thinned(x, every)
+            uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
             for x in (tau, reading.q, reading.dq, reading.ddq, trace.friction, trace.resistance)
         )
         known = friction.copy()
@@ -75,11 +76,6 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
         gap = tau - nominal.rigid(q, dq, ddq) - plan.known_damping * dq - known
         out.append(low_passed(gap, fine * every))
     return out
-
-
-def _thinned(x: Array, every: int) -> Array:
-    """One row of so many, of triangular means, which hold back what would be folded."""
-    return uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
 
 
 def size_of(scene: Scene, plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> Array:

@@ -1,0 +1,169 @@
+"""What a score is compared with: simple methods, the diagnosis that is told, and the truth.
+
+All of it belongs to scoring: it needs the keys, or the seed, and who knows the seed knows the keys.
+Answers lie beside the set, not in it, and are kept as long as the diagnosis does not change.
+
+- The *oracle* is the same diagnosis, told what is there and where: how far the gap could be closed
+  at most. Folds, shapes and coefficients are found as ever; only the candidates are those that were
+  planted, on their joints, and are accepted at any level.
+- The *truth* is how far a corrected model really closes the gap: on new motions, seen by ideal
+  sensors. The arm of a case, with its effects, moves along other trajectories of the same kind,
+  read without noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data
+  that it was not fitted on. The noise's part in (L0 - L*) / (L0 - Ln) is then zero, and the closed
+  share is 1 - L*/L0, with L the mean square of the gap below the report's band away from
+  reversals, joints weighted by their noise.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.design.columns import Model
+from torchid.effects.registry import EVENTS, KINDS, effect_from_record, nominal_effects
+from torchid.errors import TorchidError
+from torchid.gap.data import prepare
+from torchid.gap.settings import GapSettings
+from torchid.gap.validate.folds import traces
+from torchid.json_data import read_json
+from torchid.log.columns import log_from_columns
+from torchid.log.model import Log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.withheld.baselines import baseline_case
+from torchid.withheld.case_set import CaseSet
+from torchid.withheld.run import Job, Progress, default_settings, job_of, run, written
+
+LEVEL = 0.5
+"""At which the oracle accepts what it is told."""
+
+
+def beside(cases: CaseSet, what: str) -> Path:
+    """The folder of what belongs to a set but must not lie in it; made if it is not there."""
+    folder = cases.folder.parent / f"{cases.folder.name}.{what}"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def baseline_answers(
+    cases: CaseSet, wanted: Sequence[str], jobs: int, progress: Progress | None
+) -> dict[str, dict[str, Any]]:
+    """Records of `baselines.baseline_case`, by case."""
+    folder = beside(cases, "baselines")
+    todo = [job_of(cases, case, folder / f"{case}.json") for case in wanted]
+    return run(todo, method=baseline_case, jobs=jobs, again=True, progress=progress)
+
+
+def oracle_answers(
+    cases: CaseSet,
+    keys: Sequence[dict[str, Any]],
+    wanted: Sequence[str],
+    jobs: int,
+    progress: Progress | None,
+) -> dict[str, dict[str, Any]]:
+    """Answers of the diagnosis that is told, by case with one effect of the library."""
+    folder = beside(cases, "oracle")
+    todo = []
+    for key in keys:
+        settings = told(key, default_settings()) if key["kind"] == "single" else None
+        if settings is not None and key["id"] in wanted:
+            todo.append(job_of(cases, key["id"], folder / f"{key['id']}.json", settings))
+    return run(todo, jobs=jobs, again=True, progress=progress)
+
+
+def told(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
+    """Settings of the diagnosis that is told the key; None where the library lacks a cause, or
+    there is none."""
+    planted = key["effects"]
+    if not planted or any(effect["name"] not in KINDS for effect in planted):
+        return None
+    names = tuple(dict.fromkeys(effect["name"] for effect in planted))
+    # Joints from 0; None for the whole arm.
+    only = [(e["name"], j and int(j) - 1) for e in planted for j in e["joints"] or [None]]
+    return replace(
+        settings,
+        effects=names,
+        parameters="auto" if "link_inertia" in names else "trusted",
+        alpha=LEVEL,
+        max_effects=len(planted),
+        only=tuple(only),
+    )
+
+
+def true_shares(
+    cases: CaseSet,
+    keys: list[dict[str, Any]],
+    answers: Mapping[str, Mapping[str, Any]],
+    jobs: int,
+    progress: Progress | None,
+) -> dict[str, float]:
+    """True closed shares, by case, where a diagnosis gave an interval of one.
+
+    Args:
+        cases, keys, answers: of the set; keys opened.
+        jobs: processes.
+        progress: called with (stage, done, total).
+    """
+    folder = beside(cases, "truth")
+    todo = []
+    for key in keys:
+        case = str(key["id"])
+        known = (answers.get(case, {}).get("how_far") or {}).get("closed_ci95") is not None
+        events = any(effect["name"] in EVENTS for effect in key["effects"])
+        if known and not events:
+            todo.append(job_of(cases, case, folder / f"{case}.json"))
+    found = run(todo, method=partial(truth_case, cases), jobs=jobs, again=True, progress=progress)
+    return {case: float(f["closed"]) for case, f in found.items() if f.get("closed") is not None}
+
+
+def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
+    """The true closed share of one case, written like an answer."""
+
+    def answer() -> dict[str, Any]:
+        given = read_json(cases.answer(job.case), "an answer")
+        from torchid.withheld.plant.case import draw_case, simulate_case
+
+        number = cases.ids.index(job.case)
+        ideal = simulate_case(draw_case(cases.seed, number), ideal=True, fresh=True)
+        # The arm must be the one that was diagnosed.
+        if ideal.urdf != job.robot.read_text(encoding="utf-8"):
+            raise TorchidError(f"{job.case} is simulated differently now than when it was made.")
+        log = log_from_columns(ideal.columns, job.log)
+        robot = load_robot(job.robot)
+        noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
+        return {
+            "status": "done",
+            "closed": closed_share(robot, log, given["corrected"], noise, given["band_hz"]),
+        }
+
+    return written(job, answer)
+
+
+def closed_share(
+    robot: Robot, log: Log, corrected: Mapping[str, Any], noise: torch.Tensor, band: float
+) -> float | None:
+    """1 - L*/L0 of a corrected model on a log without noise; None where there is no gap.
+
+    Args:
+        robot: the nominal model.
+        log: as ideal sensors see it.
+        corrected: parameters and effects of the corrected model, as in an answer.
+        noise: (n,) standard deviations that weigh the joints.
+        band: of the report [Hz].
+    """
+    given = prepare(robot, log, None)
+    pi = torch.tensor(corrected["pi"], dtype=torch.float64)
+    better = robot.with_parameters(InertialParameters(pi))
+    effects = [effect_from_record(record, better) for record in corrected["effects"]]
+    before, after = Model(robot, tuple(nominal_effects(robot))), Model(better, tuple(effects))
+    losses = torch.zeros(2, dtype=torch.float64)
+    # At a reversal the arm may stick, whatever its model: no effect closes that.
+    for t in traces(given.samples, None, [before], [after], band):
+        for k, predicted in enumerate((t.before, t.after)):
+            left = (t.measured - predicted) * t.counting / noise
+            losses[k] += left.square().sum()
+    return float(1 - losses[1] / losses[0]) if losses[0] > 0 else None
