@@ -14,11 +14,7 @@ from tests.identification.test_rows import a_log, collected, layout_of
 from torchid.design.motion import Measurement, measurements
 from torchid.identification.least_squares import Fit, fit
 from torchid.identification.rows import RowSource
-from torchid.identification.statistics import (
-    Uncertainty,
-    correlation_instants,
-    jackknife,
-)
+from torchid.identification.statistics import Uncertainty, correlation_instants, jackknife
 from torchid.robot.library import load_robot
 from torchid.statistics.blocks import FEWEST_BLOCKS, block_length, block_numbers
 from torchid.statistics.jackknife import fit_statistics

@@ -26,11 +26,7 @@ from torchid.study.equal_torque.family import Drawn, draw
 from torchid.study.equal_torque.force_reach import force_reach, force_squares
 from torchid.study.equal_torque.given_sets import given_sets
 from torchid.study.equal_torque.record import given_record, study_record
-from torchid.study.equal_torque.setting import (
-    Setting,
-    equal_torque_setting,
-    reference_motion,
-)
+from torchid.study.equal_torque.setting import Setting, equal_torque_setting, reference_motion
 from torchid.study.equal_torque.study import EqualTorqueStudy, equal_torque_study
 from torchid.wrenches.deviation import wrench_errors
 from torchid.wrenches.regressor import internal_wrenches

@@ -62,7 +62,7 @@ def designed_for(
     from torchid.excitation.informed import design_for
     from torchid.identification.reading import read_prior
     from torchid.next_motion.ambiguity import SCHEMA as GAP
-    from torchid.report.next_motion import informed_record, informed_table, informed_verdict
+    from torchid.report.motion import informed_record, informed_table, informed_verdict
 
     if data["schema"] == GAP:
         if criterion not in (None, "separation"):
@@ -104,7 +104,7 @@ def _for_gap(
     from torchid.next_motion.ambiguity import read_open
     from torchid.next_motion.rivals import rivals
     from torchid.next_motion.separating_motion import design_separation
-    from torchid.report.next_motion import (
+    from torchid.report.motion import (
         separation_record,
         separation_table,
         separation_verdict,
@@ -136,7 +136,7 @@ def torque_use(
     output: Output,
 ) -> dict[str, Any]:
     """Prints what motions ask of the drives, or that it is not known, and gives its record."""
-    from torchid.report.excitation import not_checked, torque_record, torque_table
+    from torchid.report.motion import not_checked, torque_record, torque_table
 
     use = None if torque is None else torque.use(trajectories)
     if use is not None:

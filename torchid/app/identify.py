@@ -88,8 +88,7 @@ def identify_command(
     output = open_output(json_file, out, quiet, threads, report)
     from torchid.identification.identify import Settings, identify
     from torchid.identification.record import record
-    from torchid.report.identification import headline, tables
-    from torchid.report.page.identification import identification_page
+    from torchid.report.identification import headline, identification_page, tables
     from torchid.robot.library import load_robot
 
     fraction: float | Literal["auto"] = "auto"
@@ -155,8 +154,8 @@ def _effects(text: str) -> tuple[str, ...]:
 
 def _figures(result: "Identification") -> "dict[str, Figure]":
     """How well each parameter is known, and torques of every trajectory."""
-    from torchid.report.figures import parameter_figure, torque_figure
-    from torchid.report.text import joint_unit
+    from torchid.report.identification import parameter_figure, torque_figure
+    from torchid.report.table import joint_unit
 
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
     drawn = {"parameters": parameter_figure(result)}

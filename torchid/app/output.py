@@ -117,7 +117,7 @@ def open_output(
                 expected="FILE.html",
                 hint="a browser prints it as PDF",
             )
-        from torchid.report.page.render import require_templates
+        from torchid.report.page.document import require_templates
 
         require_templates()
     torch.set_num_threads(threads or 1)

@@ -9,8 +9,7 @@ from torchid.app.output import Output
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.report.page.document import Page
-    from torchid.report.page.origin import InputFile, Origin
+    from torchid.report.page.document import InputFile, Origin, Page
 
 Named = tuple[str, str, Path]
 """Role, name to show, path."""
@@ -44,7 +43,7 @@ def hashed(output: Output, named: Sequence[Named]) -> "tuple[InputFile, ...]":
     for role, name, path in named:
         if path.resolve() == output.page_file.resolve():
             raise TorchidError(f"--report would overwrite the {role} '{name}'.")
-    from torchid.report.page.origin import input_files
+    from torchid.report.page.document import input_files
 
     return input_files(named)
 
@@ -60,8 +59,7 @@ def write_report(
     """Write the page that `build` makes of the result's origin, if one is asked for."""
     if output.page_file is None:
         return
-    from torchid.report.page.origin import origin
-    from torchid.report.page.render import write_page
+    from torchid.report.page.document import origin, write_page
 
     made = origin(
         arguments=sys.argv, started=output.started, seeds=seeds, settings=settings, files=files

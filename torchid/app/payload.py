@@ -63,7 +63,7 @@ def payload_command(
     output = open_output(json_file, out, quiet, threads)
     from torchid.identification.identify import Settings, identify
     from torchid.identification.payload import estimate_payload, record
-    from torchid.report.payload import headline, tables
+    from torchid.report.identification import payload_headline, payload_tables
     from torchid.robot.library import load_robot
 
     settings = Settings(
@@ -90,8 +90,8 @@ def payload_command(
             *payload.warnings,
         ]
     )
-    output.say(*tables(payload))
+    output.say(*payload_tables(payload))
     output.warn(noticed)
-    output.say(f"\n{headline(payload)}")
+    output.say(f"\n{payload_headline(payload)}")
     data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
     output.write_json({**data, "warnings": list(noticed)}, "payload.json")

@@ -187,7 +187,7 @@ def leave_out_command(
     """
     output = open_output(json_file, out, quiet)
     from torchid.files import atomic_write
-    from torchid.report.withheld_leave_out import leave_out_headline, leave_out_markdown
+    from torchid.report.withheld import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
 
     with progress_bar(output) as progress:
@@ -248,7 +248,7 @@ def own_command(
     """
     output = open_output(json_file, out, quiet)
     from torchid.gap.settings import GapSettings
-    from torchid.report.withheld_own import own_headline, own_tables
+    from torchid.report.withheld import own_headline, own_tables
     from torchid.robot.library import load_robot
     from torchid.withheld.own import check_own, own_record
 

@@ -92,8 +92,7 @@ def wrenches_command(
     """
     output = open_output(json_file, out, quiet, threads)
     from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.findings import findings
-    from torchid.report.wrenches.tables import tables
+    from torchid.report.wrenches.tables import findings, tables
     from torchid.robot.library import load_robot
     from torchid.study.equal_torque.record import study_record
     from torchid.study.equal_torque.setting import equal_torque_setting

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
 from torchid.gap.record import unit_of
-from torchid.report.text import interval, listed, percent, torque_unit
+from torchid.report.table import interval, listed, percent, torque_unit
 from torchid.robot.model import Robot
 
 REGIMES = {

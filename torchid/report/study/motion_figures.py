@@ -2,19 +2,18 @@
 comparisons, and the torques of the identified coefficients and of the best sets."""
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from torchid.log.model import Log
 from torchid.log.sampling import sampling_rate
-from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.excitation import SIGNALS, trajectory_figure
-from torchid.report.panels import finish, label, legend_below, new_figure, styled
+from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, KEEPS, ORANGE, RED
+from torchid.report.motion import SIGNALS, trajectory_figure
+from torchid.report.panels import Picture, finish, headroom, joint_rows, note, thin
 from torchid.report.study import facts
-from torchid.report.study.drawing import Drawing, Section, headroom, note, thin
-from torchid.report.study.facts import at_joint, count, number, rms
-from torchid.report.text import listed, torque_unit
+from torchid.report.study.facts import at_joint, count, drawing, number, rms
+from torchid.report.table import listed, torque_unit
 from torchid.robot.model import Robot
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
@@ -27,7 +26,7 @@ _UNITS = ("rad", "rad/s", "rad/s²")
 """Of the signals that the report's noise is added to, where joints turn."""
 
 
-def motion_drawings(study: Study) -> list[Drawing]:
+def motion_drawings(study: Study) -> list[Picture]:
     """Every motion of the study (figures 5.1, 5.2, 5.5 and their like)."""
     planned, logged = study.excitation.trajectories(), study.log.trajectories()
     total, name = len(planned), study.robot.name
@@ -51,7 +50,7 @@ def motion_drawings(study: Study) -> list[Drawing]:
             f"its root mean square in each panel. Largest: {listed(largest)}."
         )
         noise_only = partial(_noise_figure, study.robot, plan, log)
-        out.append(Drawing("identification", "excitation_noise", caption, noise_only))
+        out.append(drawing("identification", "excitation_noise", caption, noise_only))
     plan = new_motion(study.robot, validation)
     caption = (
         f"The sinusoidal motion that validates the coefficients, {_sampling(plan)}; it takes no "
@@ -64,7 +63,7 @@ def motion_drawings(study: Study) -> list[Drawing]:
             study.validation, validation.noise_db,
         )
     )  # fmt: skip
-    comparisons: tuple[tuple[Section, str, Log, str], ...] = (
+    comparisons: tuple[tuple[str, str, Log, str], ...] = (
         ("validation", "sets_motion", study.sets_motion.motion,
          "The motion on which the torques of the best sets are compared"),
         ("wrenches", "reference_motion", study.wrench_motion.motion,
@@ -79,38 +78,33 @@ def motion_drawings(study: Study) -> list[Drawing]:
 
 def _motion(
     robot: Robot,
-    section: Section,
+    section: str,
     file: str,
     plan: Log,
     title: str,
     caption: str,
     log: Log | None = None,
     noise_db: float | None = None,
-) -> Drawing:
+) -> Picture:
     """A planned motion with the robot's limits, under the noisy one, if it is noisy."""
     noisy = None if noise_db is None else log
     caption += _use(robot, plan)
     if noisy is not None:
         caption += _noise(robot, plan, noisy, noise_db)
-    return Drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
+    return drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
 
 
 def _noise_figure(robot: Robot, plan: Log, log: Log) -> "Figure":
     """The noise alone: at the scale of the motion it is as wide as a line."""
-    figure = new_figure(11, 1.0 + 1.25 * robot.n)
-    grid = figure.subplots(robot.n, 3, sharex=True, squeeze=False)
+    headings = [f"{name} [{unit}]" for (name, _), unit in zip(SIGNALS, _UNITS, strict=True)]
+    figure, grid = joint_rows(robot.n, headings, (11, 1.0 + 1.25 * robot.n))
     t = thin(plan.t - plan.t[0])
-    for c, (name, signal) in enumerate(SIGNALS):
+    for column, (_, signal) in zip(grid.T, SIGNALS, strict=True):
         difference = getattr(log, signal) - getattr(plan, signal)
-        grid[0, c].set_title(f"{name} [{_UNITS[c]}]", fontsize=9, color=INK)
-        label(grid[-1, c], "time [s]")
-        for j in range(robot.n):
-            axes = styled(grid[j, c])
+        for j, axes in enumerate(column):
             axes.plot(t, thin(difference[:, j]), color=ORANGE, linewidth=0.6)
             headroom(axes)
             note(axes, number(float(rms(difference)[j]), 2))
-    for j in range(robot.n):
-        label(grid[j, 0], y=f"joint {j + 1}")
     return finish(figure, f"{robot.name}: noise of exciting trajectory 1")
 
 
@@ -153,7 +147,7 @@ def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
     )
 
 
-def torque_drawings(study: Study) -> list[Drawing]:
+def torque_drawings(study: Study) -> list[Picture]:
     """Torques of the validation and of the best sets (figures 5.3, 5.4 and their like)."""
     identified, rebuilt, true = facts.validation_torques(study)
     size = rms(true)
@@ -173,7 +167,7 @@ def torque_drawings(study: Study) -> list[Drawing]:
         f"{number(worst)} of its root mean square (joint {where}); {verdict}. The reconstructed "
         f"one differs by at most {number(other)}: as far as the regrouping itself is exact."
     )
-    validation = Drawing(
+    validation = drawing(
         "identification", "validation_torque", caption,
         lambda: _torque_figure(study, identified, rebuilt, true),
     )  # fmt: skip
@@ -181,9 +175,9 @@ def torque_drawings(study: Study) -> list[Drawing]:
 
 
 def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tensor) -> "Figure":
-    n = study.robot.n
-    figure = new_figure(11, 1.2 + 1.35 * n)
-    grid = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
+    n, unit = study.robot.n, torque_unit(study.robot, "N m; N")
+    headings = (f"torque [{unit}]", f"residual [{unit}]")
+    figure, grid = joint_rows(n, headings, (11, 1.2 + 1.35 * n), width_ratios=(3, 2))
     t = thin(study.validation.t - study.validation.t[0])
     lines = (
         (identified, "identified", RED, "-", 2.6),
@@ -194,27 +188,19 @@ def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tens
         (identified - true, "identified - true", ORANGE),
         (rebuilt - true, "reconstructed - true", GREY),
     )
-    for j in range(n):
-        left, right = styled(grid[j, 0]), styled(grid[j, 1])
+    for j, (left, right) in enumerate(grid):
         for values, name, colour, style, width in lines:
             left.plot(t, thin(values[:, j]), style, color=colour, linewidth=width, label=name)
         for values, name, colour in residuals:
             right.plot(t, thin(values[:, j]), color=colour, linewidth=0.7, label=name)
-        label(left, y=f"joint {j + 1}")
         right.yaxis.get_offset_text().set_fontsize(8)
-        largest = float((identified - true)[:, j].abs().max())
         headroom(right)
-        note(right, f"largest {number(largest, 2)}")
-    unit = torque_unit(study.robot, "N m; N")
-    for axes, name in zip(grid[0], (f"torque [{unit}]", f"residual [{unit}]"), strict=True):
-        axes.set_title(name, fontsize=9, color=INK)
-    for axes in grid[-1]:
-        label(axes, "time [s]")
+        note(right, f"largest {number(float((identified - true)[:, j].abs().max()), 2)}")
     title = f"{study.robot.name}: torque on the motion of the validation"
     return finish(figure, title, *grid[0], columns=5)
 
 
-def _sets_torque(study: Study) -> Drawing:
+def _sets_torque(study: Study) -> Picture:
     error, real = facts.torque_errors(study.sets_motion)
     share, unit = error / real, torque_unit(study.robot, "N m; N")
     names = study.sets_motion.labels[1:]
@@ -238,33 +224,27 @@ def _sets_torque(study: Study) -> Drawing:
         f"parameters (grey) per joint (rows) [{unit}], on a motion that took no part in anything "
         f"before; the number is the root mean square difference. {' '.join(sentences)}"
     )
-    return Drawing("validation", "sets_torque", caption, lambda: _sets_figure(study, error))
+    return drawing("validation", "sets_torque", caption, lambda: _sets_figure(study, error))
 
 
 def _sets_figure(study: Study, error: Tensor) -> "Figure":
-    sets, n = study.sets_motion, study.robot.n
-    k = len(sets.labels) - 1
-    figure = new_figure(max(6.0, 1.0 + 2.05 * k), 1.2 + 1.2 * n)
-    grid = figure.subplots(n, k, sharex=True, sharey="row", squeeze=False)
+    sets, n, unit = study.sets_motion, study.robot.n, torque_unit(study.robot, "N m; N")
+    names = sets.labels[1:]
+    size = max(6.0, 1.0 + 2.05 * len(names)), 1.2 + 1.2 * n
+    figure, grid = joint_rows(n, names, size, sharey="row")
     t = thin(sets.motion.t)
-    for s in range(k):
-        colour = GREEN if study.scenarios[s].feasible else RED
-        for j in range(n):
-            axes = styled(grid[j, s])
-            axes.plot(t, thin(sets.torque[0, :, j]), color=GREY, linewidth=3.0, label="real")
+    for s, column in enumerate(grid.T):
+        colour = KEEPS if study.scenarios[s].feasible else BREAKS
+        for j, axes in enumerate(column):
+            axes.plot(t, thin(sets.torque[0, :, j]), color=GREY, linewidth=3.0)
             axes.plot(t, thin(sets.torque[s + 1, :, j]), "--", color=colour, linewidth=1.1)
             note(axes, number(float(error[s, j]), 2))
-            if s == k - 1:
+            if s == len(names) - 1:
                 headroom(axes)
-        grid[0, s].set_title(sets.labels[s + 1], fontsize=9, color=INK)
-        label(grid[-1, s], "time [s]")
-    for j in range(n):
-        label(grid[j, 0], y=f"joint {j + 1}")
-    handles = {
-        "real": grid[0, 0].plot([], [], color=GREY, linewidth=3.0)[0],
-        "feasible set": grid[0, 0].plot([], [], "--", color=GREEN)[0],
-        "infeasible set": grid[0, 0].plot([], [], "--", color=RED)[0],
+    keys: dict[str, dict[str, Any]] = {
+        "real": {"color": GREY, "linewidth": 3.0},
+        "feasible set": {"color": KEEPS, "linestyle": "--"},
+        "infeasible set": {"color": BREAKS, "linestyle": "--"},
     }
-    legend_below(figure, handles, 3)
-    unit = torque_unit(study.robot, "N m; N")
-    return finish(figure, f"{study.robot.name}: torque [{unit}] of the best sets on a new motion")
+    title = f"{study.robot.name}: torque [{unit}] of the best sets on a new motion"
+    return finish(figure, title, columns=3, keys=keys)
