@@ -20,7 +20,7 @@ from torchid.report.identification import (
     torque_figure,
     truth_figure,
 )
-from torchid.report.motion import trajectory_figure
+from torchid.report.log import trajectory_figure
 from torchid.report.panels import save
 from torchid.robot.library import load_robot
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
-from torchid.report.motion import trajectory_figure
+from torchid.report.log import trajectory_figure
 from torchid.report.study import facts
 from torchid.report.study.facts import headline, verdict
 from torchid.report.study.page import drawings, page, write_study

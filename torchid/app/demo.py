@@ -79,7 +79,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         torque_figure,
         truth_figure,
     )
-    from torchid.report.motion import trajectory_figure
+    from torchid.report.log import trajectory_figure
     from torchid.robot.library import load_robot
 
     robot = load_robot("kuka_lwr4_friction")

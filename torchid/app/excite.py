@@ -222,7 +222,7 @@ def _write(
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
-    from torchid.report.motion import trajectory_figure
+    from torchid.report.log import trajectory_figure
 
     logs = [trajectory_log(x, rate) for x in trajectories]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]

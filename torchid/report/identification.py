@@ -3,12 +3,13 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from torchid.design.motion import MOVING
-from torchid.effects.base import Effect
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Estimate, Payload
 from torchid.identification.result import UNEXPLAINED
@@ -17,8 +18,6 @@ from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page, result_page
 from torchid.report.panels import Picture, finish, joint_rows, label, note, panel, rows_of
 from torchid.report.table import Table, joint_unit, listed, short, unit_words
-from torchid.robot.model import JointType
-from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,8 +45,8 @@ def headline(result: Identification) -> str:
     percent = ", ".join(f"{v:.1f}" for v in shown.relative_percent.tolist())
     moving = ", ".join(f"{v:.1f}" for v in shown.relative_percent_moving.tolist())
     cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
-    count, every = len(poor_names(result)), len(result.base)
-    poor = f" {count} of {every} cannot be told from zero (95 %)." if count else ""
+    bad, every = len(poor_names(result)), len(result.base)
+    poor = f" {bad} of {every} cannot be told from zero (95 %)." if bad else ""
     return (
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
@@ -91,8 +90,7 @@ def effect_tables(result: Identification) -> list[Table]:
     """Coefficients with standard deviations: of effects on every joint with joints as rows, of
     those at some places one a row, with the shapes."""
     base, robot = result.base, result.robot
-    mixed = len(set(robot.joint_types)) > 1
-    prismatic = robot.joint_types[0] is JointType.PRISMATIC
+    slides = [joint_unit(robot, j) == "N" for j in range(robot.n)]
     position = {k: b for b, k in enumerate(base.independent)}
 
     def value(k: int) -> str:
@@ -105,19 +103,16 @@ def effect_tables(result: Identification) -> list[Table]:
         return f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
 
     # Each effect with the texts of its coefficients.
-    found: list[tuple[Effect, list[str]]] = []
-    k = base.n_rigid_parameters
-    for effect in result.effects:
-        found.append((effect, [value(k + i) for i in range(len(effect.coefficients))]))
-        k += len(effect.coefficients)
+    k = count(base.n_rigid_parameters)
+    found = [(e, [value(next(k)) for _ in e.coefficients]) for e in result.effects]
     counts = Counter(type(effect) for effect in result.effects)
     everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
-    if mixed:
+    if len(set(slides)) > 1:
         everywhere = []  # their units are not those of the column
     out = []
     if everywhere:
         columns = [
-            f"{c.meaning}\n{c.name} [{c.unit_for(prismatic)}]"
+            f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
             for kind in everywhere
             for c in kind.coefficients
         ]
@@ -133,8 +128,8 @@ def effect_tables(result: Identification) -> list[Table]:
             continue
         place = ", ".join(str(j + 1) for j in effect.joints)
         for c, text in zip(effect.coefficients, texts, strict=True):
-            slides = robot.joint_types[effect.joints[0]] is JointType.PRISMATIC
-            lines.append((effect.name, place, c.name, text, c.unit_for(slides)))
+            unit = c.unit_for(slides[effect.joints[0]])
+            lines.append((effect.name, place, c.name, text, unit))
         for s, number in zip(effect.shapes, effect.shape_values, strict=True):
             lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
     if lines:
@@ -219,7 +214,7 @@ def parameter_figure(result: Identification) -> "Figure":
     return finish(figure, f"{result.robot.name}: how well each parameter is known")
 
 
-def truth_figure(result: Identification, truth: Tensor) -> "Figure":
+def truth_figure(result: Identification, truth: torch.Tensor) -> "Figure":
     """Errors against known true values, in units of each parameter's 95 % interval."""
     half = result.uncertainty.quantile() * result.std
     shown = [k for k in range(len(result.base)) if bool(result.free[k])]

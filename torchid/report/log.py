@@ -1,25 +1,29 @@
-"""What a log is seen as, and what an examination finds in it, as tables and a figure."""
+"""A log and a motion for people: what it is seen as, its figure, and what an examination finds."""
 
 from collections.abc import Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
 from torchid.doctor.examine import Examination
-from torchid.log.model import JOINT_SIGNALS
+from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
-from torchid.report.colours import BLUE, ORANGE
-from torchid.report.panels import joint_rows, label
+from torchid.report.colours import BLUE, ORANGE, RED
+from torchid.report.panels import finish, joint_rows, label, thin
 from torchid.report.table import Cell, Table, joint_unit
+from torchid.robot.model import JointType, Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
+"""Names of the signals of a motion, and their fields."""
 _SHOWN = 40
 _CONSEQUENCES = {
     "dq": "differentiated from q",
@@ -83,6 +87,40 @@ def log_tables(seen: Overview) -> list[Table]:
         Table("smallest to largest", ("joint", *units), ranges, words=("joint",)),
         Table("trajectories", headings, trajectories, words=("",)),
     ]
+
+
+def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> "Figure":
+    """Position, velocity and acceleration per joint, limits in red.
+
+    Args:
+        robot: whose limits are drawn.
+        motion: one trajectory.
+        title: of the figure.
+        noisy: the same instants with noise, drawn over the motion.
+    """
+    t = thin(motion.t - motion.t[0])
+    wide = {"linewidth": 1.1} if noisy is None else {"linewidth": 3.0, "alpha": 0.4}
+    kinds = set(robot.joint_types)
+    length = "m" if kinds == {JointType.PRISMATIC} else "rad"
+    # Where the joints differ, no unit holds for all.
+    units = [""] * 3 if len(kinds) > 1 else [f" [{length}{per}]" for per in ("", "/s", "/s²")]
+    headings = [name + unit for (name, _), unit in zip(SIGNALS, units, strict=True)]
+    height = 1.0 + 1.25 * robot.n + (0.3 if noisy is not None else 0.0)
+    figure, grid = joint_rows(robot.n, headings, (11, height))
+    for column, (name, signal) in zip(grid.T, SIGNALS, strict=True):
+        planned = getattr(motion, signal)
+        disturbed = None if noisy is None else getattr(noisy, signal)
+        limits = getattr(robot.limits, name)
+        for j, axes in enumerate(column):
+            if planned is not None:
+                axes.plot(t, thin(planned[:, j]), color=BLUE, label="planned", **wide)
+            if disturbed is not None:
+                style = {"color": ORANGE, "linewidth": 0.8}
+                axes.plot(t, thin(disturbed[:, j]), label="with noise", **style)
+            if limits is not None and bool(torch.isfinite(limits[j]).all()):
+                for bound in limits[j].tolist():
+                    axes.axhline(bound, color=RED, linewidth=0.9, label="limit")
+    return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
 
 
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:

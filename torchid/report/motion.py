@@ -1,61 +1,18 @@
-"""A planned motion for people and as data: its figure, what it asks of the drives, what it adds."""
+"""A planned motion for people and as data: what it asks of the drives, and what it adds."""
 
 import math
 from typing import TYPE_CHECKING, Any
 
-import torch
-
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.torque import TorqueUse, has_torque_limits
 from torchid.json_data import plain
-from torchid.log.model import Log
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
-from torchid.report.colours import BLUE, ORANGE, RED
-from torchid.report.panels import finish, joint_rows, thin
 from torchid.report.table import Table, joint_unit, short
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import Robot
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
-"""Names of the signals of a motion, and their fields."""
-
-
-def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> "Figure":
-    """Position, velocity and acceleration per joint, limits in red.
-
-    Args:
-        robot: whose limits are drawn.
-        motion: one trajectory.
-        title: of the figure.
-        noisy: the same instants with noise, drawn over the motion.
-    """
-    t = thin(motion.t - motion.t[0])
-    wide = {"linewidth": 1.1} if noisy is None else {"linewidth": 3.0, "alpha": 0.4}
-    kinds = set(robot.joint_types)
-    length = "m" if kinds == {JointType.PRISMATIC} else "rad"
-    # Where the joints differ, no unit holds for all.
-    units = [""] * 3 if len(kinds) > 1 else [f" [{length}{per}]" for per in ("", "/s", "/s²")]
-    headings = [name + unit for (name, _), unit in zip(SIGNALS, units, strict=True)]
-    height = 1.0 + 1.25 * robot.n + (0.3 if noisy is not None else 0.0)
-    figure, grid = joint_rows(robot.n, headings, (11, height))
-    for column, (name, signal) in zip(grid.T, SIGNALS, strict=True):
-        planned = getattr(motion, signal)
-        disturbed = None if noisy is None else getattr(noisy, signal)
-        limits = getattr(robot.limits, name)
-        for j, axes in enumerate(column):
-            if planned is not None:
-                axes.plot(t, thin(planned[:, j]), color=BLUE, label="planned", **wide)
-            if disturbed is not None:
-                style = {"color": ORANGE, "linewidth": 0.8}
-                axes.plot(t, thin(disturbed[:, j]), label="with noise", **style)
-            if limits is not None and bool(torch.isfinite(limits[j]).all()):
-                for bound in limits[j].tolist():
-                    axes.axhline(bound, color=RED, linewidth=0.9, label="limit")
-    return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
+    pass
 
 
 def torque_table(robot: Robot, use: TorqueUse) -> Table:

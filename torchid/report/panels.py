@@ -44,6 +44,12 @@ class Picture:
         return f"{self.name}.png"
 
 
+def drawing(section: str, name: str, caption: str, draw: Callable[[], "Figure"]) -> Picture:
+    """A picture of a section, told by its name; stars in its caption would be markup."""
+    alt = f"Figure: {name.replace('_', ' ')}."
+    return Picture(name, caption.replace("*", ""), alt, draw, section)
+
+
 def new_figure(width: float, height: float) -> "Figure":
     """An empty figure in the house style, with a canvas that needs no display."""
     import matplotlib

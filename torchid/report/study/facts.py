@@ -2,25 +2,21 @@
 sentences: nothing here is drawn."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.report.identification import QUANTITIES
-from torchid.report.panels import Picture
 from torchid.report.table import listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
 from torchid.typing import Float, Int, Tensor
 from torchid.wrenches.classes import class_of
 from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ROUNDING = 1e-9
 """Share of a signal's root mean square below which a difference is called rounding."""
@@ -45,12 +41,6 @@ def count(k: int, what: str, many: str = "") -> str:
 def joint_names(study: Study) -> tuple[str, ...]:
     """Headings of one column a joint."""
     return tuple(f"joint {j + 1}" for j in range(study.robot.n))
-
-
-def drawing(section: str, name: str, caption: str, draw: Callable[[], "Figure"]) -> Picture:
-    """A figure of a study; stars in its caption would be markup."""
-    alt = f"Figure: {name.replace('_', ' ')}."
-    return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
 def coefficient_error(study: Study) -> float:

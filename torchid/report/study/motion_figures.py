@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, KEEPS, ORANGE, RED
-from torchid.report.motion import SIGNALS, trajectory_figure
-from torchid.report.panels import Picture, finish, headroom, joint_rows, note, thin
+from torchid.report.log import SIGNALS, trajectory_figure
+from torchid.report.panels import Picture, drawing, finish, headroom, joint_rows, note, thin
 from torchid.report.study import facts
-from torchid.report.study.facts import at_joint, count, drawing, number, rms
+from torchid.report.study.facts import at_joint, count, number, rms
 from torchid.report.table import listed, torque_unit
-from torchid.robot.model import Robot
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
-from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +30,7 @@ def motion_drawings(study: Study) -> list[Picture]:
     noise, validation = study.settings.excitation.noise_db, study.settings.validation
     out = [
         _motion(
-            study.robot, "identification", f"excitation_{k}", plan,
+            study, "identification", f"excitation_{k}", plan,
             f"{name}: exciting trajectory {k} of {total}",
             f"Exciting trajectory {k} of {total}, {_sampling(plan)}, per joint. ", log, noise,
         )
@@ -49,7 +46,7 @@ def motion_drawings(study: Study) -> list[Picture]:
             "The noise of exciting trajectory 1 alone: the noisy minus the planned motion, with "
             f"its root mean square in each panel. Largest: {listed(largest)}."
         )
-        noise_only = partial(_noise_figure, study.robot, plan, log)
+        noise_only = partial(_noise_figure, study, plan, log)
         out.append(drawing("identification", "excitation_noise", caption, noise_only))
     plan = new_motion(study.robot, validation)
     caption = (
@@ -59,7 +56,7 @@ def motion_drawings(study: Study) -> list[Picture]:
     title = f"{name}: motion of the validation"
     out.append(
         _motion(
-            study.robot, "identification", "validation_motion", plan, title, caption,
+            study, "identification", "validation_motion", plan, title, caption,
             study.validation, validation.noise_db,
         )
     )  # fmt: skip
@@ -72,12 +69,12 @@ def motion_drawings(study: Study) -> list[Picture]:
     for section, file, motion, what in comparisons:
         title = f"{name}: {file.replace('_', ' ')}"
         caption = f"{what}, {_sampling(motion)}. "
-        out.append(_motion(study.robot, section, file, motion, title, caption))
+        out.append(_motion(study, section, file, motion, title, caption))
     return out
 
 
 def _motion(
-    robot: Robot,
+    study: Study,
     section: str,
     file: str,
     plan: Log,
@@ -88,14 +85,16 @@ def _motion(
 ) -> Picture:
     """A planned motion with the robot's limits, under the noisy one, if it is noisy."""
     noisy = None if noise_db is None else log
-    caption += _use(robot, plan)
+    robot = study.robot
+    caption += _use(study, plan)
     if noisy is not None:
-        caption += _noise(robot, plan, noisy, noise_db)
+        caption += _noise(study, plan, noisy, noise_db)
     return drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
 
 
-def _noise_figure(robot: Robot, plan: Log, log: Log) -> "Figure":
+def _noise_figure(study: Study, plan: Log, log: Log) -> "Figure":
     """The noise alone: at the scale of the motion it is as wide as a line."""
+    robot = study.robot
     headings = [f"{name} [{unit}]" for (name, _), unit in zip(SIGNALS, _UNITS, strict=True)]
     figure, grid = joint_rows(robot.n, headings, (11, 1.0 + 1.25 * robot.n))
     t = thin(plan.t - plan.t[0])
@@ -109,15 +108,15 @@ def _noise_figure(robot: Robot, plan: Log, log: Log) -> "Figure":
 
 
 def _sampling(motion: Log) -> str:
-    rate = sampling_rate(motion)[0]
+    rate = (motion.samples - 1) / motion.duration[0]
     return f"{motion.duration[0]:.4g} s at {rate:.4g} Hz ({motion.samples} instants)"
 
 
-def _use(robot: Robot, motion: Log) -> str:
+def _use(study: Study, motion: Log) -> str:
     """How much of the limits a motion uses."""
     parts = []
     for name, signal in SIGNALS:
-        limits = getattr(robot.limits, name)
+        limits = getattr(study.robot.limits, name)
         values = getattr(motion, signal)
         if limits is None or values is None or not bool(torch.isfinite(limits).all()):
             continue
@@ -128,11 +127,11 @@ def _use(robot: Robot, motion: Log) -> str:
     return f"It reaches at most {listed(parts)}; limits are red." if parts else ""
 
 
-def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
+def _noise(study: Study, plan: Log, log: Log, noise_db: float | None) -> str:
     beyond, shares = torch.zeros(log.samples, dtype=torch.bool), []
     for name, signal in SIGNALS:
         limits, values, clean = (
-            getattr(x, y) for x, y in ((robot.limits, name), (log, signal), (plan, signal))
+            getattr(x, y) for x, y in ((study.robot.limits, name), (log, signal), (plan, signal))
         )
         shares.append(float((rms(values - clean) / rms(clean)).max()))
         if limits is not None:
@@ -169,12 +168,13 @@ def torque_drawings(study: Study) -> list[Picture]:
     )
     validation = drawing(
         "identification", "validation_torque", caption,
-        lambda: _torque_figure(study, identified, rebuilt, true),
+        lambda: _torque_figure(study),
     )  # fmt: skip
     return [validation, _sets_torque(study)]
 
 
-def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tensor) -> "Figure":
+def _torque_figure(study: Study) -> "Figure":
+    identified, rebuilt, true = facts.validation_torques(study)
     n, unit = study.robot.n, torque_unit(study.robot, "N m; N")
     headings = (f"torque [{unit}]", f"residual [{unit}]")
     figure, grid = joint_rows(n, headings, (11, 1.2 + 1.35 * n), width_ratios=(3, 2))
@@ -224,10 +224,11 @@ def _sets_torque(study: Study) -> Picture:
         f"parameters (grey) per joint (rows) [{unit}], on a motion that took no part in anything "
         f"before; the number is the root mean square difference. {' '.join(sentences)}"
     )
-    return drawing("validation", "sets_torque", caption, lambda: _sets_figure(study, error))
+    return drawing("validation", "sets_torque", caption, lambda: _sets_figure(study))
 
 
-def _sets_figure(study: Study, error: Tensor) -> "Figure":
+def _sets_figure(study: Study) -> "Figure":
+    error, _ = facts.torque_errors(study.sets_motion)
     sets, n, unit = study.sets_motion, study.robot.n, torque_unit(study.robot, "N m; N")
     names = sets.labels[1:]
     size = max(6.0, 1.0 + 2.05 * len(names)), 1.2 + 1.2 * n

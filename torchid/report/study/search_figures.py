@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREY, INK, KEEPS
-from torchid.report.panels import Picture, finish, label, panel, spread
+from torchid.report.panels import Picture, drawing, finish, label, panel, spread
 from torchid.report.study import facts
-from torchid.report.study.facts import count, drawing, ids, kept, number
+from torchid.report.study.facts import count, ids, kept, number
 from torchid.report.table import listed
 from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Tensor

@@ -10,9 +10,19 @@ import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
-from torchid.report.panels import Picture, finish, label, panel, rows_of, spread, thin, tiles
+from torchid.report.panels import (
+    Picture,
+    drawing,
+    finish,
+    label,
+    panel,
+    rows_of,
+    spread,
+    thin,
+    tiles,
+)
 from torchid.report.study import facts
-from torchid.report.study.facts import at_joint, count, drawing, ids, number, rms
+from torchid.report.study.facts import at_joint, count, ids, number, rms
 from torchid.report.table import listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
