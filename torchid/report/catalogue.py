@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import torch
-from rich.table import Table
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Abscissa, Effect, Family, ModelEffect, Motion
@@ -21,7 +20,7 @@ from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import label, save, tiles
-from torchid.report.table import compact
+from torchid.report.table import Table, pipe_table
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -100,6 +99,11 @@ def picture_name(family: Family) -> str:
 
 def effect_text(kind: type[Effect]) -> str:
     """One effect in Markdown."""
+    alike = (
+        f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
+        for r in known_rivals(kind)
+    )
+    fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
     lines = [
         f"### {kind.name}",
         "",
@@ -107,12 +111,12 @@ def effect_text(kind: type[Effect]) -> str:
         "",
         f"    {kind.equation}",
         "",
-        *_coefficients(kind),
+        _coefficients(kind),
         "",
         *(_shape(shape) for shape in kind.shapes),
-        f"- place: {_place(kind)}; fitted by: {_fitted(kind)}",
+        f"- place: {_place(kind)}; fitted by: {fitted}",
         f"- signature: {kind.signature}",
-        f"- confused with: {_rivals_text(kind)}",
+        f"- confused with: {', '.join(alike)}",
         f"- to tell them apart: {kind.experiment}",
         f"- remedy: {kind.remedy}",
         f"- source: {kind.source}",
@@ -137,25 +141,15 @@ def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[
     return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
 
 
-def _rivals_text(kind: type[Effect]) -> str:
-    """Links to the rivals, each with its correlation."""
-    told = (
-        f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
-        for r in known_rivals(kind)
-    )
-    return ", ".join(told)
-
-
 def effects_table() -> Table:
     """All effects by name, family, coefficients and meaning."""
-    out = compact(f"{len(KINDS)} effects")
-    for heading in ("effect", "family", "coefficients", "what it is"):
-        out.add_column(heading)
+    rows = []
     for kind in KINDS.values():
         names = [c.name for c in kind.coefficients]
         told = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
-        out.add_row(kind.name, kind.family, told, kind.meaning)
-    return out
+        rows.append((kind.name, kind.family, told, kind.meaning))
+    columns = ("effect", "family", "coefficients", "what it is")
+    return Table(f"{len(KINDS)} effects", columns, rows, words=columns)
 
 
 def effect_record(kind: type[Effect]) -> dict[str, Any]:
@@ -191,21 +185,22 @@ def write_catalogue(folder: Path) -> Path:
 
 
 def _contents(families: list[Family]) -> str:
-    rows = ["| family | effects |", "|---|---|"]
-    for family in families:
-        names = [f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family]
-        rows.append(f"| [{family}](#{family}) | {', '.join(names)} |")
-    return "\n".join(rows) + "\n"
+    links = {
+        family: ", ".join(f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family)
+        for family in families
+    }
+    rows = [(f"[{family}](#{family})", names) for family, names in links.items()]
+    return pipe_table(("family", "effects"), rows) + "\n"
 
 
-def _coefficients(kind: type[Effect]) -> list[str]:
+def _coefficients(kind: type[Effect]) -> str:
     """A table of the coefficients."""
-    rows = ["| coefficient | unit | sign | at most | meaning |", "|---|---|---|---|---|"]
+    rows = []
     for c in kind.coefficients:
         sign = "not negative" if c.non_negative else "any"
         most = f"{c.largest:g}" if math.isfinite(c.largest) else ""
-        rows.append(f"| `{c.name}` | {c.unit} | {sign} | {most} | {c.meaning} |")
-    return rows
+        rows.append((f"`{c.name}`", c.unit, sign, most, c.meaning))
+    return pipe_table(("coefficient", "unit", "sign", "at most", "meaning"), rows)
 
 
 def _shape(shape: Shape) -> str:
@@ -219,10 +214,6 @@ def _place(kind: type[Effect]) -> str:
     if issubclass(kind, ModelEffect) and not issubclass(kind, OneJointEffect):
         return "the whole arm"
     return "one joint (`joint`)"
-
-
-def _fitted(kind: type[Effect]) -> str:
-    return "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
 
 
 JOINT = 1

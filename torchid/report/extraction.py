@@ -184,15 +184,12 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
     rows = []
     for k in order[:_SHOWN]:
         degree = float(found.verdict.degree[k])
+        near = "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}"
+        far, penalty = f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}"
+        said, why = "yes" if verdict[k] else "no", ", ".join(found.verdict.reasons(k))
         rows.append(
-            (
-                found.sets.ids[k], f"{float(found.phi[k]):.5g}",
-                f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}",
-                "yes" if verdict[k] else "no",
-                "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}",
-                ", ".join(found.verdict.reasons(k)),
-            )
-        )  # fmt: skip
+            (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
+        )
     out = [
         Table(
             f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",

@@ -12,6 +12,7 @@ from torchid.report.gap_figures import joint_figure
 from torchid.report.gap_words import (
     CLEAR,
     REGIMES,
+    clear_regimes,
     coefficients,
     effect_words,
     joints_words,
@@ -54,11 +55,8 @@ def where_table(diagnosis: Diagnosis) -> Table:
     """Joints: size and share of the gap, and the regimes that hold more than their share."""
     rows = []
     for gap in diagnosis.joints:
-        clear = [
-            r for r in diagnosis.regimes if r.joint == gap.joint and r.p < CLEAR and r.excess > 0
-        ]
         said = []
-        for r in sorted(clear, key=lambda r: -r.excess)[:_MOST_REGIMES]:
+        for r in clear_regimes(diagnosis, gap.joint)[:_MOST_REGIMES]:
             text = f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
             if r.times:
                 starts: dict[str, list[str]] = {}
@@ -317,8 +315,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
     unit, far, budget = torque_unit(d.robot), d.how_far, d.budget
     # The joint with the largest share, and when.
     worst = gap_figures.worst_joints(d, 1)[0]
-    clear = [r for r in d.regimes if r.joint == worst and r.p < CLEAR and r.excess > 0]
-    clear.sort(key=lambda r: -r.excess)
+    clear = clear_regimes(d, worst)
     when = f"above all {listed([REGIMES[r.regime] for r in clear])}"
     share = next(gap.share for gap in d.joints if gap.joint == worst)
     shares = [f"joint {gap.joint + 1} {percent(gap.share)}" for gap in d.joints]

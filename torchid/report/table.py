@@ -85,17 +85,21 @@ class Table:
 
     def markdown(self) -> str:
         """Title, table and note."""
-        marks = (":--" if name in self.left else "--:" for name in self.columns)
-        lines = [
-            f"**{_plain(self.title)}**",
-            "",
-            _line(self.columns),
-            f"|{'|'.join(marks)}|",
-            *(_line(row) for row in self.rows),
-        ]
+        marks = [":--" if name in self.left else "--:" for name in self.columns]
+        head, *body = ([_plain(str(cell)) for cell in row] for row in (self.columns, *self.rows))
+        lines = [f"**{_plain(self.title)}**", "", pipe_table(head, body, marks)]
         if self.note:
             lines += ["", _plain(self.note)]
         return "\n".join(lines) + "\n"
+
+
+def pipe_table(
+    head: Sequence[str], body: Iterable[Sequence[object]], marks: Sequence[str] | None = None
+) -> str:
+    """Cells as a table of Markdown, as they are; `marks` align the columns."""
+    lines = ["| " + " | ".join(head) + " |", f"|{'|'.join(marks or ['---'] * len(head))}|"]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in body]
+    return "\n".join(lines)
 
 
 def compact(title: str) -> RichTable:
@@ -106,10 +110,6 @@ def compact(title: str) -> RichTable:
 def unit_words(unit: str) -> str:
     """`kg m^2` as `kg m²`."""
     return unit.replace("^2", "²").replace("^3", "³")
-
-
-def _line(cells: Sequence[Cell]) -> str:
-    return "| " + " | ".join(_plain(str(cell)) for cell in cells) + " |"
 
 
 def _plain(text: str) -> str:

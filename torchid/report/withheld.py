@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchid.report.table import Table
+from torchid.report.table import Table, pipe_table
 from torchid.withheld.own import OwnCheck
 from torchid.withheld.planting import LEVELS, Planted
 
@@ -103,11 +103,7 @@ LINES = (
     Line("two effects, F1", ("several", "pairs", "with_sets", "f1"), low=0.9, percent=False),
     Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),
     Line("three effects, F1", ("several", "triples", "with_sets", "f1"), percent=False),
-    Line(
-        "outside: wrong family for sure",
-        ("outside", "confident_wrong", "share"),
-        high=0.05,
-    ),
+    Line("outside: wrong family for sure", ("outside", "confident_wrong", "share"), high=0.05),
     Line("poor data: said so, or right", ("poor", "honest", "share")),
     Line("poor data: said so", ("poor", "not_testable_or_hedged", "share")),
     Line("gap closed, of the oracle's", ("closing", "ratio", "median"), low=0.97),
@@ -115,11 +111,7 @@ LINES = (
     Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
 )
 
-BASELINES = {
-    "friction": "always friction, worst joint",
-    "stlsq": "STLSQ",
-    "bic": "BIC stepwise",
-}
+BASELINES = {"friction": "always friction, worst joint", "stlsq": "STLSQ", "bic": "BIC stepwise"}
 SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
@@ -229,11 +221,7 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
 
 def markdown_table(head: Sequence[str], body: Sequence[Sequence[object]]) -> str:
     """Rows as Markdown; `None.` where there are none."""
-    if not body:
-        return "None."
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(str(x) for x in cells) + " |" for cells in body]
-    return "\n".join(lines)
+    return pipe_table(head, body) if body else "None."
 
 
 def counts_table(first: str, groups: Mapping[str, Mapping[str, int]]) -> str:
