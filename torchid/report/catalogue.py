@@ -18,6 +18,7 @@ from torchid.effects.rivals import ALIKE, Rival, aged, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
+from torchid.json_data import picked
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import label, save, tiles
 from torchid.report.table import Table, pipe_table
@@ -155,20 +156,12 @@ def effects_table() -> Table:
 def effect_record(kind: type[Effect]) -> dict[str, Any]:
     """One effect as plain data."""
     return {
-        "effect": kind.name,
-        "family": kind.family,
-        "meaning": kind.meaning,
-        "equation": kind.equation,
-        "coefficients": [
-            {"name": c.name, "unit": c.unit, "non_negative": c.non_negative, "meaning": c.meaning}
-            for c in kind.coefficients
-        ],
-        "shapes": [{"name": s.name, "unit": s.unit, "meaning": s.meaning} for s in kind.shapes],
+        **picked(kind, "effect=name family meaning equation"),
+        "coefficients": [picked(c, "name unit non_negative meaning") for c in kind.coefficients],
+        "shapes": [picked(s, "name unit meaning") for s in kind.shapes],
         "signature": kind.signature,
         "confused_with": [r.name for r in known_rivals(kind)],
-        "experiment": kind.experiment,
-        "remedy": kind.remedy,
-        "source": kind.source,
+        **picked(kind, "experiment remedy source"),
     }
 
 

@@ -129,6 +129,7 @@ def tiles(
     heights: tuple[float, float],
     x: str = "",
     y: str = "",
+    loc: str = "center",
     **share: Any,
 ) -> "tuple[Figure, list[Any]]":
     """A figure of one panel a title, labelled at its left and below the lowest of each column.
@@ -139,6 +140,7 @@ def tiles(
         width: of the figure [inch].
         heights: of a row of panels, and of all that is above and below them [inch].
         x, y: of the abscissa and the ordinate.
+        loc: of the titles.
         share: `sharex` and `sharey` of `subplots`.
     """
     n, rows = len(titles), -(-len(titles) // columns)
@@ -147,7 +149,7 @@ def tiles(
     for axes in grid[n:]:
         axes.set_visible(False)
     for k, (axes, title) in enumerate(zip(grid, titles, strict=False)):
-        styled(axes).set_title(title, fontsize=9, color=INK, loc="left")
+        styled(axes).set_title(title, fontsize=9, color=INK, loc=loc)
         if k % columns == 0:
             label(axes, y=y)
         if x and k + columns >= n:

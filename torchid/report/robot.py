@@ -1,13 +1,12 @@
 """A robot as tables and as plain data, and what was exported of it (schema torchid.export/1)."""
 
-import math
 from typing import Any
 
 from rich.text import Text
 
 from torchid.export.export import Export
 from torchid.feasibility.plausibility import DENSITIES
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.report.table import Table
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -37,9 +36,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
         "parameters": None
         if p is None
         else {
-            "mass": p.mass.tolist(),
-            "com": p.com.tolist(),
-            "inertia_about_com": p.inertia_about_com.tolist(),
+            **picked(p, "mass com inertia_about_com"),
             "consistency_margin": p.consistency_margin().tolist(),
         },
         "effects": [dict(e) for e in robot.effects],
@@ -106,22 +103,14 @@ SCHEMA = "torchid.export/1"
 
 def export_record(done: Export) -> dict[str, Any]:
     """JSON-ready data; every number is finite or null."""
-    checks = []
-    for one in done.comparisons:
-        value = one.difference
-        checks.append(
-            {
-                "reader": one.reader,
-                "compared": one.compared,
-                "states": one.states,
-                "largest_relative_difference": None
-                if value is None or math.isinf(value)
-                else value,
-                "limit": one.limit,
-                "ok": None if value is None else one.ok,
-                "note": one.note,
-            }
-        )
+    checks = [
+        {
+            **picked(one, "reader compared states largest_relative_difference=difference limit"),
+            "ok": None if one.difference is None else one.ok,
+            "note": one.note,
+        }
+        for one in done.comparisons
+    ]
     return {
         "schema": SCHEMA,
         "robot": done.dynamics.robot.name,

@@ -78,7 +78,15 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
     columns = min(_COLUMNS, len(curves))
     names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
     figure, grid = tiles(
-        names, columns, width, (2.2, 1.3), "size / noise", "cases [%]", sharex=True, sharey=True
+        names,
+        columns,
+        width,
+        (2.2, 1.3),
+        "size / noise",
+        "cases [%]",
+        "left",
+        sharex=True,
+        sharey=True,
     )
     levels = sorted({point["level"] for points in curves.values() for point in points})
     for axes, points in zip(grid, curves.values(), strict=True):

@@ -133,7 +133,7 @@ def _joint_tiles(n: int, what: str) -> "tuple[Figure, list[Any]]":
     """A panel a joint over time: in a row up to three joints, else in two columns."""
     joints = [f"joint {j + 1}" for j in range(n)]
     columns = n if n <= 3 else 2
-    return tiles(joints, columns, 11.0, (2.0, 1.1), "time [s]", what, sharex=True)
+    return tiles(joints, columns, 11.0, (2.0, 1.1), "time [s]", what, "left", sharex=True)
 
 
 def _norms(

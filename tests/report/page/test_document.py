@@ -10,7 +10,7 @@ import pytest
 
 from tests.gap.diagnoses import diagnosis
 from tests.report.page.reading import parsed
-from tests.report.page.test_gap_page import SHORT, made
+from tests.report.test_gap_page import SHORT, made
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.report.gap import gap_page
 from torchid.report.page import document as rendering

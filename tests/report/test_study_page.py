@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.report.page.reading import parsed, rows_of, text_of
-from tests.report.page.test_gap_page import made
+from tests.report.test_gap_page import made
 from torchid.report.page.document import render
 from torchid.report.study.page import page_verdict, study_page
 from torchid.study.record import record
