@@ -9,7 +9,8 @@ from pathlib import Path
 import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, new_figure, save
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.panels import new_figure, save
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot, link_poses
 from torchid.robot.yaml_file import from_mapping

@@ -9,8 +9,8 @@ import pytest
 
 from tests.gap.diagnoses import diagnosis
 from tests.report.page.reading import parsed, rows_of, text_of
-from tests.report.page.test_gap_page import SHORT
-from torchid.report.page import render as rendering
+from tests.report.test_gap_page import SHORT
+from torchid.report.page import document as rendering
 from torchid.robot.library import robot_file
 from torchid.study.settings import study_file
 

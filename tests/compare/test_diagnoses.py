@@ -10,7 +10,7 @@ from torchid.compare.diagnoses import compare_diagnoses
 from torchid.compare.reading import read_results
 from torchid.compare.record import record
 from torchid.errors import TorchidError
-from torchid.report.compare_gap import tables, verdict
+from torchid.report.compare import gap_tables, gap_verdict
 from torchid.robot.library import load_robot
 from torchid.robot.record import robot_record
 
@@ -51,7 +51,7 @@ def test_the_same_effect_with_another_size(tmp_path):
     p = {s.effects[0]: s.coefficients[0].p_holm for s in found.shared}
     assert p["coulomb_friction"] < 1e-4
     assert p["torque_offset"] > 0.5
-    assert "1 agree, 1 do not" in verdict(found)
+    assert "1 agree, 1 do not" in gap_verdict(found)
 
 
 def test_another_name_that_cannot_be_told_apart_is_the_same_cause(tmp_path):
@@ -71,7 +71,7 @@ def test_another_joint_or_an_unrelated_effect_is_another_cause(tmp_path, other):
     found = compared(diagnosis(tmp_path / "a.json", named()), diagnosis(tmp_path / "b.json", other))
     assert len(found.shared) == 2
     assert not any(s.everywhere for s in found.shared)
-    assert "no effect is named in all" in verdict(found)
+    assert "no effect is named in all" in gap_verdict(found)
 
 
 def test_what_could_not_be_tested_is_not_missing(tmp_path):
@@ -81,15 +81,15 @@ def test_what_could_not_be_tested_is_not_missing(tmp_path):
     )
     assert found.shared[0].states == ("named", "not_testable")
     assert found.shared[0].smallest == (None, 0.9)
-    assert "could not test it" in verdict(found)
-    assert tables(found)
+    assert "could not test it" in gap_verdict(found)
+    assert gap_tables(found)
 
 
 def test_sizes_are_shown_of_what_only_one_names(tmp_path):
     a = diagnosis(tmp_path / "a.json", named(Fc=0.4321))
     b = diagnosis(tmp_path / "b.json", named("viscous_friction", joint=3, Fv=1.25))
     console = Console(width=160, record=True, file=io.StringIO())
-    console.print(*tables(compared(a, b)))
+    console.print(*gap_tables(compared(a, b)))
     text = console.export_text()
     assert "0.4321 ± 0.02 N m" in text
     assert "1.25 ± 0.02 N m" in text

@@ -23,8 +23,7 @@ from torchid.effects.base import Coefficient, Example, Family, JointEffect, Moti
 from torchid.effects.c_text import add
 from torchid.effects.registry import KINDS, effect_from_record, model_torque, on_every_joint
 from torchid.export.checks import compiler
-from torchid.report.catalogue import effect_record, effect_text
-from torchid.report.catalogue_figures import family_figure
+from torchid.report.catalogue import effect_record, effect_text, family_figure
 from torchid.simulation.closed_loop import closed_loop
 from torchid.simulation.open_loop import rollout
 

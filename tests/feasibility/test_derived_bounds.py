@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 
 from tests.arms import arm, consistent_parameters
 from torchid.errors import RobotError, TorchidError
-from torchid.feasibility.derived_bounds import (
-    NAME,
-    bounds_notes,
-    derive_bounds,
-    inertia_bounds,
-)
+from torchid.feasibility.derived_bounds import NAME, bounds_notes, derive_bounds, inertia_bounds
 from torchid.feasibility.sets import nominal_set
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.library import load_robot

@@ -5,14 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchid.design.motion import (
-    MOVING,
-    WIDE,
-    Measurement,
-    direction,
-    fast_speed,
-    measurements,
-)
+from torchid.design.motion import MOVING, WIDE, Measurement, direction, fast_speed, measurements
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log

@@ -9,11 +9,7 @@ import torch
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects, on_every_joint
 from torchid.excitation.synthetic import PaperNoise, synthetic_log
-from torchid.excitation.trajectories import (
-    paper_trajectories_3r,
-    random_trajectory,
-    trajectory_log,
-)
+from torchid.excitation.trajectories import paper_trajectories_3r, random_trajectory, trajectory_log
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot

@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from torchid.errors import LogError
-from torchid.log.filtering import (
-    ORDER,
-    ZeroPhaseFilter,
-    central_difference,
-    extended,
-    reflect,
-)
+from torchid.log.filtering import ORDER, ZeroPhaseFilter, central_difference, extended, reflect
 
 
 def noise(*shape: int, seed: int = 0) -> torch.Tensor:

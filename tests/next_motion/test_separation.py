@@ -30,7 +30,7 @@ from torchid.next_motion.separation import (
     imitation,
     separations,
 )
-from torchid.report.next_motion import separation_verdict
+from torchid.report.motion import separation_verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.record import robot_record

@@ -9,8 +9,14 @@ import torch
 from tests.documents import ROOT
 from torchid.effects.base import Family, JointEffect, Motion
 from torchid.effects.registry import KINDS
-from torchid.report.catalogue import catalogue_page, effect_record, picture_name
-from torchid.report.catalogue_figures import example_motion, examples, shown_torque
+from torchid.report.catalogue import (
+    catalogue_page,
+    effect_record,
+    example_motion,
+    examples,
+    picture_name,
+    shown_torque,
+)
 
 CLOSED_FORM = {
     name: kind

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from torchid.report.figures import new_figure, save, styled
+from torchid.report.panels import new_figure, save, styled
 
 
 @pytest.mark.parametrize("name", ["$x^2$", "$\\frac{$", "a\x00b"])

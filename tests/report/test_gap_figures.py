@@ -8,9 +8,8 @@ import torch
 
 from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
 from torchid.gap.diagnosis import HowFar
-from torchid.report.figures import save
-from torchid.report.gap_figures import figures, map_figure, worst_joints
-from torchid.report.gap_joint_figures import binned, samples, spectrum
+from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
+from torchid.report.panels import save
 
 
 @pytest.mark.parametrize("status", ["no_gap", "explained"])

@@ -11,7 +11,7 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.diagnosis import HowFar, NotTestable, Parametric
 from torchid.report.gap import remarks, tables
 from torchid.report.gap_words import coefficients, effect_words, listed, measure, verdict
-from torchid.report.text import percent
+from torchid.report.table import percent
 
 
 def text_of(d) -> str:

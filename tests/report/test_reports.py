@@ -12,9 +12,16 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.feasibility.sets import nominal_set
 from torchid.identification.identify import Settings, identify
-from torchid.report.excitation import trajectory_figure
-from torchid.report.figures import parameter_figure, save, torque_figure, truth_figure
-from torchid.report.identification import headline, poor_names, tables
+from torchid.report.identification import (
+    headline,
+    parameter_figure,
+    poor_names,
+    tables,
+    torque_figure,
+    truth_figure,
+)
+from torchid.report.log import trajectory_figure
+from torchid.report.panels import save
 from torchid.robot.library import load_robot
 
 

@@ -13,10 +13,10 @@ from rich.console import Console
 
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import read_sets
-from torchid.report.excitation import trajectory_figure
+from torchid.report.log import trajectory_figure
 from torchid.report.study import facts
-from torchid.report.study.page import page
-from torchid.report.study.report import drawings, write_study
+from torchid.report.study.facts import headline, verdict
+from torchid.report.study.page import drawings, page, write_study
 from torchid.report.study.tables import (
     all_tables,
     identification_table,
@@ -24,7 +24,6 @@ from torchid.report.study.tables import (
     scenario_table,
     set_wrench_table,
 )
-from torchid.report.study.verdict import headline, verdict
 from torchid.report.table import Table
 from torchid.study.motions import excitation
 from torchid.study.result import Study

@@ -6,7 +6,7 @@ from tests.withheld import fakes
 from tests.withheld.fakes import answer, entry
 from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
-from torchid.report.withheld_leave_out import leave_out_headline, leave_out_markdown
+from torchid.report.withheld import leave_out_headline, leave_out_markdown
 from torchid.withheld import run as running
 from torchid.withheld.leave_out import LeftOut, leave_out, summary
 

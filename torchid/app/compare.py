@@ -46,7 +46,7 @@ def compare_command(
     from torchid.compare.identifications import compare_identifications
     from torchid.compare.record import record
     from torchid.compare.sets import compare_sets, robot_of
-    from torchid.report import compare, compare_gap
+    from torchid.report import compare
     from torchid.report.compare_figures import figures
     from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
@@ -71,7 +71,7 @@ def compare_command(
         recorded = (recorded_robot(r.data, str(r.path)) for r in read)
         arm = arm or next((r for r in recorded if r is not None), None)
         compared = gaps = compare_diagnoses(read, on=log(arm), seed=seed)
-        verdict, tables = compare_gap.verdict(gaps), compare_gap.tables(gaps)
+        verdict, tables = compare.gap_verdict(gaps), compare.gap_tables(gaps)
     else:
         arm = arm or robot_of(read, tip)
         compared = sets = compare_sets(read, arm, on=log(arm), seed=seed)

@@ -71,9 +71,14 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     from torchid.identification.identify import Settings, identify
     from torchid.identification.record import record
     from torchid.log.model import Log
-    from torchid.report.excitation import trajectory_figure
-    from torchid.report.figures import torque_figure, truth_figure
-    from torchid.report.identification import effect_tables, error_table, headline
+    from torchid.report.identification import (
+        effect_tables,
+        error_table,
+        headline,
+        torque_figure,
+        truth_figure,
+    )
+    from torchid.report.log import trajectory_figure
     from torchid.robot.library import load_robot
 
     robot = load_robot("kuka_lwr4_friction")

@@ -112,12 +112,8 @@ def excite_command(
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
-    from torchid.report.excitation import (
-        not_checked,
-        torque_record,
-        torque_table,
-        trajectory_figure,
-    )
+    from torchid.report.log import trajectory_figure
+    from torchid.report.motion import not_checked, torque_record, torque_table
     from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
 
@@ -287,7 +283,7 @@ def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Outpu
     from torchid.next_motion.ambiguity import read_open
     from torchid.next_motion.rivals import rivals
     from torchid.next_motion.separating_motion import design_separation
-    from torchid.report import next_motion as words
+    from torchid.report import motion as words
 
     assert motion.result is not None
     seed, restarts, usage = motion.seed, motion.restarts, motion.usage

@@ -48,12 +48,12 @@ def export_command(
 
     from torchid.export.export import export_dynamics
     from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
-    from torchid.report.export import (
+    from torchid.report.robot import (
         comparison_table,
         effect_lines,
+        export_headline,
         export_record,
-        headline,
-        warnings,
+        export_warnings,
     )
     from torchid.robot.library import is_robot, load_robot, named_robot
 
@@ -82,6 +82,6 @@ def export_command(
         keep=[Path(file) for file in (result, robot) if file is not None],
     )
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
-    output.warn(warnings(done))
-    output.say(f"\nwritten: {escape(headline(done))}")
+    output.warn(export_warnings(done))
+    output.say(f"\nwritten: {escape(export_headline(done))}")
     output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")

@@ -244,7 +244,7 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     output = results.open()
     from torchid.extraction.convex.atlas import atlas
     from torchid.extraction.record import atlas_record
-    from torchid.report.atlas import atlas_figure, atlas_table, headline
+    from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
 
     problem, found, notes = sought.problem(arm)
     covariance = found.covariance
@@ -262,6 +262,6 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
         )
     output.say(atlas_table(ranges))
     output.warn(notes)
-    output.say(f"\n{escape(headline(ranges, problem))}")
+    output.say(f"\n{escape(atlas_headline(ranges, problem))}")
     output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
     output.draw(lambda: {"atlas": atlas_figure(ranges, problem)})

@@ -73,10 +73,9 @@ def gap_command(
 
     from torchid.gap.diagnose import diagnose
     from torchid.gap.record import record
-    from torchid.report.gap import remarks, tables
+    from torchid.report.gap import gap_page, remarks, tables
     from torchid.report.gap_figures import figures
     from torchid.report.gap_words import verdict
-    from torchid.report.page.gap import gap_page
     from torchid.robot.writer import write_robot
 
     with progress_bar(output, lines=True) as progress:

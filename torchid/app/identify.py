@@ -62,8 +62,7 @@ def identify_command(
     output = results.open()
     from torchid.identification.identify import identify
     from torchid.identification.record import record
-    from torchid.report.identification import headline, tables
-    from torchid.report.page.identification import identification_page
+    from torchid.report.identification import headline, identification_page, tables
 
     fraction: float | Literal["auto"] = "auto"
     if reversal != "auto":
@@ -115,8 +114,8 @@ def _effects(text: str) -> tuple[str, ...]:
 
 def _figures(result: "Identification") -> "dict[str, Figure]":
     """How well each parameter is known, and torques of every trajectory."""
-    from torchid.report.figures import parameter_figure, torque_figure
-    from torchid.report.text import joint_unit
+    from torchid.report.identification import parameter_figure, torque_figure
+    from torchid.report.table import joint_unit
 
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
     drawn = {"parameters": parameter_figure(result)}

@@ -48,7 +48,7 @@ def doctor_command(
     from torchid.doctor.record import conclusion, record
     from torchid.log.readers import open_log, write_log
     from torchid.log.table import Request
-    from torchid.report.doctor import choices, fine, tables, torque_figure
+    from torchid.report.log import choices, doctor_tables, fine, torque_figure
 
     found = arm.load()
     result = examine(found, arm.read(arm.logs, found), fix or ())
@@ -60,7 +60,7 @@ def doctor_command(
         read = [open_log(log, Request())[0] for log in arm.logs]
         own = [set() if table is None else set(table.columns) for table in read]
         flag = columns_flag(result.repairs, found.n, set.intersection(*own))
-    output.say(*tables(result), fine(result), f"\n{escape(conclusion(result))}")
+    output.say(*doctor_tables(result), fine(result), f"\n{escape(conclusion(result))}")
     if result.undecided:
         output.say(escape(choices(result)))
     if apply is not None:

@@ -13,7 +13,7 @@ from torchid.identification.settings import DEFAULT_EFFECTS
 
 if TYPE_CHECKING:
     from torchid.log.model import Log
-    from torchid.report.page.origin import InputFile
+    from torchid.report.page.document import InputFile
     from torchid.robot.model import Robot
 
 FITTED = ",".join(DEFAULT_EFFECTS)

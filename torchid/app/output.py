@@ -20,8 +20,7 @@ from torchid.json_data import write_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from torchid.report.page.document import Page
-    from torchid.report.page.origin import InputFile, Origin
+    from torchid.report.page.document import InputFile, Origin, Page
 
 Progress = Callable[[str, int, int], None]
 """Takes stage, done, total."""
@@ -147,7 +146,7 @@ class Results:
                     expected="FILE.html",
                     hint="a browser prints it as PDF",
                 )
-            from torchid.report.page.render import require_templates
+            from torchid.report.page.document import require_templates
 
             require_templates()
         torch.set_num_threads(self.threads or 1)
@@ -269,7 +268,7 @@ def hashed(output: Output, named: Sequence[tuple[str, str, Path]]) -> "tuple[Inp
     for role, name, path in named:
         if path.resolve() == output.page_file.resolve():
             raise TorchidError(f"--report would overwrite the {role} '{name}'.")
-    from torchid.report.page.origin import input_files
+    from torchid.report.page.document import input_files
 
     return input_files(named)
 
@@ -285,8 +284,7 @@ def write_report(
     """Write the page that `build` makes of the result's origin, if one is asked for."""
     if output.page_file is None:
         return
-    from torchid.report.page.origin import origin
-    from torchid.report.page.render import write_page
+    from torchid.report.page.document import origin, write_page
 
     made = origin(
         arguments=sys.argv, started=output.started, seeds=seeds, settings=settings, files=files

@@ -42,7 +42,7 @@ def payload_command(
     output = results.open()
     from torchid.identification.identify import identify
     from torchid.identification.payload import estimate_payload, record
-    from torchid.report.payload import headline, tables
+    from torchid.report.identification import payload_headline, payload_tables
 
     settings = replace(settings, effects=opt.effect_names(effects), cutoff=opt.cutoff_hz(cutoff))
     found = arm.load()
@@ -61,8 +61,8 @@ def payload_command(
             *payload.warnings,
         ]
     )
-    output.say(*tables(payload))
+    output.say(*payload_tables(payload))
     output.warn(noticed)
-    output.say(f"\n{headline(payload)}")
+    output.say(f"\n{payload_headline(payload)}")
     data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
     output.write_json({**data, "warnings": list(noticed)}, "payload.json")

@@ -16,7 +16,7 @@ from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
-    from torchid.report.page.origin import InputFile
+    from torchid.report.page.document import InputFile
     from torchid.study.result import Study
 
 
@@ -114,9 +114,9 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
 
     from rich.markup import escape
 
-    from torchid.report.study.report import write_study
+    from torchid.report.study.facts import headline
+    from torchid.report.study.page import write_study
     from torchid.report.study.tables import all_tables
-    from torchid.report.study.verdict import headline
     from torchid.study.record import record
 
     output.say(*all_tables(found))
@@ -132,7 +132,7 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
 
 
 def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> None:
-    from torchid.report.page.study import study_page
+    from torchid.report.study.page import study_page
 
     s = found.settings
     motions = {

@@ -182,7 +182,7 @@ def leave_out_command(
     """
     output = replace(results, out=out).open()
     from torchid.files import atomic_write
-    from torchid.report.withheld_leave_out import leave_out_headline, leave_out_markdown
+    from torchid.report.withheld import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
 
     with progress_bar(output) as progress:
@@ -230,7 +230,7 @@ def own_command(
         joints: Joints where they are planted.
     """
     output = results.open()
-    from torchid.report.withheld_own import own_headline, own_tables
+    from torchid.report.withheld import own_headline, own_tables
     from torchid.withheld.own import check_own, own_record
 
     places = None

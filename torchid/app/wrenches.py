@@ -59,8 +59,7 @@ def wrenches_command(
     """
     output = results.open()
     from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.findings import findings
-    from torchid.report.wrenches.tables import tables
+    from torchid.report.wrenches.tables import findings, tables
     from torchid.study.equal_torque.record import study_record
     from torchid.study.equal_torque.setting import equal_torque_setting
     from torchid.study.equal_torque.study import equal_torque_study

@@ -1,21 +1,34 @@
-"""The catalogue of effects as a page, from the registry."""
+"""The catalogue of effects as a page, from the registry, with pictures of the families drawn from
+the effects' own columns."""
 
 import math
+from collections.abc import Mapping
 from functools import cache
+from itertools import cycle
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
-from rich.table import Table
+import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Effect, Family, ModelEffect, Motion
+from torchid.effects.base import Abscissa, Effect, Family, ModelEffect, Motion
 from torchid.effects.parameters import Scale, Shape
 from torchid.effects.registry import KINDS, not_fitted
-from torchid.effects.rivals import ALIKE, Rival, rivals
+from torchid.effects.rivals import ALIKE, Rival, aged, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
+from torchid.json_data import picked
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.panels import label, save, tiles
+from torchid.report.table import Table, pipe_table
 from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.typing import Tensor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 FAMILY_WORDS: dict[Family, str] = {
     "speed": "Torque that follows speed.",
@@ -87,6 +100,11 @@ def picture_name(family: Family) -> str:
 
 def effect_text(kind: type[Effect]) -> str:
     """One effect in Markdown."""
+    alike = (
+        f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
+        for r in known_rivals(kind)
+    )
+    fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
     lines = [
         f"### {kind.name}",
         "",
@@ -94,12 +112,12 @@ def effect_text(kind: type[Effect]) -> str:
         "",
         f"    {kind.equation}",
         "",
-        *_coefficients(kind),
+        _coefficients(kind),
         "",
         *(_shape(shape) for shape in kind.shapes),
-        f"- place: {_place(kind)}; fitted by: {_fitted(kind)}",
+        f"- place: {_place(kind)}; fitted by: {fitted}",
         f"- signature: {kind.signature}",
-        f"- confused with: {_rivals_text(kind)}",
+        f"- confused with: {', '.join(alike)}",
         f"- to tell them apart: {kind.experiment}",
         f"- remedy: {kind.remedy}",
         f"- source: {kind.source}",
@@ -124,55 +142,31 @@ def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[
     return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
 
 
-def _rivals_text(kind: type[Effect]) -> str:
-    """Links to the rivals, each with its correlation."""
-    told = (
-        f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
-        for r in known_rivals(kind)
-    )
-    return ", ".join(told)
-
-
 def effects_table() -> Table:
     """All effects by name, family, coefficients and meaning."""
-    # Here, not above: it brings scipy.stats, which costs one effect's page half a second.
-    from torchid.report.identification import compact
-
-    out = compact(f"{len(KINDS)} effects")
-    for heading in ("effect", "family", "coefficients", "what it is"):
-        out.add_column(heading)
+    rows = []
     for kind in KINDS.values():
         names = [c.name for c in kind.coefficients]
         told = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
-        out.add_row(kind.name, kind.family, told, kind.meaning)
-    return out
+        rows.append((kind.name, kind.family, told, kind.meaning))
+    columns = ("effect", "family", "coefficients", "what it is")
+    return Table(f"{len(KINDS)} effects", columns, rows, words=columns)
 
 
 def effect_record(kind: type[Effect]) -> dict[str, Any]:
     """One effect as plain data."""
     return {
-        "effect": kind.name,
-        "family": kind.family,
-        "meaning": kind.meaning,
-        "equation": kind.equation,
-        "coefficients": [
-            {"name": c.name, "unit": c.unit, "non_negative": c.non_negative, "meaning": c.meaning}
-            for c in kind.coefficients
-        ],
-        "shapes": [{"name": s.name, "unit": s.unit, "meaning": s.meaning} for s in kind.shapes],
+        **picked(kind, "effect=name family meaning equation"),
+        "coefficients": [picked(c, "name unit non_negative meaning") for c in kind.coefficients],
+        "shapes": [picked(s, "name unit meaning") for s in kind.shapes],
         "signature": kind.signature,
         "confused_with": [r.name for r in known_rivals(kind)],
-        "experiment": kind.experiment,
-        "remedy": kind.remedy,
-        "source": kind.source,
+        **picked(kind, "experiment remedy source"),
     }
 
 
 def write_catalogue(folder: Path) -> Path:
     """Write effects.md, and its pictures to folder/img; returns the page's path."""
-    from torchid.report.catalogue_figures import family_figure
-    from torchid.report.panels import save
-
     images = folder / "img"
     images.mkdir(parents=True, exist_ok=True)
     for family in get_args(Family):
@@ -184,21 +178,22 @@ def write_catalogue(folder: Path) -> Path:
 
 
 def _contents(families: list[Family]) -> str:
-    rows = ["| family | effects |", "|---|---|"]
-    for family in families:
-        names = [f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family]
-        rows.append(f"| [{family}](#{family}) | {', '.join(names)} |")
-    return "\n".join(rows) + "\n"
+    links = {
+        family: ", ".join(f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family)
+        for family in families
+    }
+    rows = [(f"[{family}](#{family})", names) for family, names in links.items()]
+    return pipe_table(("family", "effects"), rows) + "\n"
 
 
-def _coefficients(kind: type[Effect]) -> list[str]:
+def _coefficients(kind: type[Effect]) -> str:
     """A table of the coefficients."""
-    rows = ["| coefficient | unit | sign | at most | meaning |", "|---|---|---|---|---|"]
+    rows = []
     for c in kind.coefficients:
         sign = "not negative" if c.non_negative else "any"
         most = f"{c.largest:g}" if math.isfinite(c.largest) else ""
-        rows.append(f"| `{c.name}` | {c.unit} | {sign} | {most} | {c.meaning} |")
-    return rows
+        rows.append((f"`{c.name}`", c.unit, sign, most, c.meaning))
+    return pipe_table(("coefficient", "unit", "sign", "at most", "meaning"), rows)
 
 
 def _shape(shape: Shape) -> str:
@@ -214,5 +209,63 @@ def _place(kind: type[Effect]) -> str:
     return "one joint (`joint`)"
 
 
-def _fitted(kind: type[Effect]) -> str:
-    return "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
+JOINT = 1
+"""The joint that is drawn, from 0: the shoulder, which carries the arm."""
+_COLOURS = (BLUE, ORANGE, GREEN, RED, INK, GREY)
+
+_AXES: Mapping[Abscissa, str] = {
+    "speed": "speed [rad/s]",
+    "position": "position [rad]",
+    "acceleration": "acceleration [rad/s²]",
+    "time": "time [s]",
+}
+
+
+def examples(family: Family) -> list[Effect]:
+    """The effects of a family that are drawn."""
+    return [kind.exemplar(JOINT) for kind in KINDS.values() if kind.family == family]
+
+
+def family_figure(family: Family) -> "Figure":
+    """Torque of every effect of a family on the shoulder of a KUKA LWR IV+, a panel an effect."""
+    motion, robot = example_motion(120.0 if family == "time" else 8.0)
+    drawn = examples(family)
+    columns = min(3, len(drawn))
+    names = [effect.name for effect in drawn]
+    figure, panels = tiles(names, columns, 3.2 * columns, (2.3, 0.1))
+    for effect, axes, colour in zip(drawn, panels, cycle(_COLOURS), strict=False):
+        torque, over = shown_torque(effect, motion, robot), effect.example.over
+        if over == "time":
+            assert motion.t is not None
+            axes.plot(motion.t, torque, color=colour, linewidth=1.2)
+        else:
+            signal = {"speed": motion.dq, "position": motion.q, "acceleration": motion.ddq}[over]
+            axes.plot(signal[:, JOINT], torque, ".", color=colour, markersize=1.5)
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        label(axes, _AXES[over], "torque [N m]")
+    return figure
+
+
+def example_motion(duration: float) -> tuple[Motion, Robot]:
+    """A smooth motion of a KUKA LWR IV+, with the torque of its model; and the robot.
+
+    Args:
+        duration: [s], sampled at 200 Hz.
+    """
+    robot = load_robot("kuka_lwr4")
+    t = torch.arange(round(200 * duration), dtype=torch.float64) / 200
+    j = torch.arange(robot.n, dtype=torch.float64)
+    q, dq, ddq = torch.zeros(3, len(t), robot.n, dtype=torch.float64).unbind()
+    for amplitude, period in ((0.7, 5.0), (0.15, 1.6)):
+        w = 2 * torch.pi / period * (1 + 0.07 * j)
+        phase = t[:, None] * w + j
+        q = q + amplitude * torch.sin(phase)
+        dq = dq + amplitude * w * torch.cos(phase)
+        ddq = ddq - amplitude * w**2 * torch.sin(phase)
+    return Motion(q, dq, ddq, t=t, torque=inverse_dynamics(robot, q, dq, ddq)), robot
+
+
+def shown_torque(effect: Effect, motion: Motion, robot: Robot) -> Tensor:
+    """Torque (T,) of an example on the joint that is drawn."""
+    values = effect.example.values
+    return effect.all_torques(aged(effect, motion, values), values, robot)[:, JOINT]

@@ -10,8 +10,8 @@ from torchid.compare.sets import Range, SetComparison
 from torchid.compare.torque import TorqueSpread
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.compare import ORDER, WORDS
-from torchid.report.panels import finish, label, new_figure, panel, rows_of, styled
-from torchid.report.text import short
+from torchid.report.panels import finish, label, panel, rows_of
+from torchid.report.table import short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,35 +100,29 @@ def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure
     """Per joint: differences between models against what their covariances claim, and, with a log,
     every model's error."""
     n, m = len(t.size), len(labels)
-    figure = new_figure(9, 3.6 if t.errors is None else 6.4)
-    grid = figure.subplots(1 if t.errors is None else 2, 1, squeeze=False)[:, 0]
-    axes = styled(grid[0])
-    bars = [("std between models", t.spread, BLUE)]
-    if t.claimed is not None:
-        bars.append(("std that their covariances claim", t.claimed, GREY))
-    width = 0.8 / len(bars)
-    for k, (name, values, colour) in enumerate(bars):
-        x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
-        axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
+    rows = 1 if t.errors is None else 2
+    figure, grid = panel(9, 0.8 + 2.8 * rows, rows, 1, squeeze=False)
+    claimed = [] if t.claimed is None else [("std that their covariances claim", t.claimed, GREY)]
+    spreads = [("std between models", t.spread, BLUE), *claimed]
+    parts = [(f"differences on {t.source} (in % of the joint's RMS torque)", spreads)]
+    if t.errors is not None:
+        errors = zip(labels, t.errors, map(_colour, range(m)), strict=True)
+        parts.append(("measured torque - model", list(errors)))
+    for axes, (title, bars) in zip(grid[:, 0], parts, strict=True):
+        width = 0.8 / len(bars)
+        for k, (name, values, colour) in enumerate(bars):
+            x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
+            axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
+        axes.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
+        label(axes, y="RMS [N m; N]", title=title).legend(fontsize=8, frameon=False)
     for j in range(n):
         share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
-        top = max(float(v[j]) for _, v, _ in bars)
-        axes.annotate(
+        top = max(float(v[j]) for _, v, _ in spreads)
+        grid[0, 0].annotate(
             f"{share:.2g} %", (j, top), xytext=(0, 2), textcoords="offset points",
             ha="center", fontsize=7, color=INK,
         )  # fmt: skip
-    axes.margins(y=0.15)
-    title = f"differences on {t.source} (in % of the joint's RMS torque)"
-    label(axes, y="RMS [N m; N]", title=title).legend(fontsize=8, frameon=False)
-    if t.errors is not None:
-        below = styled(grid[1])
-        for k, (name, errors) in enumerate(zip(labels, t.errors.tolist(), strict=True)):
-            x = [j + ((k + 0.5) / m - 0.5) * 0.8 for j in range(n)]
-            below.bar(x, errors, 0.75 / m, color=_colour(k), label=name)
-        label(below, y="RMS [N m; N]", title="measured torque - model")
-        below.legend(fontsize=8, frameon=False)
-    for part in grid:
-        part.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
+    grid[0, 0].margins(y=0.15)
     return finish(figure, f"{robot}: torque of {m} models")
 
 

@@ -1,10 +1,13 @@
-"""An extraction for people: verdict, tables, the search's course."""
+"""An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
+parameters the torque determines, and how far."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
+from rich.text import Text
 
+from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.penalty import gamma
@@ -20,13 +23,15 @@ from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
 from torchid.json_data import plain
-from torchid.report.colours import BLUE, GREY, RED
-from torchid.report.panels import finish, label, new_figure, styled
-from torchid.report.table import Table
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.panels import finish, label, panel, rows_of
+from torchid.report.table import Cell, Table
+from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 _SHOWN = 12
 _ON_A_BOUND = 1e-4
@@ -178,15 +183,12 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
     rows = []
     for k in order[:_SHOWN]:
         degree = float(found.verdict.degree[k])
+        near = "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}"
+        far, penalty = f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}"
+        said, why = "yes" if verdict[k] else "no", ", ".join(found.verdict.reasons(k))
         rows.append(
-            (
-                found.sets.ids[k], f"{float(found.phi[k]):.5g}",
-                f"{100 * float(found.torque[k].max()):.2g}", f"{float(found.gamma[k]):.2g}",
-                "yes" if verdict[k] else "no",
-                "boundary" if abs(degree) < ON_THE_BOUNDARY else f"{degree:.2g}",
-                ", ".join(found.verdict.reasons(k)),
-            )
-        )  # fmt: skip
+            (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
+        )
     out = [
         Table(
             f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",
@@ -242,8 +244,7 @@ def extraction_record(
 
 def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
     """Loss and penalty of all runs against the stage, and the loss after the polish."""
-    figure = new_figure(9, 5.4)
-    upper, lower = (styled(axes) for axes in figure.subplots(2, 1, sharex=True))
+    figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
     stages = range(1, search.settings.stages + 1)
     for axes, history, what in (
         (upper, search.history_phi, "loss phi of the best so far"),
@@ -269,3 +270,98 @@ def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
         f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
         f"'{search.problem.bounds.name}', {search.settings.penalty} loss",
     )
+
+
+_KNOWN, _NARROWED = 0.01, 0.5
+"""Shares of the bounds' range below which a parameter counts as known, and as narrowed."""
+_OUTSIDE = 1e-6
+"""Share of an interval between bounds by which a set at an end may miss it: rounding."""
+
+
+def atlas_headline(atlas: Atlas, problem: Problem) -> str:
+    """How many parameters the torque determines, narrows and leaves open."""
+    share = atlas.narrowed
+    known = int((share < _KNOWN).sum())
+    some = int(((share >= _KNOWN) & (share < _NARROWED)).sum())
+    meaning = {
+        "exact": "reproduce the base parameters exactly",
+        "least loss": "have nearly the least loss that is possible",
+        "confidence": "lie in the confidence region of the base parameters",
+    }
+    text = (
+        f"Of {len(atlas.names)} physical parameters of {problem.robot.name}, over feasible sets "
+        f"that {meaning.get(atlas.kind, atlas.kind)}: {known} are known to 1 % of their bounds, "
+        f"{some} are narrowed to less than half, {len(atlas.names) - known - some} hardly or not "
+        "at all."
+    )
+    if atlas.widened:
+        text += " No feasible set lies in the confidence region; it was widened until one does."
+    # Sets at the ends need not meet the bounds of the barycentric inertias, which are relaxed.
+    sets = InertialParameters.from_paper_order(atlas.extremes[..., : 10 * problem.n])
+    inertia = sets.inertia_about_com
+    low, high = problem.bounds.inertia.to(inertia).unbind(-1)
+    slack = _OUTSIDE * (high - low)
+    out = (inertia < low - slack) | (inertia > high + slack)
+    outside = int(out.flatten(2).any(-1).sum())
+    if outside:
+        text += (
+            f" The bounds of the barycentric inertias count by a relaxation: the sets at {outside} "
+            f"of {atlas.low.numel() * 2} ends are outside them, so ranges may be narrower than "
+            "shown."
+        )
+    return text
+
+
+def atlas_table(atlas: Atlas) -> Table:
+    """One row a parameter: range, range of the bounds, share."""
+    rows: list[tuple[Cell, ...]] = []
+    for k, name in enumerate(atlas.names):
+        share = float(atlas.narrowed[k])
+        colour = "green" if share < _KNOWN else "yellow" if share < _NARROWED else "red"
+        ends = (f"{float(end[k]):.4g}" for end in (atlas.low, atlas.high))
+        bounds = f"{float(atlas.bounds_low[k]):.3g} .. {float(atlas.bounds_high[k]):.3g}"
+        rows.append((name, *ends, atlas.units[k], bounds, Text(f"{100 * share:.2g}", colour)))
+    return Table(
+        "ranges over feasible sets of equal torque",
+        ("parameter", "low", "high", "unit", "within the bounds alone", "share %"),
+        rows,
+        names=("parameter", "unit"),
+    )
+
+
+def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
+    """Each parameter's range inside the range that the bounds alone allow."""
+    kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
+    columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
+    for k, name in enumerate(atlas.names):
+        columns.setdefault(kinds.get(name[0], "coefficients"), []).append(k)
+    height = 1.6 + 0.17 * max(len(rows) for rows in columns.values())
+    figure, grid = panel(11, height, 1, len(columns))
+    low, high = (
+        (end - atlas.bounds_low) / (atlas.bounds_high - atlas.bounds_low)
+        for end in (atlas.low, atlas.high)
+    )
+    for axes, (title, rows) in zip(grid, columns.items(), strict=True):
+        for y, k in enumerate(rows):
+            share = float(atlas.narrowed[k])
+            colour = GREEN if share < _KNOWN else ORANGE if share < _NARROWED else RED
+            colour = GREY if not bool(torch.isfinite(low[k] + high[k])) else colour
+            start, end = float(low[k].nan_to_num(0.0)), float(high[k].nan_to_num(1.0))
+            axes.plot([0, 1], [y, y], color="#eaeef2", linewidth=4, solid_capstyle="butt")
+            axes.plot([start, end], [y, y], color=colour, linewidth=4, solid_capstyle="butt")
+            axes.plot([(start + end) / 2], [y], "|", color=colour, markersize=7)
+        rows_of(axes, [atlas.names[k] for k in rows])
+        axes.set_xlim(-0.02, 1.02)
+        axes.set_title(title, fontsize=9, color=INK)
+        axes.grid(False, axis="y")
+    label(
+        grid[1],
+        "0 and 1: least and largest value that feasible sets of any torque have within the bounds",
+    )
+    keys = {
+        "known to 1 % of its bounds": {"color": GREEN, "linewidth": 4},
+        "narrowed to less than half": {"color": ORANGE, "linewidth": 4},
+        "hardly or not narrowed": {"color": RED, "linewidth": 4},
+    }
+    title = f"{problem.robot.name}: what the torque determines"
+    return finish(figure, title, columns=3, keys=keys)

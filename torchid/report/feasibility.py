@@ -8,8 +8,7 @@ from rich.text import Text
 from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.record import Check, excess_percent
-from torchid.report.table import Cell, Table
-from torchid.report.text import listed
+from torchid.report.table import Cell, Table, listed
 
 NEAR = 0.05
 """Degree below which a condition is shown as near its boundary."""

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
+from torchid.gap.diagnosis import Diagnosis, Finding, Parametric, RegimeGap
 from torchid.gap.record import unit_of
-from torchid.report.text import interval, listed, percent, torque_unit
+from torchid.report.table import interval, listed, percent, torque_unit
 from torchid.robot.model import Robot
 
 REGIMES = {
@@ -38,6 +38,12 @@ def effect_words(name: str) -> str:
 def regime_words(name: str) -> str:
     """`low_speed` as `low speed`."""
     return name.replace("_", " ")
+
+
+def clear_regimes(diagnosis: Diagnosis, joint: int) -> list[RegimeGap]:
+    """What holds more than its share of a joint's gap beyond chance, the most first."""
+    found = [r for r in diagnosis.regimes if r.joint == joint and r.p < CLEAR and r.excess > 0]
+    return sorted(found, key=lambda r: -r.excess)
 
 
 def joints_words(joints: Iterable[int]) -> str:
@@ -238,8 +244,8 @@ def _mostly(d: Diagnosis) -> str:
     worst = max(d.joints, key=lambda gap: gap.share, default=None)
     if worst is None:
         return "nowhere in particular"
-    clear = [r for r in d.regimes if r.joint == worst.joint and r.p < CLEAR and r.excess > 0]
+    clear = clear_regimes(d, worst.joint)
     text = f"on joint {worst.joint + 1} ({percent(worst.share)} of it)"
     if clear:
-        text += f", {REGIMES[max(clear, key=lambda r: r.excess).regime]}"
+        text += f", {REGIMES[clear[0].regime]}"
     return text

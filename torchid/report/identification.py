@@ -1,17 +1,27 @@
-"""An identification as tables for people."""
+"""An identification for people: tables, figures and page; and a payload."""
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import count
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
 
 from torchid.design.motion import MOVING
-from torchid.effects.base import Effect
 from torchid.identification.identify import Identification
-from torchid.identification.validation import Errors
-from torchid.report.table import Table
-from torchid.report.table import compact as compact  # the catalogue takes it from here
-from torchid.report.text import joint_unit
-from torchid.robot.model import JointType
+from torchid.identification.payload import Estimate, Payload
+from torchid.identification.result import UNEXPLAINED
+from torchid.identification.validation import Errors, Prediction
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.page.document import Origin, Page, result_page
+from torchid.report.panels import Picture, finish, joint_rows, label, note, panel, rows_of
+from torchid.report.table import Table, joint_unit, listed, short, unit_words
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
@@ -35,8 +45,8 @@ def headline(result: Identification) -> str:
     percent = ", ".join(f"{v:.1f}" for v in shown.relative_percent.tolist())
     moving = ", ".join(f"{v:.1f}" for v in shown.relative_percent_moving.tolist())
     cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
-    count, every = len(poor_names(result)), len(result.base)
-    poor = f" {count} of {every} cannot be told from zero (95 %)." if count else ""
+    bad, every = len(poor_names(result)), len(result.base)
+    poor = f" {bad} of {every} cannot be told from zero (95 %)." if bad else ""
     return (
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
@@ -80,8 +90,7 @@ def effect_tables(result: Identification) -> list[Table]:
     """Coefficients with standard deviations: of effects on every joint with joints as rows, of
     those at some places one a row, with the shapes."""
     base, robot = result.base, result.robot
-    mixed = len(set(robot.joint_types)) > 1
-    prismatic = robot.joint_types[0] is JointType.PRISMATIC
+    slides = [joint_unit(robot, j) == "N" for j in range(robot.n)]
     position = {k: b for b, k in enumerate(base.independent)}
 
     def value(k: int) -> str:
@@ -94,19 +103,16 @@ def effect_tables(result: Identification) -> list[Table]:
         return f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
 
     # Each effect with the texts of its coefficients.
-    found: list[tuple[Effect, list[str]]] = []
-    k = base.n_rigid_parameters
-    for effect in result.effects:
-        found.append((effect, [value(k + i) for i in range(len(effect.coefficients))]))
-        k += len(effect.coefficients)
+    k = count(base.n_rigid_parameters)
+    found = [(e, [value(next(k)) for _ in e.coefficients]) for e in result.effects]
     counts = Counter(type(effect) for effect in result.effects)
     everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
-    if mixed:
+    if len(set(slides)) > 1:
         everywhere = []  # their units are not those of the column
     out = []
     if everywhere:
         columns = [
-            f"{c.meaning}\n{c.name} [{c.unit_for(prismatic)}]"
+            f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
             for kind in everywhere
             for c in kind.coefficients
         ]
@@ -122,8 +128,8 @@ def effect_tables(result: Identification) -> list[Table]:
             continue
         place = ", ".join(str(j + 1) for j in effect.joints)
         for c, text in zip(effect.coefficients, texts, strict=True):
-            slides = robot.joint_types[effect.joints[0]] is JointType.PRISMATIC
-            lines.append((effect.name, place, c.name, text, c.unit_for(slides)))
+            unit = c.unit_for(slides[effect.joints[0]])
+            lines.append((effect.name, place, c.name, text, unit))
         for s, number in zip(effect.shapes, effect.shape_values, strict=True):
             lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
     if lines:
@@ -141,7 +147,7 @@ def error_table(result: Identification) -> Table:
 
     unit = "; ".join(dict.fromkeys(joint_unit(result.robot, j) for j in range(result.robot.n)))
     rows: list[list[str]] = []
-    for label, errors in (("fit", result.fit), ("held out", result.held_out)):
+    for data, errors in (("fit", result.fit), ("held out", result.held_out)):
         if errors is None:
             continue
         for name, percent in (
@@ -150,9 +156,9 @@ def error_table(result: Identification) -> Table:
             ("raw torque", errors.relative_percent_raw),
         ):
             values = percent.tolist()
-            rows.append([f"{label}, {name}", *cells([*values, sum(values) / len(values)])])
+            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)])])
         rmse = [f"{v:.3g}" for v in errors.rmse.tolist()]
-        rows += [[f"{label}, RMSE [{unit}]", *rmse, ""], []]
+        rows += [[f"{data}, RMSE [{unit}]", *rmse, ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
     return Table(
@@ -162,3 +168,277 @@ def error_table(result: Identification) -> Table:
         rows,
         words=("data, rows",),
     )
+
+
+_MOST_POINTS = 4000
+
+
+def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "Figure":
+    """Measured and predicted torque per joint, the residual beside it on its own scale."""
+    n = prediction.measured.shape[1]
+    figure, grid = joint_rows(n, ("", ""), (11, 1.2 + 1.35 * n), units, width_ratios=(3, 2))
+    step = slice(None, None, max(1, len(prediction.t) // _MOST_POINTS))
+    t = (prediction.t - prediction.t[0])[step].numpy()
+    measured, predicted = (x[step].numpy() for x in (prediction.measured, prediction.predicted))
+    moving = prediction.moving[step].numpy()
+    for j, (left, right) in enumerate(grid):
+        left.plot(t, measured[:, j], color=INK, linewidth=1.6, label="measured")
+        left.plot(t, predicted[:, j], color=BLUE, linewidth=1.0, label="model")
+        error = measured[:, j] - predicted[:, j]
+        right.plot(t, error, color=ORANGE, linewidth=0.9, label="measured - model")
+        low, high = right.get_ylim()
+        right.fill_between(
+            t, low, high, where=~moving[:, j], color=GREY, alpha=0.25, linewidth=0,
+            label="joint at rest",
+        )  # fmt: skip
+        right.set_ylim(low, high)
+        size = max(float(np.linalg.norm(measured[:, j])), 1e-300)
+        note(right, f"{100 * float(np.linalg.norm(error)) / size:.1f} %")
+    return finish(figure, title, *grid[0])
+
+
+def parameter_figure(result: Identification) -> "Figure":
+    """Each estimated parameter's 95 % interval relative to its value: what the log determines."""
+    relative = result.uncertainty.quantile() * result.relative_std_percent
+    shown = [k for k in range(len(result.base)) if bool(result.free[k])]
+    order = sorted(shown, key=lambda k: float(relative[k]))
+    figure, axes = panel(9, 1.4 + 0.19 * len(order))
+    values = [max(1e-3, min(float(relative[k]), 1e3)) for k in order]
+    colours = [GREEN if v < 30 else ORANGE if v < 100 else RED for v in values]
+    axes.barh(range(len(order)), values, left=1e-3, color=colours, height=0.7)
+    axes.set_xscale("log")
+    axes.set_xlim(max(1e-3, min(values) / 2), 1.1e3)
+    rows_of(axes, [short(result.base.names[k], 44) for k in order])
+    axes.axvline(100, color=INK, linewidth=0.8)
+    label(axes, "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)")
+    return finish(figure, f"{result.robot.name}: how well each parameter is known")
+
+
+def truth_figure(result: Identification, truth: torch.Tensor) -> "Figure":
+    """Errors against known true values, in units of each parameter's 95 % interval."""
+    half = result.uncertainty.quantile() * result.std
+    shown = [k for k in range(len(result.base)) if bool(result.free[k])]
+    error = ((result.values - truth) / half)[shown].numpy()
+    figure, axes = panel(9, 1.4 + 0.19 * len(shown))
+    axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    colours = [BLUE if abs(e) <= 1 else RED for e in error]
+    axes.scatter(error, range(len(shown)), color=colours, s=18)
+    rows_of(axes, [short(result.base.names[k], 44) for k in shown])
+    limit = max(2.0, 1.1 * float(np.abs(error).max()))
+    axes.set_xlim(-limit, limit)
+    label(axes, "(identified - true) / half-width of the 95 % interval")
+    return finish(figure, f"{result.robot.name}: identified against true values")
+
+
+MOST_TRAJECTORIES = 3
+"""Shown as pictures."""
+_MOST_NAMED = 3
+
+
+def identification_page(result: Identification, origin: Origin) -> Page:
+    """The page of an identification."""
+    n, every = result.base.n_rigid, len(result.base)
+    tables = [t.on_page() for t in (error_table(result), *effect_tables(result))]
+    tables.append(coefficient_table(result, range(n), "Base parameters"))
+    if every > n:
+        tables.append(coefficient_table(result, range(n, every), "Coefficients of the effects"))
+    shown, held = shown_errors(result)
+    known = [v for v in shown.relative_percent_moving.tolist() if math.isfinite(v)]
+    mean = _percent(sum(known) / len(known)) if known else "-"
+    return result_page(
+        f"Identified dynamics of {result.robot.name}",
+        verdict(result),
+        (
+            (f"Mean error, {'held-out' if held else 'fitted'}, moving", mean),
+            ("Base parameters", str(n)),
+            ("Coefficients of effects", str(every - n)),
+            ("Cut-off", "no filter" if result.cutoff is None else f"{result.cutoff:g} Hz"),
+            ("Condition number, scaled", f"{result.scaled_condition_number:.0f}"),
+        ),
+        origin,
+        pictures=_pictures(result),
+        tables=tables,
+        notes=result.warnings,
+    )
+
+
+def verdict(result: Identification) -> str:
+    """One sentence: how well the torque is predicted, and what is poorly determined."""
+    shown, held = shown_errors(result)
+    where = "motion that was held out"
+    if not held:
+        where = "the motion it was fitted to (none was held out)"
+    errors = [(v, j) for j, v in enumerate(shown.relative_percent_moving.tolist(), start=1)]
+    known = sorted(pair for pair in errors if math.isfinite(pair[0]))
+    if not known:
+        said = f"no joint moves in {where}, so how well the torque is predicted is not known"
+    else:
+        (low, best), (high, worst) = known[0], known[-1]
+        span = f"{_percent(high)} of its size"
+        if len(known) > 1:
+            span = f"{_percent(low)} (joint {best}) to {_percent(high)} (joint {worst}) of its size"
+        useless = " and is of no use there" if high > UNEXPLAINED else ""
+        said = f"on {where} the model misses the torque by {span} while the joint moves{useless}"
+    total = f"{len(result.base)} coefficients"
+    never, poor = result.undetermined, poor_names(result)
+    parts = [f"{len(never)} not determined at all ({_named(never)})"] if never else []
+    if poor:
+        parts.append(f"{len(poor)} cannot be told from zero ({_named(poor)})")
+    known_of = (
+        f"of {total}, {listed(parts)}"
+        if parts
+        else f"all {total} that were estimated can be told from zero"
+    )
+    return f"{said[0].upper()}{said[1:]}; {known_of}."
+
+
+def _percent(value: float) -> str:
+    return f"{value:.1f} %" if value >= 1 else f"{value:.2g} %"
+
+
+def _named(names: Sequence[str]) -> str:
+    shown = [short(name, 30) for name in names[:_MOST_NAMED]]
+    more = len(names) - _MOST_NAMED
+    return f"{', '.join(shown)} and {more} more" if more > 0 else listed(shown)
+
+
+def coefficient_table(result: Identification, which: Sequence[int], title: str) -> Table:
+    """Values with standard deviations and 95 % intervals.
+
+    Args:
+        result: what was identified.
+        which: positions in `base.names`.
+        title: of the table.
+    """
+    ends = result.interval().tolist()
+    rows = []
+    for k in which:
+        spread, std = ("held at 0", "-", "-"), float(result.std[k])
+        if bool(result.free[k]):
+            low, high = (_to_digits(end, std) for end in ends[k])
+            relative = percent_words(float(result.relative_std_percent[k]))
+            spread = (f"{std:.3g}", f"[{low}, {high}]", relative)
+        unit = unit_words(result.base.units[k])
+        rows.append((result.base.names[k], f"{float(result.values[k]):.6g}", unit, *spread))
+    return Table(
+        title,
+        ("name", "value", "unit", "std", "95 % interval", "std, % of value"),
+        rows,
+        names=("name", "unit"),
+        note="Standard deviations from a block jackknife: neighbouring residuals are alike.",
+    )
+
+
+def _to_digits(value: float, std: float) -> str:
+    """A number to a hundredth of its standard deviation, six digits at most."""
+    if not (value and std > 0 and math.isfinite(value) and math.isfinite(std)):
+        return f"{value:.6g}"
+    digits = 3 + math.floor(math.log10(abs(value))) - math.floor(math.log10(std))
+    return f"{value:.{min(6, max(1, digits))}g}"
+
+
+def _pictures(result: Identification) -> list[Picture]:
+    held = bool(result.held_out_predictions)
+    shown = result.held_out_predictions if held else result.fit_predictions
+    words = "held-out data" if held else "fitted data"
+    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
+    out = []
+    for k, p in enumerate(shown[:MOST_TRAJECTORIES], start=1):
+        place = f" (trajectory {k} of {len(shown)})" if len(shown) > 1 else ""
+        out.append(
+            Picture(
+                f"torque_{k}",
+                f"Measured and predicted torque of every joint in {p.name}, {words}{place}."
+                f"{_RESIDUAL if k == 1 else ''}",
+                f"Measured and predicted torque over time in {p.name}, and their difference.",
+                lambda p=p: torque_figure(p, units, f"{p.name} ({words})"),  # type: ignore[misc]
+            )
+        )
+    poor = f"{len(poor_names(result))} of {len(result.base)}"
+    out.append(
+        Picture(
+            "parameters",
+            "How well each coefficient is known: half of its 95 % interval in percent of its "
+            "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
+            f"the line at 100 % cannot be told from zero ({poor}).",
+            f"Bars, one a coefficient: {poor} cannot be told from zero.",
+            lambda: parameter_figure(result),
+        )
+    )
+    return out
+
+
+_RESIDUAL = (
+    " At the right what the model leaves, on its own scale, with its size relative to the torque. "
+    "It should look like noise: steps where a joint turns back are friction, slow waves inertia or "
+    "gravity. Grey: the joint rests, and friction can hold any torque."
+)
+
+
+QUANTITIES = (
+    ("mass", "kg"),
+    *((f"com {axis}", "m") for axis in "xyz"),
+    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
+
+
+def payload_tables(payload: Payload) -> list[Table]:
+    """The body in the tool's and in the last link's frame, and what else changed, if anything."""
+    tool, link = (
+        [
+            _payload_cells(part, k)
+            for part in (body.mass, body.com, body.inertia_about_com)
+            for k in range(part.value.numel())
+        ]
+        for body in (payload.tool, payload.link)
+    )
+    named = zip(QUANTITIES, tool, link, strict=True)
+    out = [
+        Table(
+            f"payload of {payload.robot} (value ± std, 95 % interval)",
+            ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %"),
+            [(*name, *own, *other) for name, own, other in named],
+            names=("quantity", "unit"),
+        )
+    ]
+    if payload.friction_changes:
+        columns = ("coefficient", "unit", "change", "std")
+        rows = [
+            (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
+        ]
+        title = "effects that changed with the load, not part of the payload"
+        out.append(Table(title, columns, rows, words=columns[:2]))
+    return out
+
+
+def payload_headline(payload: Payload) -> str:
+    """One sentence: mass and centre of mass in the tool frame, and whether a body can have them."""
+    mass, com = payload.tool.mass, payload.tool.com
+    if bool(mass.high < 0):
+        return (
+            f"The logs with the payload carry {-float(mass.value):.4g} kg less than those without: "
+            "are they exchanged?"
+        )
+    if not payload.seen:
+        return f"No payload can be seen on the last link of {payload.robot}."
+    verdict = "not physically consistent"
+    if payload.consistent or payload.consistent_within:
+        within = "" if payload.consistent else " within its interval"
+        verdict = f"physically consistent{within}"
+    half = payload.quantile * float(mass.std)
+    place = ", ".join("?" if math.isnan(c) else f"{1e3 * c:.1f}" for c in com.value.tolist())
+    return (
+        f"{payload.robot} carries {float(mass.value):.4g} ± {half:.2g} kg (95 %), centre of mass "
+        f"at ({place}) mm of the tool frame; {verdict}."
+    )
+
+
+def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
+    value, std, low, high = (
+        float(x[k]) for x in (estimate.value, estimate.std, estimate.low, estimate.high)
+    )
+    if math.isnan(value):
+        return "not known", "-"
+    return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"

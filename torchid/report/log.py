@@ -1,15 +1,29 @@
-"""What a log is seen as, in tables."""
+"""A log and a motion for people: what it is seen as, its figure, and what an examination finds."""
 
 from collections.abc import Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING
 
+import numpy as np
+import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
-from torchid.log.model import JOINT_SIGNALS
+from torchid.doctor.examine import Examination
+from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
-from torchid.report.table import Cell, Table
+from torchid.report.colours import BLUE, ORANGE, RED
+from torchid.report.panels import finish, joint_rows, label, thin
+from torchid.report.table import Cell, Table, joint_unit
+from torchid.robot.model import JointType, Robot
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
+"""Names of the signals of a motion, and their fields."""
 _SHOWN = 40
 _CONSEQUENCES = {
     "dq": "differentiated from q",
@@ -75,6 +89,40 @@ def log_tables(seen: Overview) -> list[Table]:
     ]
 
 
+def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> "Figure":
+    """Position, velocity and acceleration per joint, limits in red.
+
+    Args:
+        robot: whose limits are drawn.
+        motion: one trajectory.
+        title: of the figure.
+        noisy: the same instants with noise, drawn over the motion.
+    """
+    t = thin(motion.t - motion.t[0])
+    wide = {"linewidth": 1.1} if noisy is None else {"linewidth": 3.0, "alpha": 0.4}
+    kinds = set(robot.joint_types)
+    length = "m" if kinds == {JointType.PRISMATIC} else "rad"
+    # Where the joints differ, no unit holds for all.
+    units = [""] * 3 if len(kinds) > 1 else [f" [{length}{per}]" for per in ("", "/s", "/s²")]
+    headings = [name + unit for (name, _), unit in zip(SIGNALS, units, strict=True)]
+    height = 1.0 + 1.25 * robot.n + (0.3 if noisy is not None else 0.0)
+    figure, grid = joint_rows(robot.n, headings, (11, height))
+    for column, (name, signal) in zip(grid.T, SIGNALS, strict=True):
+        planned = getattr(motion, signal)
+        disturbed = None if noisy is None else getattr(noisy, signal)
+        limits = getattr(robot.limits, name)
+        for j, axes in enumerate(column):
+            if planned is not None:
+                axes.plot(t, thin(planned[:, j]), color=BLUE, label="planned", **wide)
+            if disturbed is not None:
+                style = {"color": ORANGE, "linewidth": 0.8}
+                axes.plot(t, thin(disturbed[:, j]), label="with noise", **style)
+            if limits is not None and bool(torch.isfinite(limits[j]).all()):
+                for bound in limits[j].tolist():
+                    axes.axhline(bound, color=RED, linewidth=0.9, label="limit")
+    return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
+
+
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
     rows = [
@@ -97,3 +145,58 @@ def repeats_table(repeats: Sequence[Repeat]) -> Table:
     columns = ("trajectory", "from [s]", "again in", "from [s]", "for [s]")
     title = "repeated motion: what differs between the two is noise"
     return Table(title, columns, rows, words=columns)
+
+
+_STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_black"}
+
+
+def doctor_tables(examination: Examination) -> list[Table]:
+    """What is not fine, wrong first; nothing where all is fine."""
+    found = [c for c in examination.by_verdict() if c.verdict != "fine"]
+    rows = []
+    for (verdict, evidence, fix), group in groupby(found, lambda c: (c.verdict, c.evidence, c.fix)):
+        names = "\n".join(c.name for c in group)
+        rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
+    columns = ("verdict", "check", "evidence", "fix")
+    title = f"log of {examination.robot.name}"
+    return [Table(title, columns, rows, names=columns[:2], words=columns[2:])] if rows else []
+
+
+def fine(examination: Examination) -> str:
+    """The checks that found nothing, in one line."""
+    names = [c.name for c in examination.checks if c.verdict == "fine"]
+    return "fine: " + ", ".join(names) if names else "nothing is fine"
+
+
+def choices(examination: Examination) -> str:
+    """What somebody has to choose, with the option that does."""
+    lines = []
+    for check in examination.undecided:
+        lines.append(f"{check.name}: explanations that this log cannot tell apart, none is applied")
+        lines += [f'  --fix "{c.name}": {c.fix}' for c in check.choices]
+    if examination.waiting:
+        lines.append(f"{examination.waiting} more of the fixes wait for this choice")
+    return "\n".join(lines)
+
+
+def torque_figure(examination: Examination) -> "Figure | None":
+    """Torque of each joint as the log has it, once mended, and what bodies explain of it."""
+    judge, search = examination.judge, examination.search
+    if judge is None or search is None:
+        return None
+    end = search.final.hypothesis
+    columns, _ = judge.columns(end)
+    measured, moving = judge.torque(end), judge.moving(end)
+    explained = np.where(moving, columns @ search.final.fit.x, np.nan)
+    n, x = examination.robot.n, "low-passed samples, all trajectories"
+    figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
+    for k, axes in enumerate(grid[:, 0]):
+        unit = joint_unit(examination.robot, k)
+        axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
+        axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
+        error = 100 * search.final.errors[k]
+        label(axes, y=f"joint {k + 1} [{unit}]\n{error:.1f} %")
+        if k == 0:
+            where = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
+            axes.legend(**where, fontsize=8, ncols=2, frameon=False)
+    return figure

@@ -1,6 +1,7 @@
 """What every figure is built of. matplotlib is imported when a figure is drawn, never before."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,10 +9,45 @@ import numpy as np
 
 from torchid.files import atomic_write
 from torchid.report.colours import GREY, GRID, INK
-from torchid.report.text import printable
+from torchid.report.table import printable
+from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+MOST_POINTS = 1000
+"""Of a curve."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure that is drawn when it is needed.
+
+    Attributes:
+        name: unique on its page, of letters, digits and underscores; that of its file without .png.
+        caption: what is shown, and what to see in it.
+        alt: what those who do not see it must know.
+        draw: the figure.
+        section: of a page of several, by key.
+    """
+
+    name: str
+    caption: str
+    alt: str
+    draw: Callable[[], "Figure"]
+    section: str = ""
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.name}.png"
+
+
+def drawing(section: str, name: str, caption: str, draw: Callable[[], "Figure"]) -> Picture:
+    """A picture of a section, told by its name; stars in its caption would be markup."""
+    alt = f"Figure: {name.replace('_', ' ')}."
+    return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
 def new_figure(width: float, height: float) -> "Figure":
@@ -38,10 +74,13 @@ def styled(axes: Any) -> Any:
     return axes
 
 
-def panel(width: float, height: float) -> "tuple[Figure, Any]":
-    """A figure of one panel."""
+def panel(width: float, height: float, *shape: int, **subplots: Any) -> "tuple[Figure, Any]":
+    """A figure of one panel, or of rows and columns of them as `subplots` gives them."""
     figure = new_figure(width, height)
-    return figure, styled(figure.subplots())
+    axes = figure.subplots(*shape, **subplots)
+    for one in np.ravel(axes):
+        styled(one)
+    return figure, axes
 
 
 def label(axes: Any, x: str = "", y: str = "", title: str = "", size: float = 8) -> Any:
@@ -55,31 +94,98 @@ def label(axes: Any, x: str = "", y: str = "", title: str = "", size: float = 8)
     return axes
 
 
+def joint_rows(
+    n: int,
+    headings: Sequence[str],
+    size: tuple[float, float],
+    units: Sequence[str] = (),
+    x: str = "time [s]",
+    **grid: Any,
+) -> "tuple[Figure, Any]":
+    """A figure of one row a joint, and its panels (n, columns).
+
+    Args:
+        n: joints.
+        headings: of the columns.
+        size: width and height [inch].
+        units: of the joints' ordinates.
+        x: of the abscissa.
+        grid: of `subplots`.
+    """
+    figure, panels = panel(*size, n, len(headings), sharex=True, squeeze=False, **grid)
+    for j, axes in enumerate(panels[:, 0]):
+        label(axes, y=f"joint {j + 1}" + (f" [{units[j]}]" if units else ""))
+    for axes, heading in zip(panels[0], headings, strict=True):
+        axes.set_title(heading, fontsize=9, color=INK)
+    for axes in panels[-1]:
+        label(axes, x)
+    return figure, panels
+
+
+def tiles(
+    titles: Sequence[str],
+    columns: int,
+    width: float,
+    heights: tuple[float, float],
+    x: str = "",
+    y: str = "",
+    loc: str = "center",
+    **share: Any,
+) -> "tuple[Figure, list[Any]]":
+    """A figure of one panel a title, labelled at its left and below the lowest of each column.
+
+    Args:
+        titles: of the panels.
+        columns: panels in a row.
+        width: of the figure [inch].
+        heights: of a row of panels, and of all that is above and below them [inch].
+        x, y: of the abscissa and the ordinate.
+        loc: of the titles.
+        share: `sharex` and `sharey` of `subplots`.
+    """
+    n, rows = len(titles), -(-len(titles) // columns)
+    figure = new_figure(width, heights[0] * rows + heights[1])
+    grid = figure.subplots(rows, columns, squeeze=False, **share).flatten()
+    for axes in grid[n:]:
+        axes.set_visible(False)
+    for k, (axes, title) in enumerate(zip(grid, titles, strict=False)):
+        styled(axes).set_title(title, fontsize=9, color=INK, loc=loc)
+        if k % columns == 0:
+            label(axes, y=y)
+        if x and k + columns >= n:
+            # sharex hides the labels of a panel that has an empty one below it.
+            label(axes, x).tick_params(labelbottom=True)
+    return figure, list(grid[:n])
+
+
 def rows_of(axes: Any, names: Sequence[str], size: float = 7) -> None:
     """One name a row, the first on top."""
     axes.set_yticks(range(len(names)), names, fontsize=size)
     axes.set_ylim(len(names) - 0.4, -0.6)
 
 
-def finish(figure: "Figure", title: str, *axes: Any, columns: int = 4) -> "Figure":
-    """Title at the left; below all panels one legend of what the given ones hold, each name
-    once."""
-    once: dict[str, Any] = {}
+def finish(
+    figure: "Figure",
+    title: str,
+    *axes: Any,
+    columns: int = 4,
+    keys: Mapping[str, Mapping[str, Any]] | None = None,
+) -> "Figure":
+    """Title at the left; below all panels one legend of what the given ones hold, each name once,
+    and of `keys`, names of lines with their styles."""
+    from matplotlib.lines import Line2D
+
+    handles: dict[str, Any] = {}
     for part in axes:
-        handles, names = part.get_legend_handles_labels()
-        once |= dict(zip(names, handles, strict=True))
-    if once:
-        legend_below(figure, once, columns)
+        handles |= dict(zip(*reversed(part.get_legend_handles_labels()), strict=True))
+    handles |= {name: Line2D([], [], **style) for name, style in (keys or {}).items()}
+    if handles:
+        figure.legend(
+            list(handles.values()), list(handles), loc="outside lower center", ncols=columns,
+            frameon=False, fontsize=8,
+        )  # fmt: skip
     figure.suptitle(title, fontsize=11, color=INK, x=0.01, ha="left")
     return figure
-
-
-def legend_below(figure: "Figure", handles: Mapping[str, Any], columns: int) -> None:
-    """A legend below all panels."""
-    figure.legend(
-        list(handles.values()), list(handles), loc="outside lower center", ncols=columns,
-        frameon=False, fontsize=8,
-    )  # fmt: skip
 
 
 def ruled(axes: Any, rows: int, columns: int, width: float) -> None:
@@ -91,6 +197,30 @@ def ruled(axes: Any, rows: int, columns: int, width: float) -> None:
     axes.tick_params(which="major", labelsize=8, labelcolor=INK)
     for side in axes.spines.values():
         side.set_visible(False)
+
+
+def note(axes: Any, text: str) -> None:
+    """A few words in the upper right corner of a panel."""
+    axes.text(
+        0.99, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=8, color=INK,
+        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.0},
+    )  # fmt: skip
+
+
+def headroom(axes: Any, share: float = 0.25) -> None:
+    """Room above the curves for a note."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + share * (high - low))
+
+
+def thin(signal: Tensor) -> np.ndarray:
+    """At most `MOST_POINTS` evenly spaced instants (first axis) as an array."""
+    return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
+
+
+def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
+    """k offsets that keep the marks of one column apart."""
+    return np.random.default_rng(seed).uniform(-width, width, k)
 
 
 def literal(figure: "Figure") -> None:
@@ -109,4 +239,20 @@ def save(figure: "Figure", path: Path) -> Path:
     literal(figure)
     with atomic_write(path, "wb") as stream:
         figure.savefig(stream, format="png", dpi=130)
+    return path
+
+
+def save_small(figure: "Figure", path: Path) -> Path:
+    """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(100)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    size = canvas.get_width_height()
+    picture = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
+    few = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    with atomic_write(path, "wb") as file:
+        few.save(file, format="PNG", compress_level=9)
     return path

@@ -1,10 +1,12 @@
-"""A robot as tables and as plain data."""
+"""A robot as tables and as plain data, and what was exported of it (schema torchid.export/1)."""
 
 from typing import Any
 
 from rich.text import Text
 
-from torchid.json_data import plain
+from torchid.export.export import Export
+from torchid.feasibility.plausibility import DENSITIES
+from torchid.json_data import picked, plain
 from torchid.report.table import Table
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -34,9 +36,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
         "parameters": None
         if p is None
         else {
-            "mass": p.mass.tolist(),
-            "com": p.com.tolist(),
-            "inertia_about_com": p.inertia_about_com.tolist(),
+            **picked(p, "mass com inertia_about_com"),
             "consistency_margin": p.consistency_margin().tolist(),
         },
         "effects": [dict(e) for e in robot.effects],
@@ -96,3 +96,92 @@ def _interval(limits: list[float | None] | None) -> str:
     if low is not None and high is not None and abs(low + high) < 1e-12:
         return f"±{high:.5g}"
     return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))
+
+
+SCHEMA = "torchid.export/1"
+
+
+def export_record(done: Export) -> dict[str, Any]:
+    """JSON-ready data; every number is finite or null."""
+    checks = [
+        {
+            **picked(one, "reader compared states largest_relative_difference=difference limit"),
+            "ok": None if one.difference is None else one.ok,
+            "note": one.note,
+        }
+        for one in done.comparisons
+    ]
+    return {
+        "schema": SCHEMA,
+        "robot": done.dynamics.robot.name,
+        "what": done.dynamics.kind,
+        "result": done.dynamics.title,
+        "format": done.format,
+        "files": [str(path) for path in done.files],
+        "original": None if done.original is None else str(done.original),
+        "feasible": None if done.check is None else bool(done.check.feasibility.feasible[0]),
+        "reasons": [] if done.check is None else list(done.check.feasibility.reasons(0)),
+        "checks": checks,
+        "effects": {
+            "in_file": list(done.in_file),
+            "beside": list(done.beside),
+            "left_out": list(done.left_out),
+        },
+        "warnings": list(export_warnings(done)),
+    }
+
+
+def export_warnings(done: Export) -> tuple[str, ...]:
+    """What must not be overlooked."""
+    said = list(done.dynamics.warnings) + list(done.notes)
+    if done.check is not None and not bool(done.check.feasibility.feasible[0]):
+        reasons = ", ".join(done.check.feasibility.reasons(0))
+        said.append(f"infeasible, and written all the same: {reasons}")
+    # Links that are bodies, but of no material: one sentence for all of them.
+    findings = () if done.check is None else done.check.findings[0]
+    dense = [f for f in findings if f.what == "density" and f.value > f.threshold == DENSITIES[1]]
+    if dense:
+        links = ", ".join(str(f.link) for f in dense)
+        said.append(
+            f"not plausible, though not forbidden: the inertia of link {links} is that of a body "
+            f"denser than lead (up to {max(f.value for f in dense):.2g} kg/m^3); `torchid check` "
+            "says more"
+        )
+    said += [f"LEFT OUT of the {done.format} file: {words}" for words in done.left_out]
+    return tuple(said)
+
+
+def comparison_table(done: Export) -> Table:
+    """Who reloaded the file, and by how much its torque differs from the result's."""
+    rows = []
+    for one in done.comparisons:
+        cells, said = ("", "", ""), "not compared"
+        if one.difference is not None:
+            cells = (str(one.states), f"{one.difference:.1e}", f"{one.limit:g}")
+            said = "agrees"
+        said += f": {one.note}" if one.note else ""
+        rows.append((one.reader, one.compared, *cells, said))
+    return Table(
+        "reloaded and compared with the result's own model",
+        ("reader", "compared", "states", "largest difference", "limit", ""),
+        rows,
+        words=("reader", "compared", ""),
+    )
+
+
+def effect_lines(done: Export) -> list[str]:
+    """Where each effect went, one sentence a place."""
+    sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
+    places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
+    return [
+        f"{len(words)} effect{'s' if len(words) > 1 else ''} {place}"
+        for place, words in places
+        if words
+    ]
+
+
+def export_headline(done: Export) -> str:
+    """What lies where, in one sentence."""
+    first, *others = (str(path) for path in done.files)
+    beside = f" (and {', '.join(others)})" if others else ""
+    return f"{done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}"

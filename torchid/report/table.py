@@ -1,5 +1,8 @@
-"""A table as plain cells, with its three writers: the terminal, the page and Markdown."""
+"""A table as plain cells, with its three writers: the terminal, the page and Markdown; and numbers
+and names as tables, pictures and pages show them."""
 
+import math
+import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -7,6 +10,8 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
+
+from torchid.robot.model import JointType, Robot
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
@@ -80,17 +85,21 @@ class Table:
 
     def markdown(self) -> str:
         """Title, table and note."""
-        marks = (":--" if name in self.left else "--:" for name in self.columns)
-        lines = [
-            f"**{_plain(self.title)}**",
-            "",
-            _line(self.columns),
-            f"|{'|'.join(marks)}|",
-            *(_line(row) for row in self.rows),
-        ]
+        marks = [":--" if name in self.left else "--:" for name in self.columns]
+        head, *body = ([_plain(str(cell)) for cell in row] for row in (self.columns, *self.rows))
+        lines = [f"**{_plain(self.title)}**", "", pipe_table(head, body, marks)]
         if self.note:
             lines += ["", _plain(self.note)]
         return "\n".join(lines) + "\n"
+
+
+def pipe_table(
+    head: Sequence[str], body: Iterable[Sequence[object]], marks: Sequence[str] | None = None
+) -> str:
+    """Cells as a table of Markdown, as they are; `marks` align the columns."""
+    lines = ["| " + " | ".join(head) + " |", f"|{'|'.join(marks or ['---'] * len(head))}|"]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in body]
+    return "\n".join(lines)
 
 
 def compact(title: str) -> RichTable:
@@ -103,12 +112,53 @@ def unit_words(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³")
 
 
-def _line(cells: Sequence[Cell]) -> str:
-    return "| " + " | ".join(_plain(str(cell)) for cell in cells) + " |"
-
-
 def _plain(text: str) -> str:
     """Markdown that reads as the text does."""
     for mark in ("|", "*", "<"):
         text = text.replace(mark, f"\\{mark}")
     return text
+
+
+def printable(text: str) -> str:
+    """A text without what XML and UTF-8 cannot hold: control characters, and bytes of a file's
+    name that are no text."""
+    return "".join(
+        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cs", "Cn") else "\ufffd"
+        for c in text
+    )
+
+
+def percent(value: float) -> str:
+    """A fraction in percent; with a decimal where it would be taken for none or all."""
+    if not math.isfinite(value):
+        return "-"
+    near = min(abs(value), abs(1 - value))
+    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
+
+
+def interval(ends: tuple[float, float]) -> str:
+    """Of fractions, in percent: `[90, 95]`."""
+    low, high = (percent(x).removesuffix(" %") for x in ends)
+    return f"[{low}, {high}]"
+
+
+def short(name: str, length: int) -> str:
+    """A name cut to `length` characters."""
+    return name if len(name) <= length else name[: length - 1] + "…"
+
+
+def listed(words: Iterable[str], last: str = "and", nothing: str = "") -> str:
+    """`a, b and c`."""
+    *first, end = list(words) or [nothing]
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def joint_unit(robot: Robot, joint: int) -> str:
+    """Unit of the torque of a joint (from 0)."""
+    return "N" if robot.joint_types[joint] is JointType.PRISMATIC else "N m"
+
+
+def torque_unit(robot: Robot, both: str = "N m, N") -> str:
+    """Unit of the torques of all joints together; `both` where the joints differ."""
+    units = {joint_unit(robot, j) for j in range(robot.n)}
+    return units.pop() if len(units) == 1 else both

@@ -1,10 +1,12 @@
-"""Scores of withheld cases in words: lines with targets, tables, Markdown."""
+"""Scores of withheld cases in words: lines with targets, tables, Markdown; what is said when the
+right name is not in the library; and the check on one's own arm."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchid.report.table import Table
+from torchid.report.table import Table, pipe_table
+from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
 Summary = Mapping[str, Any]
 
@@ -100,11 +102,7 @@ LINES = (
     Line("two effects, F1", ("several", "pairs", "with_sets", "f1"), low=0.9, percent=False),
     Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),
     Line("three effects, F1", ("several", "triples", "with_sets", "f1"), percent=False),
-    Line(
-        "outside: wrong family for sure",
-        ("outside", "confident_wrong", "share"),
-        high=0.05,
-    ),
+    Line("outside: wrong family for sure", ("outside", "confident_wrong", "share"), high=0.05),
     Line("poor data: said so, or right", ("poor", "honest", "share")),
     Line("poor data: said so", ("poor", "not_testable_or_hedged", "share")),
     Line("gap closed, of the oracle's", ("closing", "ratio", "median"), low=0.97),
@@ -112,11 +110,7 @@ LINES = (
     Line("intervals hold coefficients", ("coverage", "coefficients", "share"), 0.9, 0.98),
 )
 
-BASELINES = {
-    "friction": "always friction, worst joint",
-    "stlsq": "STLSQ",
-    "bic": "BIC stepwise",
-}
+BASELINES = {"friction": "always friction, worst joint", "stlsq": "STLSQ", "bic": "BIC stepwise"}
 SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
@@ -226,11 +220,7 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
 
 def markdown_table(head: Sequence[str], body: Sequence[Sequence[object]]) -> str:
     """Rows as Markdown; `None.` where there are none."""
-    if not body:
-        return "None."
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(str(x) for x in cells) + " |" for cells in body]
-    return "\n".join(lines)
+    return pipe_table(head, body) if body else "None."
 
 
 def counts_table(first: str, groups: Mapping[str, Mapping[str, int]]) -> str:
@@ -285,3 +275,109 @@ def listed(effects: Iterable[Mapping[str, Any]]) -> str:
         size = f" ({effect['size']:.1f})" if effect.get("size") is not None else ""
         out.append(f"{names} {joints}{size}".strip())
     return "; ".join(out) or "-"
+
+
+_WORDS = {
+    "right_family": "the right family is named",
+    "hedged": "it is among the alternatives",
+    "detected_unexplained": "detected, and said to be unexplained",
+    "confident_wrong": "another family, for sure",
+    "missed": "nothing is said to be there",
+    "not_testable": "said to be invisible in these data",
+}
+
+
+def leave_out_headline(result: Mapping[str, Any]) -> str:
+    """One sentence."""
+    wrong = result["verdicts"]["confident_wrong"]
+    text = f"{wrong['hits']} of {wrong['total']} answers name another family for sure"
+    if wrong["share"] is not None:
+        text += f": {_percent(wrong)}"
+    if result["errors"]:
+        text += f"; {len(result['errors'])} diagnoses failed"
+    return text + "."
+
+
+def leave_out_markdown(result: Mapping[str, Any]) -> str:
+    """The whole report."""
+    total = [
+        [_WORDS[name], f"{found['hits']} of {found['total']}", _percent(found)]
+        for name, found in result["verdicts"].items()
+    ]
+    cases = [
+        [c["effect"], c["case"], c["verdict"].replace("_", " "), c["status"], listed(c["named"])]
+        for c in result["cases"]
+        if c["verdict"] in ("confident_wrong", "missed", "error")
+    ]
+    parts = [
+        f"# Effects left out of the library: seed {result['seed']}",
+        f"{leave_out_headline(result)} torchid {result['version']}. Intervals: 95 %.",
+        markdown_table(["answer", "cases", "share"], total),
+        "## By effect",
+        counts_table("left out", result["by_effect"]),
+        "## Cases that went wrong",
+        markdown_table(["left out", "case", "answer", "status", "named"], cases),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _percent(found: Mapping[str, Any]) -> str:
+    if found["share"] is None:
+        return "-"
+    low, high = found["ci95"]
+    return f"{100 * found['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def own_headline(found: OwnCheck) -> str:
+    """What was found again of what is there, in one sentence."""
+    if not found.withheld:
+        return "No effect was accepted on the first part of the logs, so none could be withheld."
+    again = sum(w.in_set for w in found.withheld)
+    judged = [w.as_much for w in found.withheld if w.as_much is not None]
+    text = f"{again} of {len(found.withheld)} accepted effects were found again once withheld"
+    if not judged:
+        return f"{text}; without any of them these data show no gap."
+    return (
+        f"{text}; of {len(judged)} that leave a gap here, {sum(judged)} closed as much of it as "
+        "they are known to."
+    )
+
+
+def own_tables(found: OwnCheck) -> list[Table]:
+    """What was withheld, and the smallest sizes planted that were found: in units of the noise,
+    those at which an effect was named, or in a set (in brackets)."""
+    withheld = []
+    for w in found.withheld:
+        others = (
+            f"{name} {_joints(js)}" if js else name
+            for name, js in w.findings
+            if (name, js) != (w.effect, w.joints)
+        )
+        again = "yes" if w.named else "in a set" if w.in_set else "no"
+        shares = ("no gap" if x is None else f"{100 * x:.0f} %" for x in (w.closed, w.known))
+        withheld.append((w.effect, _joints(w.joints), again, ", ".join(others), *shares))
+    heads = ("effect", "joint", "found again", "named instead", "closed", "known to close")
+    joints = sorted({p.joint for p in found.planted})
+    planted = [
+        (effect, *(smallest(found.planted, effect, j) for j in joints))
+        for effect in dict.fromkeys(p.effect for p in found.planted)
+    ]
+    columns = ("effect", *(f"joint {j + 1}" for j in joints))
+    made = (
+        Table("Accepted effects, withheld", heads, withheld, words=heads),
+        Table("Smallest size found, over noise", columns, planted, words=("effect",)),
+    )
+    return [table for table in made if table.rows]
+
+
+def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:
+    """`2`, `(2)` if only in a set, or `> 10`."""
+    own = [p for p in rows if (p.effect, p.joint) == (effect, joint)]
+    found = min((p for p in own if p.in_set), key=lambda p: p.level, default=None)
+    if found is None:
+        return f"> {max((p.level for p in own), default=LEVELS[-1]):g}"
+    return f"{found.level:g}" if found.named else f"({found.level:g})"
+
+
+def _joints(joints: Sequence[int]) -> str:
+    return " ".join(str(j + 1) for j in joints) or "arm"

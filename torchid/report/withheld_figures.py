@@ -1,14 +1,13 @@
 """Figures of a score: what was named for what, and from which size on. matplotlib is imported when
 a figure is drawn."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import finish, label, legend_below, new_figure, ruled, styled
+from torchid.report.panels import finish, label, new_figure, ruled, tiles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,13 +75,21 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
 def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figure":
     """Shares of cases detected and named over the planted size, one panel a family, with 95 %
     intervals."""
-    lines = math.ceil(len(curves) / _COLUMNS)
     columns = min(_COLUMNS, len(curves))
-    figure = new_figure(max(4.4, 3.2 * columns), 1.3 + 2.2 * lines)
-    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
+    figure, grid = tiles(
+        names,
+        columns,
+        width,
+        (2.2, 1.3),
+        "size / noise",
+        "cases [%]",
+        "left",
+        sharex=True,
+        sharey=True,
+    )
     levels = sorted({point["level"] for points in curves.values() for point in points})
-    for axes, (name, points) in zip(grid.flat, curves.items(), strict=False):
-        styled(axes)
+    for axes, points in zip(grid, curves.values(), strict=True):
         x = [point["level"] for point in points]
         for which, colour, style in (("detected", ORANGE, (0, (4, 2))), ("named", BLUE, "-")):
             rates = [point[which] for point in points]
@@ -92,7 +99,7 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
             )  # fmt: skip
             axes.plot(
                 x, [100 * r["share"] for r in rates], color=colour, linestyle=style, marker="o",
-                markersize=3, linewidth=1.5, label=which,
+                markersize=3, linewidth=1.5, label=f"{which} (band: 95 %)",
             )  # fmt: skip
         axes.set_xscale("log")
         axes.set_xlim(0.8 * levels[0], 1.25 * levels[-1])
@@ -100,19 +107,7 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
         axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
         axes.minorticks_off()
         axes.set_ylim(-4, 104)
-        axes.set_title(_words(name), fontsize=_SMALL + 1, color=INK, loc="left")
-    for axes in list(grid.flat)[len(curves) :]:
-        axes.set_visible(False)
-    # Axis labels stand on the left, and on the lowest panel of every column.
-    for axes in grid[:, 0]:
-        label(axes, y="cases [%]")
-    for column in range(columns):
-        lowest = max(k for k in range(lines) if k * columns + column < len(curves))
-        label(grid[lowest, column], "size / noise").tick_params(labelbottom=True)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
-    bands = (f"{name} (band: 95 %)" for name in labels)
-    legend_below(figure, dict(zip(bands, handles, strict=True)), 2)
-    return finish(figure, "Detected and named, by the size of what was planted")
+    return finish(figure, "Detected and named, by the size of what was planted", grid[0], columns=2)
 
 
 def _words(name: str) -> str:

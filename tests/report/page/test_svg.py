@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from torchid.report.figures import BLUE, INK, new_figure, styled
+from torchid.report.colours import BLUE, INK
 from torchid.report.page.document import Picture
 from torchid.report.page.svg import THEME, _shorter, inline_svg
+from torchid.report.panels import new_figure, styled
 
 
 def picture(name: str = "a", title: str = "title", alt: str = "what is seen") -> Picture:

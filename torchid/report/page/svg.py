@@ -11,11 +11,9 @@ from typing import Any
 
 from lxml import etree
 
-from torchid.report.colours import BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
-from torchid.report.gap_joint_figures import AFTER, BEFORE
-from torchid.report.page.document import Picture
-from torchid.report.panels import literal
-from torchid.report.text import printable
+from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
+from torchid.report.panels import Picture, literal
+from torchid.report.table import printable
 
 THEME = {
     INK: "ink", "#000000": "ink", GREY: "grey", GRID: "grid", "#ffffff": "paper", BLUE: "blue",

@@ -1,15 +1,22 @@
-"""What a study's numbers say, for its tables, captions and page: nothing here is drawn."""
+"""What a study's numbers say, for its tables, captions and pages, and what came out of it in
+sentences: nothing here is drawn."""
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 
+from torchid.feasibility.margins import feasibility
+from torchid.feasibility.sets import nominal_set
+from torchid.report.identification import QUANTITIES
+from torchid.report.table import listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
 from torchid.typing import Float, Int, Tensor
 from torchid.wrenches.classes import class_of
+from torchid.wrenches.compare import LEAST_CLUSTERS, EffectSize
 
 ROUNDING = 1e-9
 """Share of a signal's root mean square below which a difference is called rounding."""
@@ -34,6 +41,17 @@ def count(k: int, what: str, many: str = "") -> str:
 def joint_names(study: Study) -> tuple[str, ...]:
     """Headings of one column a joint."""
     return tuple(f"joint {j + 1}" for j in range(study.robot.n))
+
+
+def coefficient_error(study: Study) -> float:
+    """The largest error of an identified coefficient."""
+    return float((study.identification.values - study.truth).abs().max())
+
+
+def feasible_runs(study: Study) -> tuple[int, int]:
+    """How many runs of all scenarios are feasible, and how many there are."""
+    feasible = [s.feasibility.feasible for s in study.scenarios]
+    return sum(int(f.sum()) for f in feasible), sum(len(f) for f in feasible)
 
 
 def by_feasibility(study: Study, feasible: bool) -> list[ScenarioResult]:
@@ -100,12 +118,6 @@ def phi_min(study: Study, result: ScenarioResult) -> float:
     return math.nan if found is None else found.phi_min
 
 
-def with_conditions(study: Study, bounds: str) -> bool:
-    """Whether the certificate of a group of bounds counts all conditions: where bounds and
-    conditions exclude each other, it is that of the bounds alone."""
-    return study.certificates[bounds].with_conditions
-
-
 def contradictions(study: Study, bounds: str) -> tuple[str, ...]:
     """Conditions that a group of bounds leaves no room for."""
     found = [s.extraction.contradictions for s in study.scenarios if s.scenario.bounds == bounds]
@@ -145,14 +157,168 @@ def at_joint(values: Sequence[float], unit: str = "") -> str:
     return f"{number(values[joint])}{unit and ' '}{unit} at joint {joint + 1}"
 
 
-def payload_numbers(study: Study) -> tuple[list[float], list[float], list[float], list[float]]:
-    """True value, estimate, lower and upper end of the 95 % interval of the ten quantities."""
-    body = InertialParameters(study.payload.true)
+class Quantity(NamedTuple):
+    """One quantity of the payload: its true value, estimate and 95 % interval."""
+
+    name: str
+    unit: str
+    true: float
+    value: float
+    low: float
+    high: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it has an estimate with an interval."""
+        return math.isfinite(self.value) and math.isfinite(self.low)
+
+    @property
+    def held(self) -> bool:
+        """Whether the interval holds the true value."""
+        return self.low <= self.true <= self.high
+
+
+def payload_quantities(study: Study) -> list[Quantity]:
+    """The ten quantities of the payload, in the tool frame."""
+    body, tool = InertialParameters(study.payload.true), study.payload.estimate.tool
     true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com])
-    tool = study.payload.estimate.tool
     parts = (tool.mass, tool.com, tool.inertia_about_com)
-    value, low, high = (
-        torch.cat([getattr(part, name) for part in parts]).tolist()
-        for name in ("value", "low", "high")
+    columns = (torch.cat([getattr(x, name) for x in parts]) for name in ("value", "low", "high"))
+    return [
+        Quantity(*named, *numbers)
+        for named, *numbers in zip(
+            QUANTITIES, true.tolist(), *(x.tolist() for x in columns), strict=True
+        )
+    ]
+
+
+def headline(study: Study) -> str:
+    """Two sentences: how many sets are feasible, and what being infeasible costs inside."""
+    good = ids(by_feasibility(study, True))
+    medians = [
+        f"{c.name} {number(c.median)}" for c in study.comparison.classes if c.median is not None
+    ]
+    inside = (
+        f" Median error of the internal force over all runs [N]: {', '.join(medians)}."
+        if medians
+        else ""
     )
-    return true.tolist(), value, low, high
+    return (
+        f"{study.settings.title}: {len(study.truth)} coefficients identified with errors up to "
+        f"{number(coefficient_error(study), 2)}; {len(good)} of {len(study.scenarios)} best sets "
+        f"feasible{f' ({listed(good)})' if good else ''}.{inside}"
+    )
+
+
+def verdict(study: Study) -> list[str]:
+    """One sentence or two for each part of the study."""
+    identified, _, true = validation_torques(study)
+    share = float((rms(identified - true) / rms(true)).max())
+    quality = "exact to rounding" if share < ROUNDING else "not exact"
+    said = [
+        f"Identification: {len(study.truth)} coefficients, largest error "
+        f"{number(coefficient_error(study), 2)}; on a new motion the torque is wrong by at most "
+        f"{number(share, 2)} of its root mean square: {quality}."
+    ]
+    asked = study.scenarios[0].extraction.problem.conditions
+    why = feasibility(nominal_set(study.robot), asked).reasons(0)
+    said.append(
+        f"Truth: the simulated arm's own parameters are not feasible ({listed(why)}), so near to "
+        "the real arm and feasible are two different things here."
+        if why
+        else "Truth: the simulated arm's own parameters are feasible."
+    )
+    said += _possible(study)
+    good, bad = by_feasibility(study, True), by_feasibility(study, False)
+    feasible, runs = feasible_runs(study)
+    failing = [f"{s.scenario.id} ({', '.join(s.reasons)})" for s in bad]
+    said.append(
+        f"Feasible: {len(good)} of the {len(study.scenarios)} best sets"
+        f"{f' ({listed(ids(good))})' if good else ''}, and {feasible} of "
+        f"{count(runs, 'run')}.{f' Not feasible: {listed(failing)}.' if failing else ''}"
+    )
+    off, real = torque_errors(study.sets_motion)
+    exact, others = [], []
+    for name, row in zip(study.sets_motion.labels[1:], off / real, strict=True):
+        if float(row.max()) < ROUNDING:
+            exact.append(name)
+        else:
+            others.append(f"{name} {at_joint((100 * row).tolist(), '%')}")
+    largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
+    said.append(
+        "Torque on a new motion: equal to the real one to rounding with "
+        f"{listed(exact, nothing='no set')}{largest}."
+    )
+    effects = study.comparison.effects
+    said += [_class(study, e) for e in effects if not math.isnan(e.ratio.value)]
+    skipped = [f"{e.first} ({e.sets[0]})" for e in effects if math.isnan(e.ratio.value)]
+    if skipped:
+        said.append(f"Internal forces: not compared for lack of sets: {listed(skipped)}.")
+    said.append(_payload(study))
+    return said + [f"Noticed: {warning}" for warning in study.warnings]
+
+
+def _possible(study: Study) -> list[str]:
+    """What the certificates say: the least loss of a feasible set, and what forces it."""
+    free = [b for b, c in study.certificates.items() if c.exact and c.with_conditions]
+    out = []
+    if free:
+        out.append(
+            f"Possible: within the bounds {listed(free)} there are feasible sets with exactly the "
+            "identified coefficients (phi_min = 0)."
+        )
+    for bounds, c in study.certificates.items():
+        if math.isinf(c.phi_min):
+            out.append(f"Impossible: within the bounds {bounds} there is no physical set.")
+            continue
+        if math.isnan(c.phi_min):
+            out.append(f"Unknown: within the bounds {bounds} the solver failed.")
+            continue
+        whose = "feasible" if c.with_conditions else "physical"
+        if c.phi_min > 0:
+            why = f" Forced by {listed(c.forcing)}." if c.forcing else ""
+            out.append(
+                f"Impossible: within the bounds {bounds} no {whose} set has a loss below phi_min = "
+                f"{number(c.phi_min, 4)} (a set with {number(c.phi_strict, 4)} was found), so "
+                f"none has exactly the identified coefficients.{why}"
+            )
+        elif not c.exact:
+            out.append(
+                f"Open: within the bounds {bounds} the least loss of a {whose} set lies between 0 "
+                f"and {number(c.phi_strict, 4)}."
+            )
+    return out
+
+
+def _class(study: Study, e: EffectSize) -> str:
+    low, high = e.ratio.low, e.ratio.high
+    distinct = {name: distinct_errors(study, name) for name in (e.first, e.second)}
+    few = [f"{k} different among '{name}'" for name, k in distinct.items() if k < LEAST_CLUSTERS]
+    if few:
+        told = f"not judged: only {listed(few)}"
+    elif math.isnan(low):
+        told = "no interval can be given"
+    elif low > 1:
+        told = "larger"
+    elif high < 1:
+        told = "smaller"
+    else:
+        told = "not told apart"
+    interval = "" if math.isnan(low) else f", 95 % interval {number(low)} to {number(high)}"
+    return (
+        f"Internal forces: the errors of the {e.sets[0]} '{e.first}' sets are "
+        f"{number(e.ratio.value)} times those of the {e.sets[1]} '{e.second}' ones "
+        f"({told}{interval})."
+    )
+
+
+def _payload(study: Study) -> str:
+    mass, *_ = quantities = payload_quantities(study)
+    known = [q for q in quantities if q.known]
+    if not mass.known:
+        return "Payload: its mass is not determined."
+    return (
+        f"Payload: {number(mass.value, 6)} ± {number((mass.high - mass.low) / 2, 2)} kg against "
+        f"the true {number(mass.true, 6)} kg; the intervals hold the truth for "
+        f"{sum(q.held for q in known)} of {count(len(known), 'quantity', 'quantities')}."
+    )

@@ -2,23 +2,19 @@
 comparisons, and the torques of the identified coefficients and of the best sets."""
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from torchid.log.model import Log
-from torchid.log.sampling import sampling_rate
-from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.excitation import SIGNALS, trajectory_figure
-from torchid.report.panels import finish, label, legend_below, new_figure, styled
+from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, KEEPS, ORANGE, RED
+from torchid.report.log import SIGNALS, trajectory_figure
+from torchid.report.panels import Picture, drawing, finish, headroom, joint_rows, note, thin
 from torchid.report.study import facts
-from torchid.report.study.drawing import Drawing, Section, headroom, note, thin
 from torchid.report.study.facts import at_joint, count, number, rms
-from torchid.report.text import listed, torque_unit
-from torchid.robot.model import Robot
+from torchid.report.table import listed, torque_unit
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
-from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,14 +23,14 @@ _UNITS = ("rad", "rad/s", "rad/s²")
 """Of the signals that the report's noise is added to, where joints turn."""
 
 
-def motion_drawings(study: Study) -> list[Drawing]:
+def motion_drawings(study: Study) -> list[Picture]:
     """Every motion of the study (figures 5.1, 5.2, 5.5 and their like)."""
     planned, logged = study.excitation.trajectories(), study.log.trajectories()
     total, name = len(planned), study.robot.name
     noise, validation = study.settings.excitation.noise_db, study.settings.validation
     out = [
         _motion(
-            study.robot, "identification", f"excitation_{k}", plan,
+            study, "identification", f"excitation_{k}", plan,
             f"{name}: exciting trajectory {k} of {total}",
             f"Exciting trajectory {k} of {total}, {_sampling(plan)}, per joint. ", log, noise,
         )
@@ -50,8 +46,8 @@ def motion_drawings(study: Study) -> list[Drawing]:
             "The noise of exciting trajectory 1 alone: the noisy minus the planned motion, with "
             f"its root mean square in each panel. Largest: {listed(largest)}."
         )
-        noise_only = partial(_noise_figure, study.robot, plan, log)
-        out.append(Drawing("identification", "excitation_noise", caption, noise_only))
+        noise_only = partial(_noise_figure, study, plan, log)
+        out.append(drawing("identification", "excitation_noise", caption, noise_only))
     plan = new_motion(study.robot, validation)
     caption = (
         f"The sinusoidal motion that validates the coefficients, {_sampling(plan)}; it takes no "
@@ -60,11 +56,11 @@ def motion_drawings(study: Study) -> list[Drawing]:
     title = f"{name}: motion of the validation"
     out.append(
         _motion(
-            study.robot, "identification", "validation_motion", plan, title, caption,
+            study, "identification", "validation_motion", plan, title, caption,
             study.validation, validation.noise_db,
         )
     )  # fmt: skip
-    comparisons: tuple[tuple[Section, str, Log, str], ...] = (
+    comparisons: tuple[tuple[str, str, Log, str], ...] = (
         ("validation", "sets_motion", study.sets_motion.motion,
          "The motion on which the torques of the best sets are compared"),
         ("wrenches", "reference_motion", study.wrench_motion.motion,
@@ -73,57 +69,54 @@ def motion_drawings(study: Study) -> list[Drawing]:
     for section, file, motion, what in comparisons:
         title = f"{name}: {file.replace('_', ' ')}"
         caption = f"{what}, {_sampling(motion)}. "
-        out.append(_motion(study.robot, section, file, motion, title, caption))
+        out.append(_motion(study, section, file, motion, title, caption))
     return out
 
 
 def _motion(
-    robot: Robot,
-    section: Section,
+    study: Study,
+    section: str,
     file: str,
     plan: Log,
     title: str,
     caption: str,
     log: Log | None = None,
     noise_db: float | None = None,
-) -> Drawing:
+) -> Picture:
     """A planned motion with the robot's limits, under the noisy one, if it is noisy."""
     noisy = None if noise_db is None else log
-    caption += _use(robot, plan)
+    robot = study.robot
+    caption += _use(study, plan)
     if noisy is not None:
-        caption += _noise(robot, plan, noisy, noise_db)
-    return Drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
+        caption += _noise(study, plan, noisy, noise_db)
+    return drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
 
 
-def _noise_figure(robot: Robot, plan: Log, log: Log) -> "Figure":
+def _noise_figure(study: Study, plan: Log, log: Log) -> "Figure":
     """The noise alone: at the scale of the motion it is as wide as a line."""
-    figure = new_figure(11, 1.0 + 1.25 * robot.n)
-    grid = figure.subplots(robot.n, 3, sharex=True, squeeze=False)
+    robot = study.robot
+    headings = [f"{name} [{unit}]" for (name, _), unit in zip(SIGNALS, _UNITS, strict=True)]
+    figure, grid = joint_rows(robot.n, headings, (11, 1.0 + 1.25 * robot.n))
     t = thin(plan.t - plan.t[0])
-    for c, (name, signal) in enumerate(SIGNALS):
+    for column, (_, signal) in zip(grid.T, SIGNALS, strict=True):
         difference = getattr(log, signal) - getattr(plan, signal)
-        grid[0, c].set_title(f"{name} [{_UNITS[c]}]", fontsize=9, color=INK)
-        label(grid[-1, c], "time [s]")
-        for j in range(robot.n):
-            axes = styled(grid[j, c])
+        for j, axes in enumerate(column):
             axes.plot(t, thin(difference[:, j]), color=ORANGE, linewidth=0.6)
             headroom(axes)
             note(axes, number(float(rms(difference)[j]), 2))
-    for j in range(robot.n):
-        label(grid[j, 0], y=f"joint {j + 1}")
     return finish(figure, f"{robot.name}: noise of exciting trajectory 1")
 
 
 def _sampling(motion: Log) -> str:
-    rate = sampling_rate(motion)[0]
+    rate = (motion.samples - 1) / motion.duration[0]
     return f"{motion.duration[0]:.4g} s at {rate:.4g} Hz ({motion.samples} instants)"
 
 
-def _use(robot: Robot, motion: Log) -> str:
+def _use(study: Study, motion: Log) -> str:
     """How much of the limits a motion uses."""
     parts = []
     for name, signal in SIGNALS:
-        limits = getattr(robot.limits, name)
+        limits = getattr(study.robot.limits, name)
         values = getattr(motion, signal)
         if limits is None or values is None or not bool(torch.isfinite(limits).all()):
             continue
@@ -134,11 +127,11 @@ def _use(robot: Robot, motion: Log) -> str:
     return f"It reaches at most {listed(parts)}; limits are red." if parts else ""
 
 
-def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
+def _noise(study: Study, plan: Log, log: Log, noise_db: float | None) -> str:
     beyond, shares = torch.zeros(log.samples, dtype=torch.bool), []
     for name, signal in SIGNALS:
         limits, values, clean = (
-            getattr(x, y) for x, y in ((robot.limits, name), (log, signal), (plan, signal))
+            getattr(x, y) for x, y in ((study.robot.limits, name), (log, signal), (plan, signal))
         )
         shares.append(float((rms(values - clean) / rms(clean)).max()))
         if limits is not None:
@@ -153,7 +146,7 @@ def _noise(robot: Robot, plan: Log, log: Log, noise_db: float | None) -> str:
     )
 
 
-def torque_drawings(study: Study) -> list[Drawing]:
+def torque_drawings(study: Study) -> list[Picture]:
     """Torques of the validation and of the best sets (figures 5.3, 5.4 and their like)."""
     identified, rebuilt, true = facts.validation_torques(study)
     size = rms(true)
@@ -173,17 +166,18 @@ def torque_drawings(study: Study) -> list[Drawing]:
         f"{number(worst)} of its root mean square (joint {where}); {verdict}. The reconstructed "
         f"one differs by at most {number(other)}: as far as the regrouping itself is exact."
     )
-    validation = Drawing(
+    validation = drawing(
         "identification", "validation_torque", caption,
-        lambda: _torque_figure(study, identified, rebuilt, true),
+        lambda: _torque_figure(study),
     )  # fmt: skip
     return [validation, _sets_torque(study)]
 
 
-def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tensor) -> "Figure":
-    n = study.robot.n
-    figure = new_figure(11, 1.2 + 1.35 * n)
-    grid = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
+def _torque_figure(study: Study) -> "Figure":
+    identified, rebuilt, true = facts.validation_torques(study)
+    n, unit = study.robot.n, torque_unit(study.robot, "N m; N")
+    headings = (f"torque [{unit}]", f"residual [{unit}]")
+    figure, grid = joint_rows(n, headings, (11, 1.2 + 1.35 * n), width_ratios=(3, 2))
     t = thin(study.validation.t - study.validation.t[0])
     lines = (
         (identified, "identified", RED, "-", 2.6),
@@ -194,27 +188,19 @@ def _torque_figure(study: Study, identified: Tensor, rebuilt: Tensor, true: Tens
         (identified - true, "identified - true", ORANGE),
         (rebuilt - true, "reconstructed - true", GREY),
     )
-    for j in range(n):
-        left, right = styled(grid[j, 0]), styled(grid[j, 1])
+    for j, (left, right) in enumerate(grid):
         for values, name, colour, style, width in lines:
             left.plot(t, thin(values[:, j]), style, color=colour, linewidth=width, label=name)
         for values, name, colour in residuals:
             right.plot(t, thin(values[:, j]), color=colour, linewidth=0.7, label=name)
-        label(left, y=f"joint {j + 1}")
         right.yaxis.get_offset_text().set_fontsize(8)
-        largest = float((identified - true)[:, j].abs().max())
         headroom(right)
-        note(right, f"largest {number(largest, 2)}")
-    unit = torque_unit(study.robot, "N m; N")
-    for axes, name in zip(grid[0], (f"torque [{unit}]", f"residual [{unit}]"), strict=True):
-        axes.set_title(name, fontsize=9, color=INK)
-    for axes in grid[-1]:
-        label(axes, "time [s]")
+        note(right, f"largest {number(float((identified - true)[:, j].abs().max()), 2)}")
     title = f"{study.robot.name}: torque on the motion of the validation"
     return finish(figure, title, *grid[0], columns=5)
 
 
-def _sets_torque(study: Study) -> Drawing:
+def _sets_torque(study: Study) -> Picture:
     error, real = facts.torque_errors(study.sets_motion)
     share, unit = error / real, torque_unit(study.robot, "N m; N")
     names = study.sets_motion.labels[1:]
@@ -238,33 +224,28 @@ def _sets_torque(study: Study) -> Drawing:
         f"parameters (grey) per joint (rows) [{unit}], on a motion that took no part in anything "
         f"before; the number is the root mean square difference. {' '.join(sentences)}"
     )
-    return Drawing("validation", "sets_torque", caption, lambda: _sets_figure(study, error))
+    return drawing("validation", "sets_torque", caption, lambda: _sets_figure(study))
 
 
-def _sets_figure(study: Study, error: Tensor) -> "Figure":
-    sets, n = study.sets_motion, study.robot.n
-    k = len(sets.labels) - 1
-    figure = new_figure(max(6.0, 1.0 + 2.05 * k), 1.2 + 1.2 * n)
-    grid = figure.subplots(n, k, sharex=True, sharey="row", squeeze=False)
+def _sets_figure(study: Study) -> "Figure":
+    error, _ = facts.torque_errors(study.sets_motion)
+    sets, n, unit = study.sets_motion, study.robot.n, torque_unit(study.robot, "N m; N")
+    names = sets.labels[1:]
+    size = max(6.0, 1.0 + 2.05 * len(names)), 1.2 + 1.2 * n
+    figure, grid = joint_rows(n, names, size, sharey="row")
     t = thin(sets.motion.t)
-    for s in range(k):
-        colour = GREEN if study.scenarios[s].feasible else RED
-        for j in range(n):
-            axes = styled(grid[j, s])
-            axes.plot(t, thin(sets.torque[0, :, j]), color=GREY, linewidth=3.0, label="real")
+    for s, column in enumerate(grid.T):
+        colour = KEEPS if study.scenarios[s].feasible else BREAKS
+        for j, axes in enumerate(column):
+            axes.plot(t, thin(sets.torque[0, :, j]), color=GREY, linewidth=3.0)
             axes.plot(t, thin(sets.torque[s + 1, :, j]), "--", color=colour, linewidth=1.1)
             note(axes, number(float(error[s, j]), 2))
-            if s == k - 1:
+            if s == len(names) - 1:
                 headroom(axes)
-        grid[0, s].set_title(sets.labels[s + 1], fontsize=9, color=INK)
-        label(grid[-1, s], "time [s]")
-    for j in range(n):
-        label(grid[j, 0], y=f"joint {j + 1}")
-    handles = {
-        "real": grid[0, 0].plot([], [], color=GREY, linewidth=3.0)[0],
-        "feasible set": grid[0, 0].plot([], [], "--", color=GREEN)[0],
-        "infeasible set": grid[0, 0].plot([], [], "--", color=RED)[0],
+    keys: dict[str, dict[str, Any]] = {
+        "real": {"color": GREY, "linewidth": 3.0},
+        "feasible set": {"color": KEEPS, "linestyle": "--"},
+        "infeasible set": {"color": BREAKS, "linestyle": "--"},
     }
-    legend_below(figure, handles, 3)
-    unit = torque_unit(study.robot, "N m; N")
-    return finish(figure, f"{study.robot.name}: torque [{unit}] of the best sets on a new motion")
+    title = f"{study.robot.name}: torque [{unit}] of the best sets on a new motion"
+    return finish(figure, title, columns=3, keys=keys)

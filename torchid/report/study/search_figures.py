@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report.colours import BLUE, GREY, INK
-from torchid.report.panels import finish, label, new_figure, panel, styled
+from torchid.report.colours import BLUE, BREAKS, GREY, INK, KEEPS
+from torchid.report.panels import Picture, drawing, finish, label, panel, spread
 from torchid.report.study import facts
-from torchid.report.study.drawing import BREAKS, KEEPS, Drawing, floored, spread
 from torchid.report.study.facts import count, ids, kept, number
-from torchid.report.text import listed
+from torchid.report.table import listed
 from torchid.study.result import ScenarioResult, Study
+from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,13 +25,13 @@ _REACHED = 1.01
 """Times phi_min up to which a loss counts as having reached it."""
 
 
-def search_drawings(study: Study) -> list[Drawing]:
+def search_drawings(study: Study) -> list[Picture]:
     """Convergence, losses and degrees of all runs."""
     return [
-        Drawing("extraction", "search_convergence", _convergence_caption(study),
+        drawing("extraction", "search_convergence", _convergence_caption(study),
                 lambda: _convergence(study)),
-        Drawing("extraction", "search_losses", _losses_caption(study), lambda: _losses(study)),
-        Drawing("classification", "degrees", _degrees_caption(study), lambda: _degrees(study)),
+        drawing("extraction", "search_losses", _losses_caption(study), lambda: _losses(study)),
+        drawing("classification", "degrees", _degrees_caption(study), lambda: _degrees(study)),
     ]  # fmt: skip
 
 
@@ -56,21 +56,21 @@ def _convergence_caption(study: Study) -> str:
 
 def _convergence(study: Study) -> "Figure":
     k = len(study.scenarios)
-    figure = new_figure(max(6.0, 1.0 + 2.1 * k), 5.6)
-    grid = figure.subplots(2, k, sharex=True, sharey="row", squeeze=False)
+    width = max(6.0, 1.0 + 2.1 * k)
+    figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
     gammas = torch.cat([s.extraction.history_gamma.flatten() for s in study.scenarios])
     positive = gammas[(gammas > 0) & torch.isfinite(gammas)]
     zero = 10.0 ** (math.floor(math.log10(float(positive.min()))) - 1) if len(positive) else 1e-1
     for c, s in enumerate(study.scenarios):
-        histories = (
-            floored(s.extraction.history_phi, _LEAST_PHI),
-            floored(s.extraction.history_gamma, zero),
-        )
-        for axes, values in zip(grid[:, c], histories, strict=True):
-            styled(axes).set_yscale("log")
+        e = s.extraction
+        for axes, history, floor in zip(
+            grid[:, c], (e.history_phi, e.history_gamma), (_LEAST_PHI, zero), strict=True
+        ):
+            values = _floored(history, floor)
+            axes.set_yscale("log")
             stages = np.arange(1, values.shape[1] + 1)
             axes.plot(stages, values.T, color=GREY, linewidth=0.5, alpha=0.7)
-            axes.plot(stages, values[s.extraction.best], color=BLUE, linewidth=2.0)
+            axes.plot(stages, values[e.best], color=BLUE, linewidth=2.0)
         least = facts.phi_min(study, s)
         if _LEAST_PHI < least < math.inf:
             grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
@@ -83,12 +83,14 @@ def _convergence(study: Study) -> "Figure":
     grid[1, 0].set_ylim(bottom=zero / 10)
     label(grid[0, 0], y="phi")
     label(grid[1, 0], y="gamma")
-    empty = grid[0, 0]
-    empty.plot([], [], color=GREY, linewidth=0.8, label="runs")
-    empty.plot([], [], color=BLUE, linewidth=2.0, label="best run")
-    if any(_LEAST_PHI < facts.phi_min(study, s) < math.inf for s in study.scenarios):
-        empty.plot([], [], color=BREAKS, linewidth=1.2, label="phi_min")
-    return finish(figure, f"{study.robot.name}: the search, stage by stage", empty)
+    keys = {
+        "runs": {"color": GREY, "linewidth": 0.8},
+        "best run": {"color": BLUE, "linewidth": 2.0},
+        "phi_min": {"color": BREAKS, "linewidth": 1.2},
+    }
+    if not any(_LEAST_PHI < facts.phi_min(study, s) < math.inf for s in study.scenarios):
+        del keys["phi_min"]
+    return finish(figure, f"{study.robot.name}: the search, stage by stage", keys=keys)
 
 
 def _losses_caption(study: Study) -> str:
@@ -124,7 +126,7 @@ def _losses(study: Study) -> "Figure":
     axes.set_yscale("log")
     for c, s in enumerate(study.scenarios):
         e = s.extraction
-        before, after = (floored(x, _LEAST_PHI) for x in (e.searched_phi, e.phi))
+        before, after = (_floored(x, _LEAST_PHI) for x in (e.searched_phi, e.phi))
         axes.scatter(c - 0.2 + spread(len(before), 1, 0.1), before, s=10, color=GREY, linewidth=0)
         place = c + 0.15 + spread(len(after), 2, 0.12)
         _marks(axes, s, place, after)
@@ -137,6 +139,11 @@ def _losses(study: Study) -> "Figure":
     axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
     title = f"{study.robot.name}: losses of all runs against what is possible"
     return finish(figure, title, axes, columns=5)
+
+
+def _floored(values: Tensor, floor: float) -> np.ndarray:
+    """Values for a logarithmic axis: what is smaller than the floor is drawn on it."""
+    return torch.nan_to_num(values, nan=torch.inf).clamp(min=floor).cpu().numpy()
 
 
 def _marks(axes: Any, s: ScenarioResult, place: np.ndarray, values: np.ndarray) -> None:

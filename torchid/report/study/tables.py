@@ -3,11 +3,9 @@
 import math
 from collections import Counter
 
-from torchid.report.payload import QUANTITIES
 from torchid.report.study import facts
 from torchid.report.study.facts import count, kept, number
-from torchid.report.table import Table
-from torchid.report.text import listed, torque_unit
+from torchid.report.table import Table, listed, torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
 from torchid.wrenches.resampling import Estimate
@@ -43,7 +41,7 @@ def scenario_table(study: Study) -> Table:
         for s in study.scenarios
     ]  # fmt: skip
     # For some bounds phi_min does not count the conditions.
-    alone = [b for b in study.certificates if not facts.with_conditions(study, b)]
+    alone = [b for b, c in study.certificates.items() if not c.with_conditions]
     note = f" For the bounds {listed(alone)}, phi_min is that of the bounds and physics alone."
     return Table(
         "best set of each scenario (tables 5.2 to 5.5)",
@@ -92,7 +90,7 @@ def certificate_table(study: Study) -> Table | None:
         active = [
             f"{name} ({number(v, 4)})" for name, v in released if v < (1 - _ACTIVE) * c.phi_min
         ]
-        conditions = "all" if facts.with_conditions(study, bounds) else "bounds and physics only"
+        conditions = "all" if c.with_conditions else "bounds and physics only"
         no_room = facts.contradictions(study, bounds) or c.conflict
         stands = (", ".join(x) or "-" for x in (c.forcing, active, no_room, c.relaxed_active))
         losses = (number(c.phi_min, 4), number(c.phi_strict, 4))
@@ -144,7 +142,7 @@ def torque_table(study: Study) -> Table:
     unit = torque_unit(study.robot, "N m; N")
     return Table(
         f"torque of the best sets on a new motion: root mean square error per joint [{unit}]",
-        ("set", *_joint_names(study), "largest share"),
+        ("set", *facts.joint_names(study), "largest share"),
         rows,
         words=("set",),
     )
@@ -160,7 +158,7 @@ def set_wrench_table(study: Study) -> Table:
     return Table(
         "internal wrenches of the best sets: root mean square of the force error per joint [N], "
         "largest moment error [N m]",
-        ("set", "feasible", *_joint_names(study), "moment"),
+        ("set", "feasible", *facts.joint_names(study), "moment"),
         [
             (name, said, *(number(v) for v in force.tolist()), number(float(moment.max())))
             for name, said, force, moment in sets
@@ -222,12 +220,12 @@ def reason_error_table(study: Study) -> Table:
 def payload_table(study: Study) -> Table:
     """True and estimated payload in the tool frame, with intervals."""
     rows = []
-    for named, t, v, a, b in zip(QUANTITIES, *facts.payload_numbers(study), strict=True):
-        value = number(v, 4) if math.isfinite(v) else "not known"
+    for q in facts.payload_quantities(study):
+        value = number(q.value, 4) if math.isfinite(q.value) else "not known"
         ends = ("-", "-")
-        if math.isfinite(a):
-            ends = (f"{number(a, 4)} .. {number(b, 4)}", "yes" if a <= t <= b else "no")
-        rows.append((*named, number(t, 4), value, *ends))
+        if math.isfinite(q.low):
+            ends = (f"{number(q.low, 4)} .. {number(q.high, 4)}", "yes" if q.held else "no")
+        rows.append((q.name, q.unit, number(q.true, 4), value, *ends))
     return Table(
         "payload in the tool frame, inertia about its centre of mass",
         ("quantity", "unit", "true", "estimated", "95 % interval", "true inside"),
@@ -244,10 +242,6 @@ def all_tables(study: Study) -> list[Table]:
         class_table(study), payload_table(study),
     )  # fmt: skip
     return [table for table in found if table is not None]
-
-
-def _joint_names(study: Study) -> list[str]:
-    return [f"joint {j + 1}" for j in range(study.robot.n)]
 
 
 def _summary(c: ClassSummary) -> tuple[str, ...]:

@@ -9,40 +9,52 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import finish, label, new_figure, panel, rows_of, styled
-from torchid.report.payload import QUANTITIES
-from torchid.report.study import drawing, facts
-from torchid.report.study.drawing import BREAKS, KEEPS, REAL, Drawing, joint_panels, spread, thin
+from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
+from torchid.report.panels import (
+    Picture,
+    drawing,
+    finish,
+    label,
+    panel,
+    rows_of,
+    spread,
+    thin,
+    tiles,
+)
+from torchid.report.study import facts
 from torchid.report.study.facts import at_joint, count, ids, number, rms
-from torchid.report.text import listed
+from torchid.report.table import listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
-from torchid.wrenches.classes import FEASIBLE, ordered_classes
+from torchid.wrenches.classes import FEASIBLE, MIXED, ordered_classes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_CLASS_COLOURS = {FEASIBLE: GREEN, "inertia only": BLUE, "CoM only": ORANGE, MIXED: RED}
+"""Of the classes of reasons; the others are grey."""
+_STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
+"""Lines that tell apart sets of one colour."""
 _FAR = 8.0
 """Times the real arm's largest value from which a logarithmic axis is easier to read."""
 _DECADES = 1e-3
 """Share of the real arm's largest value down to which a logarithmic axis goes."""
 
 
-def wrench_drawings(study: Study) -> list[Drawing]:
+def wrench_drawings(study: Study) -> list[Picture]:
     """Overviews, combinations, and errors of all runs."""
     wrench, name = study.wrench_motion, study.robot.name
     chosen: list[tuple[Any, ...]] = [("real", "real", REAL)]
     for feasible, colour in ((True, KEEPS), (False, BREAKS)):
         for k, own in enumerate(ids(facts.by_feasibility(study, feasible))):
             said = f"{own} ({'feasible' if feasible else 'infeasible'})"
-            chosen.append((said, own, colour, drawing.STYLES[k % len(drawing.STYLES)]))
+            chosen.append((said, own, colour, _STYLES[k % len(_STYLES)]))
     out = []
     for what, unit, values in (("force", "N", wrench.force), ("moment", "N m", wrench.moment)):
         title = f"{name}: internal {what}s of all best sets"
         draw = partial(_norms, wrench, values, chosen, title, f"{what} norm [{unit}]")
         caption = _overview_caption(study, what, unit, values)
-        out.append(Drawing("wrenches", f"overview_{what}", caption, draw))
+        out.append(drawing("wrenches", f"overview_{what}", caption, draw))
     # Pairs of a feasible and an infeasible best set; one of them is None where there is none.
     good: list[str | None] = [*ids(facts.by_feasibility(study, True))] or [None]
     bad: list[str | None] = [*ids(facts.by_feasibility(study, False))] or [None]
@@ -54,7 +66,7 @@ def wrench_drawings(study: Study) -> list[Drawing]:
         draw = partial(
             _norms, wrench, wrench.force, [("real", "real", REAL), *shown], title, "force norm [N]"
         )
-        out.append(Drawing("wrenches", file, _combination_caption(study, a, b), draw))
+        out.append(drawing("wrenches", file, _combination_caption(study, a, b), draw))
     return [*out, _errors(study)]
 
 
@@ -117,6 +129,13 @@ def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, 
     )
 
 
+def _joint_tiles(n: int, what: str) -> "tuple[Figure, list[Any]]":
+    """A panel a joint over time: in a row up to three joints, else in two columns."""
+    joints = [f"joint {j + 1}" for j in range(n)]
+    columns = n if n <= 3 else 2
+    return tiles(joints, columns, 11.0, (2.0, 1.1), "time [s]", what, "left", sharex=True)
+
+
 def _norms(
     sets: SetsOnMotion,
     values: Float[Tensor, "S T n"],
@@ -130,7 +149,7 @@ def _norms(
     shown = values[list(rows.values())]
     top, real = shown.amax((0, 1)), values[0].amax(0)
     far = bool((top > _FAR * real.clamp(min=1e-9)).any())
-    figure, panels = joint_panels(n, what)
+    figure, panels = _joint_tiles(n, what)
     t = thin(sets.motion.t - sets.motion.t[0])
     for j, axes in enumerate(panels):
         for text, name, colour, *style in chosen:
@@ -147,7 +166,7 @@ def _norms(
     return finish(figure, title, panels[0], columns=len(chosen))
 
 
-def _errors(study: Study) -> Drawing:
+def _errors(study: Study) -> Picture:
     comparison = study.comparison
     rho = comparison.correlation_infeasible.rho
     sentences = [
@@ -176,17 +195,14 @@ def _errors(study: Study) -> Drawing:
         "and the classes side by side with medians and quartiles. "
         f"{'; '.join(sentences)}. {said} Crosses mark the best sets."
     )
-    return Drawing("wrenches", "force_error_by_degree", caption, lambda: _error_figure(study))
+    return drawing("wrenches", "force_error_by_degree", caption, lambda: _error_figure(study))
 
 
 def _error_figure(study: Study) -> "Figure":
     error = study.errors.force_rms.amax(-1)
     degree, classes = facts.all_degrees(study), facts.run_classes(study)
     names = ordered_classes(classes)
-    figure = new_figure(12, 4.8)
-    inside, outside, beside = (
-        styled(x) for x in figure.subplots(1, 3, sharey=True, width_ratios=(2, 3, 2))
-    )
+    figure, (inside, outside, beside) = panel(12, 4.8, 1, 3, sharey=True, width_ratios=(2, 3, 2))
     for axes in (inside, outside):
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -195,7 +211,7 @@ def _error_figure(study: Study) -> "Figure":
     for c, name in enumerate(names):
         own = torch.tensor([x == name for x in classes])
         axes = inside if name == FEASIBLE else outside
-        colour = drawing.CLASS_COLOURS.get(name, GREY)
+        colour = _CLASS_COLOURS.get(name, GREY)
         depth = degree[own].abs().clamp(min=1e-12)
         axes.scatter(depth, error[own], s=16, color=colour, alpha=0.7, linewidth=0)
         axes.scatter(depth[best[own]], error[own & best], s=60, color=INK, marker="x", linewidth=1)
@@ -206,8 +222,8 @@ def _error_figure(study: Study) -> "Figure":
         beside.hlines(median, c - 0.35, c + 0.35, color=INK, linewidth=1.6)
         outside.scatter([], [], s=16, color=colour, label=name)
     for axes in (inside, outside):
-        drawing.decades(axes.xaxis)
-    drawing.decades(inside.yaxis)
+        _decades(axes.xaxis)
+    _decades(inside.yaxis)
     if FEASIBLE not in names:
         inside.text(0.5, 0.5, "no run is feasible", transform=inside.transAxes, ha="center",
                     fontsize=9, color=GREY)  # fmt: skip
@@ -220,20 +236,31 @@ def _error_figure(study: Study) -> "Figure":
     return finish(figure, title, outside, columns=7)
 
 
-def payload_drawings(study: Study) -> list[Drawing]:
+def _decades(axis: Any) -> None:
+    """A logarithmic axis of whole decades, with a label at each and none between."""
+    from matplotlib.ticker import NullFormatter
+
+    low, high = axis.get_data_interval()
+    if 0 < low <= high < math.inf:
+        first = math.floor(math.log10(low))
+        last = max(first + 1, math.ceil(math.log10(high)))
+        axis.axes.set(**{f"{axis.axis_name}lim": (10.0**first, 10.0**last)})
+    axis.set_minor_formatter(NullFormatter())
+
+
+def payload_drawings(study: Study) -> list[Picture]:
     """Estimate against truth, and internal forces without and with the payload."""
     return [
-        Drawing("payload", "payload_estimate", _estimate_caption(study), lambda: _estimate(study)),
-        Drawing("payload", "payload_force", _force_caption(study), lambda: _force(study)),
+        drawing("payload", "payload_estimate", _estimate_caption(study), lambda: _estimate(study)),
+        drawing("payload", "payload_force", _force_caption(study), lambda: _force(study)),
     ]
 
 
 def _estimate_caption(study: Study) -> str:
-    truth, value, low, high = facts.payload_numbers(study)
-    rows = list(zip(QUANTITIES, truth, value, low, high, strict=True))
-    known = [row for row in rows if math.isfinite(row[3]) and math.isfinite(row[4])]
-    missed = [name for (name, _), t, _, a, b in known if not a <= t <= b]
-    unknown = [name for (name, _), _, v, _, _ in rows if not math.isfinite(v)]
+    quantities = facts.payload_quantities(study)
+    known = [q for q in quantities if math.isfinite(q.low) and math.isfinite(q.high)]
+    missed = [q.name for q in known if not q.held]
+    unknown = [q.name for q in quantities if not math.isfinite(q.value)]
     text = (
         "The payload estimated from two runs of the exciting motion with the noise of real "
         "sensors (encoder steps, noisy torque), without and with it: error of each quantity in "
@@ -248,22 +275,19 @@ def _estimate_caption(study: Study) -> str:
 
 
 def _estimate(study: Study) -> "Figure":
-    truth, value, low, high = facts.payload_numbers(study)
     figure, axes = panel(9, 4.2)
     axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
     axes.axvline(0, color=GREY, linewidth=0.8)
     labels, largest = [], 2.0
-    for k, (name, unit) in enumerate(QUANTITIES):
-        half = (high[k] - low[k]) / 2
-        error = (value[k] - truth[k]) / half if half > 0 else math.nan
+    for k, q in enumerate(facts.payload_quantities(study)):
+        half = (q.high - q.low) / 2
+        error, shown = (q.value - q.true) / half if half > 0 else math.nan, "not known"
         if math.isfinite(error):
             axes.errorbar(error, k, xerr=1, fmt="o", markersize=4, capsize=3, linewidth=1,
                           color=BLUE if abs(error) <= 1 else RED)  # fmt: skip
             largest = max(largest, 1.15 * abs(error) + 1)
-            shown = f"{number(value[k], 4)} ± {number(half, 2)}"
-        else:
-            shown = "not known"
-        labels.append(f"{name} [{unit}]\n{shown}, true {number(truth[k], 4)}")
+            shown = f"{number(q.value, 4)} ± {number(half, 2)}"
+        labels.append(f"{q.name} [{q.unit}]\n{shown}, true {number(q.true, 4)}")
     rows_of(axes, labels, 6.5)
     axes.set_xlim(-largest, largest)
     label(axes, "(estimated - true) / half-width of the 95 % interval")
@@ -286,7 +310,7 @@ def _force_caption(study: Study) -> str:
 
 
 def _force(study: Study) -> "Figure":
-    figure, panels = joint_panels(study.robot.n, "force norm [N]")
+    figure, panels = _joint_tiles(study.robot.n, "force norm [N]")
     motion = study.wrench_motion.motion
     t = thin(motion.t - motion.t[0])
     lines = (

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.report import panels
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, GRID, INK, ORANGE, PURPLE, RED
-from torchid.report.panels import legend_below, new_figure, panel, styled
-from torchid.report.wrenches.tables import label
+from torchid.report.panels import finish, label, panel, tiles
+from torchid.report.wrenches.tables import kind_words
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.regressor import wrench_norms
@@ -24,7 +23,6 @@ COLOURS = {
     "total_mass": BROWN,
     "inertia+com": PURPLE,
 }
-_SMALL = 8
 _LINEAR = 1e-3
 """Degrees smaller than this are drawn on a linear scale."""
 
@@ -47,7 +45,7 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
         rows = study.rows(kind)
         axes.scatter(
             degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
-            label=f"{label(kind)} ({len(rows)})",
+            label=f"{kind_words(kind)} ({len(rows)})",
         )  # fmt: skip
         # Running median of six groups of neighbours.
         order = np.argsort(degree[rows])
@@ -61,7 +59,7 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
     for text, side in ((" feasible", "left"), ("infeasible ", "right")):
         axes.text(
             0.0, 1.04, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
-            fontsize=_SMALL, color=INK,
+            fontsize=8, color=INK,
         )  # fmt: skip
     greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
     for value in greatest:
@@ -69,29 +67,27 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
         axes.annotate(
             f"greatest of any feasible set: {value:.3g} N", (0.995, value),
             xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
-            fontsize=_SMALL, color=GREEN, va="bottom", ha="right",
+            fontsize=8, color=GREEN, va="bottom", ha="right",
         )  # fmt: skip
     what = "degree (smallest margin over its scale; 0 is the boundary)"
-    panels.label(axes, what, _ERROR, size=_SMALL + 1)
+    label(axes, what, _ERROR, size=9)
     _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return _titled(figure, study, "the degree of a violation and the error of the internal forces")
+    what = "the degree of a violation and the error of the internal forces"
+    return finish(figure, f"{study.setting.robot.name}: {what}")
 
 
 def kind_figure(study: EqualTorqueStudy) -> "Figure":
     """Boxes of the force error per joint and kind, with the greatest of any set and the force."""
     n, kinds = study.setting.robot.n, study.kinds
     columns = min(n, 4)
-    lines = -(-n // columns)
-    figure = new_figure(2.6 * columns + 1.0, 3.0 * lines + 0.9)
-    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+    joints = [f"joint {j + 1}" for j in range(n)]
+    figure, grid = tiles(
+        joints, columns, 2.6 * columns + 1.0, (3.0, 0.9), y="force error [N], RMS", sharey=True
+    )
     reach = {r.kind: r.reached.tolist() for r in study.reach}
     own = study.errors.reference_force_rms.tolist()
     floor = 1e-2 * float(study.worst.median())
-    for j, axes in enumerate(grid.flat):
-        if j >= n:
-            axes.set_visible(False)
-            continue
-        styled(axes)
+    for j, axes in enumerate(grid):
         for place, kind in enumerate(kinds):
             values = study.errors.force_rms[study.rows(kind), j].clamp(min=floor).numpy()
             colour = _colour(kind)
@@ -106,17 +102,16 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
                 axes.plot(place, max(reach[kind][j], floor), marker="_", color=INK, markersize=13)
         axes.axhline(max(own[j], floor), color=GREY, linewidth=1.2, linestyle=(0, (4, 2)))
         axes.set_yscale("log")
-        axes.set_title(f"joint {j + 1}", fontsize=9, color=INK)
-        shown = [label(k) for k in kinds]
+        shown = [kind_words(k) for k in kinds]
         axes.set_xticks(range(len(kinds)), shown, rotation=40, ha="right", fontsize=7)
-        if j % columns == 0:
-            panels.label(axes, y="force error [N], RMS")
-    meanings = {
-        "the force itself (RMS)": _line(GREY, 1.2, linestyle=(0, (4, 2))),
-        "greatest of any set of the kind": _line(INK, 0, marker="_", markersize=12),
-    }
-    legend_below(figure, meanings, 2)
-    return _titled(figure, study, "force error per joint and kind of violation")
+    keys = {
+        "the force itself (RMS)": {"color": GREY, "linewidth": 1.2, "linestyle": (0, (4, 2))},
+        "greatest of any set of the kind": {
+            "color": INK, "linewidth": 0, "marker": "_", "markersize": 12,
+        },
+    }  # fmt: skip
+    title = f"{study.setting.robot.name}: force error per joint and kind of violation"
+    return finish(figure, title, columns=2, keys=keys)
 
 
 def mass_figure(study: EqualTorqueStudy) -> "Figure":
@@ -127,16 +122,17 @@ def mass_figure(study: EqualTorqueStudy) -> "Figure":
         rows = study.rows(kind)
         axes.scatter(
             weight[rows].numpy(), study.worst[rows].numpy(), s=12, color=_colour(kind), alpha=0.6,
-            linewidths=0, label=label(kind),
+            linewidths=0, label=kind_words(kind),
         )  # fmt: skip
     ends = [float(study.worst.min()), float(study.worst.max())]
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.set_xscale("log")
     axes.set_yscale("log")
     what = "weight of the carried mass's error, largest joint [N]"
-    panels.label(axes, what, _ERROR, size=_SMALL + 1)
+    label(axes, what, _ERROR, size=9)
     _legend(axes)
-    return _titled(figure, study, "the error is the weight of wrongly placed mass")
+    title = f"{study.setting.robot.name}: the error is the weight of wrongly placed mass"
+    return finish(figure, title)
 
 
 def time_figure(study: EqualTorqueStudy) -> "Figure":
@@ -151,24 +147,25 @@ def time_figure(study: EqualTorqueStudy) -> "Figure":
     force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
     columns = 1 if n <= 3 else 2
     lines = -(-n // columns)
-    figure = new_figure(7.0 if columns == 1 else 11.0, 1.5 * lines + 1.2)
-    grid = figure.subplots(lines, columns, sharex=True, squeeze=False)
+    size = (7.0 if columns == 1 else 11.0, 1.5 * lines + 1.2)
+    figure, grid = panel(*size, lines, columns, sharex=True, squeeze=False)
     t = np.arange(force.shape[1]) / (study.rate or 1.0)
     for j, axes in enumerate(grid.T.flat):
         if j >= n:
             axes.set_visible(False)
             continue
-        styled(axes)
         for k, kind in enumerate(kinds, start=1):
             axes.plot(t, force[k, :, j].numpy(), color=_colour(kind), linewidth=1.1)
         axes.plot(t, force[0, :, j].numpy(), color=INK, linewidth=1.8)
-        panels.label(axes, y=f"joint {j + 1} [N]")
+        label(axes, y=f"joint {j + 1} [N]")
     for axes in grid[-1]:
-        panels.label(axes, "sample" if study.rate is None else "time [s]")
+        label(axes, "sample" if study.rate is None else "time [s]")
         axes.tick_params(labelbottom=True)
-    sets = {f"{label(k)}, median set": _line(_colour(k), 1.1) for k in kinds}
-    legend_below(figure, {"reference": _line(INK, 1.8), **sets}, 4)
-    return _titled(figure, study, "norms of the internal forces, all with the same torque")
+    keys = {"reference": {"color": INK, "linewidth": 1.8}}
+    for kind in kinds:
+        keys[f"{kind_words(kind)}, median set"] = {"color": _colour(kind), "linewidth": 1.1}
+    title = f"{study.setting.robot.name}: norms of the internal forces, all with the same torque"
+    return finish(figure, title, keys=keys)
 
 
 _ERROR = "force error, largest joint [N], RMS over the motion"
@@ -180,17 +177,7 @@ def _colour(kind: str) -> str:
 
 def _legend(axes: Any, **where: Any) -> None:
     place = where or {"loc": "lower right"}
-    legend = axes.legend(**place, frameon=True, fontsize=_SMALL, framealpha=0.9)
+    legend = axes.legend(**place, frameon=True, fontsize=8, framealpha=0.9)
     legend.get_frame().set_edgecolor(GRID)
     for handle in legend.legend_handles:
         handle.set_alpha(1.0)
-
-
-def _titled(figure: "Figure", study: EqualTorqueStudy, text: str) -> "Figure":
-    return panels.finish(figure, f"{study.setting.robot.name}: {text}")
-
-
-def _line(colour: str, width: float, **style: Any) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], color=colour, linewidth=width, **style)

@@ -10,12 +10,11 @@ import pytest
 
 from tests.gap.diagnoses import diagnosis
 from tests.report.page.reading import parsed
-from tests.report.page.test_gap_page import SHORT, made
+from tests.report.test_gap_page import SHORT, made
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.report.page import render as rendering
-from torchid.report.page.gap import gap_page
-from torchid.report.page.origin import input_files
-from torchid.report.page.render import render, require_templates, write_page
+from torchid.report.gap import gap_page
+from torchid.report.page import document as rendering
+from torchid.report.page.document import input_files, render, require_templates, write_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

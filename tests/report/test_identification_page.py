@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 
 from tests.report.page.reading import parsed, rows_of, text_of
-from tests.report.page.test_gap_page import made
+from tests.report.test_gap_page import made
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Identification, identify
 from torchid.identification.record import record
-from torchid.report.page.identification import identification_page, verdict
-from torchid.report.page.render import render
+from torchid.report.identification import identification_page, verdict
+from torchid.report.page.document import render
 from torchid.robot.library import load_robot
 
 

@@ -9,12 +9,11 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, s
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.gap.diagnosis import Budget, HowFar, Parametric, Status
 from torchid.gap.record import record
+from torchid.report.gap import STATUS, gap_page
 from torchid.report.gap_figures import budget_figure
 from torchid.report.gap_words import verdict
-from torchid.report.page import render as rendering
-from torchid.report.page.gap import STATUS, gap_page
-from torchid.report.page.origin import InputFile, origin
-from torchid.report.page.render import render
+from torchid.report.page import document as rendering
+from torchid.report.page.document import InputFile, origin, render
 
 FILES = (InputFile("log", "run <1>.csv", 1234567, "ab" * 32),)
 

@@ -1,14 +1,58 @@
-"""What a designed motion would add, for people and as data."""
+"""A planned motion for people and as data: what it asks of the drives, and what it adds."""
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torchid.excitation.informed import InformedDesign
+from torchid.excitation.torque import TorqueUse, has_torque_limits
 from torchid.json_data import plain
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
-from torchid.report.table import Table
-from torchid.report.text import short
+from torchid.report.table import Table, joint_unit, short
+from torchid.robot.model import Robot
+
+if TYPE_CHECKING:
+    pass
+
+
+def torque_table(robot: Robot, use: TorqueUse) -> Table:
+    """The largest torque of every joint beside its limit."""
+    rows = []
+    for j, (size, share) in enumerate(zip(use.largest.tolist(), use.share.tolist(), strict=True)):
+        unit = joint_unit(robot, j)
+        low, high = use.limits[j].tolist()
+        limit = f"{high:g} {unit}" if low == -high else f"{low:g} .. {high:g} {unit}"
+        known = math.isfinite(min(-low, high))
+        cells = (limit, f"{100 * share:.0f} %") if known else ("none", "-")
+        rows.append((str(j + 1), f"{size:.3g} {unit}", *cells))
+    title = f"largest torque, by the {use.source}"
+    return Table(title, ("joint", "torque", "limit", "share"), rows, least_width=len(title))
+
+
+def torque_record(robot: Robot, use: TorqueUse | None) -> dict[str, Any]:
+    """JSON-ready; without a use, why torque limits were not checked."""
+    if use is None:
+        return {"checked": False, "reason": not_checked(robot) or "no torque limits"}
+    joints = zip(use.largest.tolist(), plain(use.limits), use.share.tolist(), strict=True)
+    return {
+        "checked": True,
+        "model": use.source,
+        "joints": [
+            {"joint": j, "largest": size, "limit": limit, "share": share}
+            for j, (size, limit, share) in enumerate(joints, start=1)
+        ],
+    }
+
+
+def not_checked(robot: Robot) -> str | None:
+    """Why the robot's torque limits cannot be checked; None where it has none or they can be."""
+    if not has_torque_limits(robot) or robot.parameters is not None:
+        return None
+    return (
+        f"torque limits were not checked: robot '{robot.name}' has no inertial parameters, which "
+        "predict torque."
+    )
+
 
 MOST_ROWS = 20
 

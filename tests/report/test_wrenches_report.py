@@ -8,12 +8,12 @@ import pytest
 import torch
 from rich.console import Console
 
-from torchid.report.figures import save
+from torchid.report.panels import save
 from torchid.report.table import Table
 from torchid.report.wrenches import figures as equal_torque_figures
 from torchid.report.wrenches import given_sets
 from torchid.report.wrenches import tables as equal_torque
-from torchid.report.wrenches.findings import findings
+from torchid.report.wrenches.tables import findings
 from torchid.robot.library import load_robot
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.given_sets import given_sets as compare_given
@@ -73,7 +73,7 @@ def test_kind_table_has_medians_per_joint() -> None:
 def test_reach_table_has_every_kind() -> None:
     text = text_of([equal_torque.reach_table(study())])
     for r in study().reach:
-        name = "nothing" if r.kind == "feasible" else equal_torque.label(r.kind)
+        name = "nothing" if r.kind == "feasible" else equal_torque.kind_words(r.kind)
         assert f"{float(r.reached[1]):.3g}" in line_of(text, name)
 
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from tests.report.page.reading import parsed, rows_of, text_of
-from tests.report.page.test_gap_page import made
-from torchid.report.page.render import render
-from torchid.report.page.study import study_page, verdict
+from tests.report.test_gap_page import made
+from torchid.report.page.document import render
+from torchid.report.study.page import page_verdict, study_page
 from torchid.study.record import record
 from torchid.study.result import Study
 from torchid.study.settings import load_study
@@ -33,7 +33,7 @@ def test_page(study):
     # One of its pictures: all of them are drawn in the tests of the figures.
     first = replace(page.sections[0], pictures=page.sections[0].pictures[:1])
     tree = parsed(render(replace(page, sections=(first, *page.sections[1:]))))
-    assert text_of(tree, "verdict") == verdict(study)
+    assert text_of(tree, "verdict") == page_verdict(study)
     rows = rows_of(tree, "best set of each scenario (tables 5.2 to 5.5)")
     for row, s in zip(rows, record(study)["sets"], strict=True):
         assert (row[0], row[6]) == (s["id"], "yes" if s["feasible"] else "no")
@@ -85,4 +85,4 @@ FORCED = EXACT | {"phi_min": 0.3, "exact": False, "forcing": ("Fv_6", "inertia_3
     ],
 )  # fmt: skip
 def test_verdict(study, found, certificate, said):
-    assert verdict(changed(study, found, **certificate)) == said
+    assert page_verdict(changed(study, found, **certificate)) == said
