@@ -103,7 +103,7 @@ def which_table(diagnosis: Diagnosis) -> Table:
             )
         )  # fmt: skip
     columns = (
-        "effect", "joints", "value", "cannot be told from", "lost\nwithout it", "closes\nalone",
+        "effect", "joints", "value", "cannot be told from", "closes\nin its turn", "closes\nalone",
         "p",
     )  # fmt: skip
     title = "which: effects the model lacks (value ± std)"
