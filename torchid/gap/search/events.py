@@ -12,11 +12,13 @@ import math
 from collections.abc import Sequence
 
 import torch
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import Question, fit_terms, residual
 from torchid.gap.search.terms import BASE
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import robust_std
 from torchid.typing import Float, Tensor
@@ -26,6 +28,9 @@ LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"
 
 LENGTHS = (3, 6, 12, 24, 48, 96, 192)
 """Lengths of windows [samples], up to a quarter of a trajectory."""
+
+LOOKED = 10
+"""Windows of each length, the clearest first, that are compared with the others."""
 
 MOST = 3
 """Contacts at most; the search decides which of them stay."""
@@ -86,14 +91,20 @@ def _windows(
         inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
         looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
     total = sum(len(gain) for gain, _, _ in looked)
+    slow = float(integrated_time(r, bounds).max())
     found: list[tuple[float, int, int]] = []
     for gain, start, length in looked:
-        # The scale of chance is that of the log's own windows, heavy tails included: chi^2 through
-        # their 95 % quantile.
-        usual = float(gain.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c))
-        p = total * chi2.sf(gain.numpy() / max(usual, 1.0), c)
-        for k in (p < alpha).nonzero()[0].tolist():
-            score = float(gain[k]) / max(usual, 1.0) - c * math.log(length)
-            found.append((score, int(start[k]), int(start[k]) + length))
+        for k in gain.argsort(descending=True)[:LOOKED].tolist():
+            # The scale of chance is that of the log's other windows, heavy tails included: chi^2
+            # through their 95 % quantile. Those beside it may be of the same push.
+            others = gain[(start - start[k]).abs() >= 2 * length]
+            if len(others) < FEWEST_BLOCKS:
+                continue
+            apart = len(others) * max(1, length // 2) / max(length, slow)
+            usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
+            # A scale known from so many windows apart: F in the place of chi^2.
+            if total * float(f.sf(float(gain[k]) / (c * usual), c, max(apart, 1.0))) < alpha:
+                score = float(gain[k]) / usual - c * math.log(length)
+                found.append((score, int(start[k]), int(start[k]) + length))
     found.sort(reverse=True)
     return [(a, b) for _, a, b in found]
