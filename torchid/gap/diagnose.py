@@ -299,16 +299,7 @@ def check(
     base = refitted(solution.start, data, solution.wanted)
     band = data.band
     columns = Columns(solution.model, data.samples)
-    noise = noise_of(
-        columns,
-        solution.start,
-        solution.left,
-        data.keep,
-        band,
-        repeats,
-        settings.seed,
-        data.positions,
-    )
+    noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
     if judged is None:
         # Each fold is shown by models that were fitted on the others.
         fits = [folds.fitted(k) for k in range(folds.count)]

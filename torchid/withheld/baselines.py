@@ -85,16 +85,10 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     repeats = find_repeats(samples.segments)
     keep = sliding_only(columns, given.keep, samples.cutoff, repeats)
     given, gap = replace(given, keep=keep), columns.gap()
-    noise = noise_of(
-        columns,
-        columns.model,
-        gap * keep,
-        keep,
-        samples.cutoff,
-        repeats,
-        settings.seed,
-        given.positions * (samples.cutoff / given.band) ** 2.5,
-    )
+    # In the band of the fit.
+    share = (samples.cutoff / given.band) ** 2.5
+    narrow = replace(given, band=samples.cutoff, positions=given.positions * share)
+    noise = noise_of(columns, columns.model, gap * keep, narrow, repeats, settings.seed)
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
     wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
     torque = samples.of([s.tau.T for s in samples.segments])

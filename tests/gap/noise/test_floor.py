@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
+from tests.gap.problems import data_of
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples
@@ -15,7 +16,6 @@ from torchid.gap.noise.floor import Noise, noise_of
 from torchid.typing import Tensor
 
 CUTOFF, REPORT = 8.0, 20.0
-EXACT = torch.zeros(ROBOT.n, dtype=torch.float64)  # what positions without noise bring
 COLOURS = [None, 5.0, 1.0]
 
 
@@ -39,7 +39,8 @@ def found_with(
     repeats = find_repeats(real) if repeats is None else repeats
     keep = moving_samples(samples)
     gap = columns.gap() * keep
-    return noise_of(columns, columns.model, gap, keep, REPORT, repeats, seed, EXACT)
+    data = replace(data_of(real), keep=keep, band=REPORT)
+    return noise_of(columns, columns.model, gap, data, repeats, seed)
 
 
 def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
@@ -80,7 +81,8 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
         ROBOT, ((ThermalFrictionDrift(1, T=30.0), [0.0, 20 * float(size(segments, z)[1])]),)
     )
     columns = Columns(drifting, samples)
-    found = noise_of(columns, given, columns.gap() * keep, keep, REPORT, repeats, 0, EXACT).floor
+    data = replace(data_of(real), keep=keep, band=REPORT)
+    found = noise_of(columns, given, columns.gap() * keep, data, repeats, 0).floor
     alone = found_with(segments, z).floor
     torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 

@@ -17,6 +17,7 @@ from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
 from torchid.effects.registry import effect_torque
+from torchid.gap.data import Data
 from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.noise.flexible import predict_out_of_fold
 from torchid.gap.noise.spectrum import bandwidth, white_level
@@ -68,11 +69,9 @@ def noise_of(
     columns: Columns,
     given: Model,
     left: Float[Tensor, "n N"],
-    keep: Bool[Tensor, "n N"],
-    band: float,
+    data: Data,
     repeats: Repeats,
     seed: int,
-    positions: Float[Tensor, " n"],
 ) -> Noise:
     """Noise beside a model.
 
@@ -80,12 +79,11 @@ def noise_of(
         columns: at the model.
         given: the model that it corrects.
         left: what the corrected one leaves.
-        keep: samples that count.
-        band: of the report [Hz].
+        data: of the log.
         repeats: among the segments.
         seed: of the flexible predictor.
-        positions: (n,) noise that they bring into the model's torque in that band [N m; N].
     """
+    keep, band = data.keep, data.band
     samples, model = columns.samples, columns.model
     segments = samples.segments
     report = Samples(segments, band)
@@ -122,7 +120,7 @@ def noise_of(
         # cannot be predicted. The predictor sees the positions' own noise, which is none the less.
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
-        low, high = (torch.maximum(x, positions) for x in (low, unpredicted))
+        low, high = (torch.maximum(x, data.positions) for x in (low, unpredicted))
         floor = NoiseFloor(low, high, "bracket")
     # Joints of which a note says that their noise is uneven.
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])

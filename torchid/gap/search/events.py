@@ -29,11 +29,8 @@ LAWS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"
 LENGTHS = (3, 6, 12, 24, 48, 96, 192)
 """Lengths of windows [samples], up to a quarter of a trajectory."""
 
-LOOKED = 10
-"""Windows of each length, the clearest first, that are compared with the others."""
-
 MOST = 3
-"""Contacts at most; the search decides which of them stay."""
+"""Contacts at most, of each length of window and in all; the search decides which of them stay."""
 
 
 def contacts(question: Question, alpha: float) -> list[Contact]:
@@ -94,7 +91,7 @@ def _windows(
     slow = float(integrated_time(r, bounds).max())
     found: list[tuple[float, int, int]] = []
     for gain, start, length in looked:
-        for k in gain.argsort(descending=True)[:LOOKED].tolist():
+        for k in gain.argsort(descending=True)[:MOST].tolist():
             # The scale of chance is that of the log's other windows, heavy tails included: chi^2
             # through their 95 % quantile. Those beside it may be of the same push.
             others = gain[(start - start[k]).abs() >= 2 * length]
