@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 from gap_plant import Scene, gap, generator, plant
-from real_logs import UR10E_GAINS
+from gap_real import FRICTION, UR10E, logs
 
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.gap.data import prepare
@@ -33,13 +33,11 @@ from torchid.gap.diagnose import diagnose
 from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.statistics.proportion import wilson
 
-FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 FINEST = 125.0
 """Rate at which sizes are measured [Hz]."""
 
@@ -73,21 +71,19 @@ class Source:
 
     Attributes:
         robot, logs: files below the data folder.
-        gains: torque per current [N m/A] where the log has currents.
         tip: last link, where the model has more.
         cutoff: of the fit [Hz], where the default is not the arm's.
     """
 
     robot: str
     logs: tuple[str, ...]
-    gains: tuple[float, ...] | None = None
     tip: str | None = None
     cutoff: float | None = None
 
 
 SOURCES = {
     "panda": Source("panda_gaz/robot.yaml", ("panda_gaz/log_exciting_traj1.parquet",)),
-    "ur10e": Source("ur10e/robot.urdf", ("ur10e/log_exc_40s_12harm.parquet",), UR10E_GAINS),
+    "ur10e": Source("ur10e/robot.urdf", UR10E[1:]),
     "ur10": Source("ur10_unisa/robot.yaml", ("ur10_unisa/log_exciting.parquet",)),
     "xmate": Source(
         "xmate7p/robot.urdf", ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet")
@@ -101,12 +97,8 @@ SOURCES = {
 
 def halves(source: Source, data: Path) -> tuple[Robot, Log, Log]:
     """The arm without parameters, and both halves of its log."""
-    read = [read_log(data / name) for name in source.logs]
-    if source.gains is not None:
-        read = [log.with_torque(torch.tensor(source.gains, dtype=torch.float64)) for log in read]
-    log = read[0] if len(read) == 1 else Log.concatenate(read)
     robot = load_robot(str(data / source.robot), tip=source.tip)
-    return replace(robot, parameters=None, effects=()), *log.split(0.5)
+    return replace(robot, parameters=None, effects=()), *logs(data, source.logs).split(0.5)
 
 
 def settings_of(source: Source, **more: Any) -> GapSettings:
@@ -174,9 +166,9 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
         empty.write_text(json.dumps(answer(robot, second, settings_of(source))))
     unplanted = json.loads(empty.read_text())
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
-    band = args.band
-    coarse = scene_of(robot, second, noise, band, FINEST)
-    fine = scene_of(robot, second, noise, band, 1e6)
+    coarse = scene_of(robot, second, noise, args.band, FINEST)
+    fine = scene_of(robot, second, noise, args.band, 1e6)
+    moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
     part, of = (int(x) for x in args.part.split("/"))
     for number, name in enumerate(args.effects):
         for size in args.sizes:
@@ -184,7 +176,6 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
             if number % of != part - 1 or file.exists():
                 continue
             g = generator("planted", label, name)
-            moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
             joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
             try:
                 planted = plant(coarse, name, size, g, joint, usual=2.0)
@@ -207,14 +198,13 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
 
 def score(work: Path, sizes: Sequence[float]) -> None:
     """A table, a line a size; and a line a log of what is named without anything planted."""
-    logs = sorted(p.parent for p in work.glob("*/none.json"))
+    unplanted = {p.parent: json.loads(p.read_text()) for p in sorted(work.glob("*/none.json"))}
     print("| planted, times what the model leaves | named first on its joint | named | in a set |")
     print("|---|---|---|---|")
     false = []
     for size in sizes:
         rows = []
-        for folder in logs:
-            none = json.loads((folder / "none.json").read_text())
+        for folder, none in unplanted.items():
             before = {(w["effect"], tuple(w["joints"])) for w in none["which"]}
             for file in sorted(folder.glob(f"*-{size:g}.json")):
                 case = json.loads(file.read_text())
@@ -230,8 +220,7 @@ def score(work: Path, sizes: Sequence[float]) -> None:
         f"\nnames that are neither planted nor there without: {sum(false)} in {len(false)} cases,"
     )
     print(f"in {sum(map(bool, false))} of them ({low:.0%} - {high:.0%})\n")
-    for folder in logs:
-        none = json.loads((folder / "none.json").read_text())
+    for folder, none in unplanted.items():
         names = ", ".join(f"{w['effect']} {w['joints']}" for w in none["which"])
         print(f"- {folder.name}: {none['status']}: {names or 'nothing'}")
 
@@ -242,12 +231,12 @@ def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tu
     places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
     new = [w for w in case["answer"]["which"] if (w["effect"], tuple(w["joints"])) not in before]
 
-    def is_it(w: dict[str, Any]) -> bool:
-        return w["effect"] == key["effect"] and (not w["joints"] or bool(places & set(w["joints"])))
+    def is_it(w: dict[str, Any], also: Sequence[str] = ()) -> bool:
+        near = not w["joints"] or bool(places & set(w["joints"]))
+        return near and key["effect"] in (w["effect"], *also)
 
     def holds_it(w: dict[str, Any]) -> bool:
-        near = not w["joints"] or bool(places & set(w["joints"]))
-        return is_it(w) or (near and key["effect"] in w["ambiguous_with"])
+        return is_it(w, w["ambiguous_with"])
 
     named = [w for w in case["answer"]["which"] if is_it(w)]
     held = [w for w in case["answer"]["which"] if holds_it(w)]

@@ -135,8 +135,8 @@ def diagnose(
     rules = Rules(
         settings.alpha, Worth(settings.worthwhile, settings.worthwhile_torque), settings.max_effects
     )
-    block = _blocks(data, start)
-    found = explained(start, data, wanted, rules, folds.parts, block)
+    block = _blocks(data, at_start)
+    found = explained(at_start, data, wanted, rules, folds.parts, block)
 
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
@@ -265,13 +265,12 @@ def refitted(model: Model, data: Data, wanted: Wanted) -> Solution:
     return solved(columns, terms, x, data, wanted, _blocks(data, None))
 
 
-def _blocks(data: Data, model: Model | None) -> Int[Tensor, " N"]:
+def _blocks(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
     """Block (N,) of every sample: several times as long as what a model leaves is correlated."""
     bounds = data.samples.bounds
     time = 1.0
-    if model is not None:
-        gap = Columns(model, data.samples).gap() * data.keep
-        times = integrated_time(gap, bounds)
+    if columns is not None:
+        times = integrated_time(columns.gap() * data.keep, bounds)
         time = float(times.median())
     return block_numbers(bounds, block_length(len(data.samples), time))
 

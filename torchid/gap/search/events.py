@@ -17,7 +17,7 @@ from scipy.stats import chi2, f
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import Question, fit_terms, residual
 from torchid.gap.search.terms import BASE
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import robust_std
@@ -88,7 +88,7 @@ def _windows(
         inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
         looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
     total = sum(len(gain) for gain, _, _ in looked)
-    slow = float(integrated_time(r, bounds).max())
+    slow = correlation_instants(r.T, bounds)
     found: list[tuple[float, int, int]] = []
     for gain, start, length in looked:
         for k in gain.argsort(descending=True)[:MOST].tolist():

@@ -76,7 +76,7 @@ class Rules:
 
 
 def explained(
-    model: Model,
+    given: Columns,
     data: Data,
     wanted: Wanted,
     rules: Rules,
@@ -86,7 +86,7 @@ def explained(
     """Which effects explain the gap between a log and a model.
 
     Args:
-        model: as given, with parameters.
+        given: columns at the model as given, with parameters.
         data: of the log.
         wanted: what is looked for.
         rules: how it is decided.
@@ -94,9 +94,9 @@ def explained(
         block: (N,) block of every sample.
     """
     # The gap is always that of the model as given; columns are taken at the model found so far.
-    at, extra = model, list[Effect]()
+    model = at = given.model
+    extra: list[Effect] = []
     start: tuple[Term, ...] = ()
-    given = Columns(model, data.samples)
     gap = given.gap()
 
     def asked(columns: Columns) -> Question:
@@ -210,7 +210,7 @@ def without_terms(
     kept = [t for t in found.terms if all(t is not g for g in gone)]
     less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight, 10))
     start = found.solution.start
-    columns = Columns(start, data.samples)
+    columns = question.candidates.columns.at(start)
     wanted = found.solution.wanted
     solution = solved(columns, less.terms, less.values(), data, wanted, block)
     return Explanation(question, found.empty, less, found.unworthy, solution)

@@ -63,16 +63,14 @@ def told(found: Explanation) -> Told:
     start = float((weight * found.empty.losses).sum())
     last = float((weight * fit.losses).sum())
     closable = max(start - last, 1e-12)
-    closes = in_turn(question, fit, found.terms)
+    closes, alone = in_turn(question, fit, found.terms)
     findings, parametric, undecided = [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
-        # What the others leave, refitted; and what it closes alone.
+        # What the others leave, refitted.
         rest = [t for t in found.terms if t is not term]
         without = fit_terms(question, rest, fit.effective, fit.weight, 10)
-        alone = fit_terms(question, [term], fit.effective, fit.weight)
-        share = closes[k]
-        first = (start - float((weight * alone.losses).sum())) / closable
+        share, first = closes[k], (start - alone[k]) / closable
         p = p_value(question, fit, without, term)
         if term.name == PAYLOAD:
             # All base parameters hold whatever a load does, so it is tested without them.
@@ -117,21 +115,25 @@ def told(found: Explanation) -> Told:
     )
 
 
-def in_turn(question: Question, fit: Fitted, terms: Sequence[Term]) -> list[float]:
+def in_turn(
+    question: Question, fit: Fitted, terms: Sequence[Term]
+) -> tuple[list[float], list[float]]:
     """What each term closes of the gap when at every turn the one joins that closes most: shares
-    that add up to one, the curve of the answer."""
+    that add up to one, the curve of the answer. And the loss that each term leaves alone."""
     weight = question.normal.rows / fit.losses.clamp(min=1e-300)
     left = [float((weight * fit_terms(question, (), fit.effective, fit.weight).losses).sum())]
     order: list[int] = []
+    alone: list[float] = []
     while len(order) < len(terms):
         joined = [terms[k] for k in order]
         rest = [k for k in range(len(terms)) if k not in order]
         fits = [fit_terms(question, (*joined, terms[k]), fit.effective, fit.weight) for k in rest]
         losses = [float((weight * f.losses).sum()) for f in fits]
+        alone = alone or losses
         order.append(rest[losses.index(min(losses))])
         left.append(min(losses))
     drops = [(a - b) / max(left[0] - left[-1], 1e-12) for a, b in itertools.pairwise(left)]
-    return [drops[order.index(k)] for k in range(len(terms))]
+    return [drops[order.index(k)] for k in range(len(terms))], alone
 
 
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
