@@ -6,7 +6,8 @@ columns are those of the present model: friction that grows with load sees its t
 its inertia. None of them contains a measured torque, whose noise would explain itself.
 """
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -156,15 +157,25 @@ class Columns:
         """The rigid body's columns, link by link; zero where a joint does not feel a link."""
         n = self.n
         out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
-        chunks = list(regressor_chunks(self.model.robot, *self._together.state))
-        lengths = [len(m.q) for m in self.motions]
-        for j in range(n):
-            pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
-            rows = self._sampled(
-                torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
-            )
-            out[j:, :, j] = rows.unflatten(0, (n - j, PARAMETERS_PER_LINK))
+        for motions, own in self._in_groups(AT_ONCE // (n * n * PARAMETERS_PER_LINK)):
+            chunks = list(regressor_chunks(self.model.robot, *together(motions).state))
+            lengths = [len(m.q) for m in motions]
+            for j in range(n):
+                pairs = [(link, k) for link in range(j, n) for k in range(PARAMETERS_PER_LINK)]
+                rows = torch.cat([c.row(j, pairs) for c in chunks], -1).split(lengths, -1)
+                out[j:, :, j, own] = self._sampled(rows).unflatten(0, (n - j, PARAMETERS_PER_LINK))
         return out
+
+    def _in_groups(self, instants: int) -> Iterator[tuple[list[Motion], slice]]:
+        """Motions of segments, so many together as have no more than so many instants (of a longer
+        one, it alone), and their samples."""
+        first = 0
+        while first < len(self.motions):
+            total = itertools.accumulate(len(m.q) for m in self.motions[first:])
+            count = max(1, sum(1 for _ in itertools.takewhile(instants.__ge__, total)))
+            bounds = self.samples.bounds[first : first + count]
+            yield self.motions[first : first + count], slice(bounds[0].start, bounds[-1].stop)
+            first += count
 
     def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
         """Columns of a model effect along every segment: in one call where time plays no part."""
@@ -186,8 +197,7 @@ class Columns:
     @cached_property
     def _together(self) -> Motion:
         """The motion of all segments in one piece."""
-        parts = zip(*self.motions, strict=True)
-        return Motion(*(None if x[0] is None else torch.cat(x) for x in parts))  # type: ignore[arg-type]
+        return together(self.motions)
 
     @cached_property
     def _smooth(self) -> list[Motion]:
@@ -212,6 +222,12 @@ def only(motion: Motion, joint: int) -> Motion:
         for name, x in zip(Motion._fields, motion, strict=True)
     )
     return Motion(*signals)  # type: ignore[arg-type]
+
+
+def together(motions: Sequence[Motion]) -> Motion:
+    """Motions one after the other, as one."""
+    parts = zip(*motions, strict=True)
+    return Motion(*(None if x[0] is None else torch.cat(x) for x in parts))  # type: ignore[arg-type]
 
 
 def on_joint(columns: Float[Tensor, "C N"], joint: int, n: int) -> Float[Tensor, "C n N"]:
