@@ -383,3 +383,27 @@ def test_the_robot_that_is_given_stays_as_it_is() -> None:
     before = json.dumps([dict(e) for e in TWO.effects])
     diagnosed(replace(TWO, parameters=ROBOT.parameters), logged(ROBOT), quick("torque_offset"))
     assert json.dumps([dict(e) for e in TWO.effects]) == before
+
+
+# A joint whose torque says nothing.
+
+
+@pytest.mark.parametrize("dead", [0.0, 0.5], ids=["zero", "noise"])
+@pytest.mark.parametrize("runs", [ONCE, (0, 1, 2, 0)], ids=["once", "repeated"])
+def test_nothing_is_told_of_a_joint_whose_torque_follows_no_motion(
+    dead: float, runs: tuple[int, ...]
+) -> None:
+    """A model that predicts torque there has a large gap, of which no effect is the cause; what is
+    told of the other joints stays."""
+    log = logged(arm(friction(2, Fv=0.8)), Recording(runs=runs))
+    assert log.tau is not None
+    tau = log.tau.clone()
+    tau[:, 2] = dead * torch.randn(len(tau), generator=torch.Generator().manual_seed(3))
+    found = diagnosed(arm(friction(3, Fc=1.0)), log.replace(tau=tau), quick())
+    assert named(found) == {("viscous_friction", (2,))}
+    assert any("joint 3: no rigid body" in w for w in found["warnings"])
+    reasons = {e["reason"] for e in found["not_testable"] if e["joints"] == [3]}
+    assert reasons == {"the joint's torque holds no signal"}
+    third = found["how_far"]["per_joint"][2]
+    assert third["after"] == pytest.approx(third["before"])
+    assert third["noise_floor_rms"] == [pytest.approx(third["before"], rel=0.05)] * 2

@@ -86,13 +86,16 @@ class Columns:
         self.samples = samples
         self.motions = [s.motion._replace(torque=model.load(s.motion)) for s in samples.segments]
         short = len(samples) * model.robot.n <= KEPT
+        # The rigid body's columns, once evaluated: of all models of the arm.
+        self._rigid: list[Tensor] = []
         # By effect, or by a kind and its shapes.
         self._kept: dict[object, tuple[type[Effect], Place, Tensor]] | None = {} if short else None
 
     def at(self, model: Model) -> "Columns":
-        """Columns of the same samples at another model. What no load enters stays as it is, as long
-        as the rigid body does."""
+        """Columns of the same samples at another model of the arm. The rigid body's stay as they
+        are; so does what no load enters, as long as the parameters do."""
         new = Columns(model, self.samples)
+        new._rigid = self._rigid
         if self._kept is not None and new._kept is not None and model.robot is self.model.robot:
             new._kept |= {k: v for k, v in self._kept.items() if "torque" not in v[0].needs}
         return new
@@ -152,9 +155,15 @@ class Columns:
             self._kept[key] = kind, joint, torch.cat(parts)
         return torch.cat(parts)
 
-    @cached_property
+    @property
     def regressor(self) -> Float[Tensor, "n 10 n N"]:
-        """The rigid body's columns, link by link; zero where a joint does not feel a link."""
+        """The rigid body's columns, link by link; zero where a joint does not feel a link. They
+        depend on the kinematics alone."""
+        if not self._rigid:
+            self._rigid.append(self._regressor())
+        return self._rigid[0]
+
+    def _regressor(self) -> Float[Tensor, "n 10 n N"]:
         n = self.n
         out = torch.zeros(n, PARAMETERS_PER_LINK, n, len(self.samples), dtype=torch.float64)
         for motions, own in self._in_groups(AT_ONCE // (n * n * PARAMETERS_PER_LINK)):

@@ -44,11 +44,12 @@ class Gram:
     ) -> None:
         """Samples of one joint: its columns in pieces, the common ones first; all of them each
         time."""
-        a = torch.cat([*columns, y.unsqueeze(0)])
+        rows = [*columns, y.unsqueeze(0)]
+        count = sum(map(len, rows))
         if not self.g[joint].numel():
-            self.g[joint] = torch.zeros(self.parts, len(a), len(a), dtype=torch.float64)
+            self.g[joint] = torch.zeros(self.parts, count, count, dtype=torch.float64)
         for p in part.unique().tolist():
-            own = a[:, keep & (part == p)]
+            own = torch.cat([x[:, keep & (part == p)] for x in rows])
             self.g[joint][p] += own @ own.T
             self.rows[p, joint] += own.shape[1]
 

@@ -97,7 +97,7 @@ class TorqueGain(OneJointEffect):
     family: ClassVar[Family] = "gravity"
     needs: ClassVar[frozenset[str]] = frozenset({"torque"})
     coefficients: ClassVar = (
-        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.9),
+        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7),
     )
     meaning: ClassVar[str] = "The torque sensor's scale, or the drive's torque constant, is off."
     equation: ClassVar[str] = "gain tau_j"

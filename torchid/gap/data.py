@@ -15,6 +15,7 @@ from torchid.design.bands import (
     reversal_speed,
     sharp_direction,
 )
+from torchid.design.columns import Columns
 from torchid.design.held import held_ages_of
 from torchid.design.motion import MOVING, measurements
 from torchid.design.segments import (
@@ -26,11 +27,12 @@ from torchid.design.segments import (
     segments_of,
     still_joints,
 )
+from torchid.design.signal import without_signal
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.typing import Bool, Float, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
@@ -47,6 +49,7 @@ class Data:
         slides: (n,) joints that move more than hardly ever.
         missing: what effects may need and the log does not hold: `velocity`, `age`.
         still: joints, from 0, that never move.
+        silent: joints, from 0, whose measured torque follows nothing of the motion.
         band: of the report [Hz].
         positions: (n,) noise that they bring into the model's torque in that band [N m; N].
         warnings: sentences for the user.
@@ -57,6 +60,7 @@ class Data:
     slides: Bool[Tensor, " n"]
     missing: frozenset[str]
     still: tuple[int, ...]
+    silent: tuple[int, ...]
     band: float
     positions: Float[Tensor, " n"]
     warnings: tuple[str, ...]
@@ -75,6 +79,26 @@ class Data:
     def seconds(self) -> float:
         """Length of all samples together [s]."""
         return len(self.samples) * self.samples.interval
+
+    def without_silent(self, columns: Columns, parts: Int[Tensor, " N"]) -> "Data":
+        """The same data; of joints whose torque holds no signal no sample counts.
+
+        Args:
+            columns: at any model of the arm.
+            parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
+        """
+        torque = self.samples.of([s.tau.T for s in self.segments])
+        silent = without_signal(columns, torque, self.keep, parts)
+        if not bool(silent.any()):
+            return self
+        joints = tuple(silent.nonzero().flatten().tolist())
+        names = ", ".join(str(j + 1) for j in joints)
+        said = (
+            f"joint {names}: no rigid body with friction foretells the measured torque better than "
+            "its mean does, so nothing is told there; all of its gap counts as noise"
+        )
+        keep = self.keep & ~silent.unsqueeze(1)
+        return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
 
 
 def prepare(
@@ -150,4 +174,4 @@ def prepare(
     keep, slides = moving_samples(samples), moves >= HARDLY
     band = report_band(samples, min(widest, highest))
     positions = noise * band**2.5
-    return Data(samples, keep, slides, missing, still, band, positions, tuple(said))
+    return Data(samples, keep, slides, missing, still, (), band, positions, tuple(said))

@@ -125,8 +125,11 @@ def diagnose(
     folds = make_folds(data.samples, settings.folds, repeats.groups(len(data.segments)))
     # What is looked for, and the model whose gap is to be explained.
     wanted = wanted_of(robot, settings)
-    start = start_of(robot, data, wanted)
-    at_start = Columns(start, data.samples)
+    at_start = Columns(start_of(robot), data.samples)
+    data = data.without_silent(at_start, folds.parts)
+    if robot.parameters is None:
+        at_start = at_start.at(refitted(at_start, data, wanted).model)
+    start = at_start.model
     # Where repeats tell the noise, only samples of sliding joints can be held against it.
     keep = sliding_only(at_start, data.keep, data.band, repeats)
     data = replace(data, keep=keep)
@@ -248,18 +251,16 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
     )
 
 
-def start_of(robot: Robot, data: Data, wanted: Wanted) -> Model:
-    """The model as given; where it has no parameters, base parameters and background are fitted."""
-    if robot.parameters is not None:
-        return Model(robot, tuple(nominal_effects(robot)))
-    zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
-    empty = robot.with_parameters(InertialParameters(zero))
-    return refitted(Model(empty, tuple(nominal_effects(robot))), data, wanted).model
+def start_of(robot: Robot) -> Model:
+    """The model as given; where it has no parameters, without inertia."""
+    if robot.parameters is None:
+        zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+        robot = robot.with_parameters(InertialParameters(zero))
+    return Model(robot, tuple(nominal_effects(robot)))
 
 
-def refitted(model: Model, data: Data, wanted: Wanted) -> Solution:
-    """A model with base parameters, and the background, fitted anew."""
-    columns = Columns(model, data.samples)
+def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
+    """The columns' model with base parameters, and the background, fitted anew."""
     terms = fixed_terms(columns, replace(wanted, free=True))
     x = [torch.zeros(len(t.at), dtype=torch.float64) for t in terms]
     return solved(columns, terms, x, data, wanted, _blocks(data, None))
@@ -295,9 +296,9 @@ def check(
         fitted_first: whether the model before was fitted too, because the robot has no parameters.
     """
     solution = found.solution
-    base = refitted(solution.start, data, solution.wanted)
+    columns = found.question.candidates.columns.at(solution.model)
+    base = refitted(columns.at(solution.start), data, solution.wanted)
     band = data.band
-    columns = Columns(solution.model, data.samples)
     noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
     if judged is None:
         # Each fold is shown by models that were fitted on the others.

@@ -9,7 +9,7 @@ flexible predictor, trained on other stretches of the log, leaves of the residua
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -122,6 +122,10 @@ def noise_of(
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
         low, high = (torch.maximum(x, data.positions) for x in (low, unpredicted))
         floor = NoiseFloor(low, high, "bracket")
+    # Of a joint without a signal all is noise.
+    silent, all_of_it = ~keep.any(1), report.of([r.T for r in residual]).square().mean(1).sqrt()
+    low, high = (torch.where(silent, all_of_it, x) for x in (floor.low, floor.high))
+    floor = replace(floor, low=low, high=high)
     # Joints of which a note says that their noise is uneven.
     uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
     # The noise in the fit's band, in which structure is looked for where joints surely slide.

@@ -110,7 +110,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
     found = offers(question, fit, places)
     # One by one.
     # A further joint of what most joints have is no further cause.
-    free = {name for name in {t.name for t in own} if is_common(name, own, n)}
+    free = {name for name in {t.name for t in own} if is_common(name, own, question.joints)}
     out: list[tuple[float, Move]] = [
         (o.net - (0.0 if o.term.name in free and o.term.place is not None else question.price()),
          (o.term,))
@@ -135,7 +135,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
                 out.append((net - len(names) * question.price(), terms))
             if net > 0:
                 nets.append((net, terms))
-        if 2 * len(nets) >= n and len(nets) > 1:
+        if 2 * len(nets) >= question.joints and len(nets) > 1:
             together = tuple(t for _, terms in nets for t in terms)
             out.append((sum(net for net, _ in nets) - len(names) * question.price(), together))
     return sorted(out, key=lambda move: -move[0])
@@ -208,7 +208,7 @@ def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
     effective samples of what the addition leaves: one that is true makes the rest less
     dependent. Only the most likely additions are looked at so closely."""
     own = _own(question, fit)
-    if causes(own, question.candidates.gram.n) >= most:
+    if causes(own, question.joints) >= most:
         return None
     options = [m for _, m in moves(question, fit) if not any(t.name == BASE for t in m)][:TRIED]
     # Ranked with all samples.
@@ -282,31 +282,33 @@ def worthy(
     rows = sum(test.rows for _, test in folds)
     assert isinstance(rows, Tensor)
     rows = rows.clamp(min=1.0)
+
+    def falls(gone: Sequence[Term]) -> Float[Tensor, " m"]:
+        """By how much the held-out error of m joints falls with some terms, in units of the least
+        that is worth a name: of their own joints, or of all; the largest first."""
+        rest = [t for t in own if all(t is not g for g in gone)]
+        lost = held_out_losses(question, folds, fit, rest) / rows
+        fall = (lost.sqrt() - now.sqrt()) / question.least(lost)
+        places = sorted({t.place for t in gone if t.place is not None})
+        return (fall[places] if places else fall).sort(descending=True).values
+
+    def missed(term: Term) -> float:
+        return float(falls([term])[0])
+
     while own := _own(question, fit):
-        now = held_out_losses(question, folds, fit, own)
-        # By how much the held-out error falls with each cause, in units of the least worth.
-        ratios = []
-        for cause in cause_groups(own, len(now)):
-            rest = [t for t in own if all(t is not c for c in cause)]
-            lost = held_out_losses(question, folds, fit, rest)
-            fall = ((lost / rows).sqrt() - (now / rows).sqrt()) / question.least(lost / rows)
-            places = {t.place for t in cause if t.place is not None}
-            own_falls = fall[sorted(places)] if places else fall
-            ratio = own_falls.sort(descending=True).values
-            # What most joints have must be worth it on more than half of them.
-            ratios.append(float(ratio[len(cause) // 2 if len(cause) > 1 else 0]))
-        worst = min(range(len(ratios)), key=ratios.__getitem__)
-        if ratios[worst] >= 1:
-            break
-        gone = cause_groups(own, len(now))[worst]
+        now = held_out_losses(question, folds, fit, own) / rows
+        groups = cause_groups(own, question.joints)
+        # What most joints have must be worth it on more than half of them.
+        worths = [float(falls(g)[len(g) // 2 if len(g) > 1 else 0]) for g in groups]
+        gone = groups[min(range(len(groups)), key=worths.__getitem__)]
+        if min(worths) >= 1:
+            # A joint whose error does not fall has no part in what most joints have.
+            gone = [t for g in groups if len(g) > 1 for t in g if missed(t) <= 0]
+            if not gone:
+                break
         if len(gone) > 1:
             # Of a common cause the joint that misses it least leaves first.
-            missed = []
-            for term in gone:
-                rest = [t for t in own if t is not term]
-                lost = held_out_losses(question, folds, fit, rest)
-                missed.append(float((lost.log() - now.log()).sum()))
-            gone = [gone[min(range(len(gone)), key=missed.__getitem__)]]
+            gone = [min(gone, key=missed)]
         left += gone
         keep = [t for t in own if all(t is not c for c in gone)]
         fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))

@@ -115,6 +115,11 @@ class Question:
         return float(max(1, len(self.candidates.terms)))
 
     @cached_property
+    def joints(self) -> int:
+        """Number of joints of which samples count."""
+        return int((self.normal.rows > 0).sum())
+
+    @cached_property
     def torque(self) -> Float[Tensor, " n"]:
         """Mean square (n,) of the joints' measured torque."""
         return torch.cat([s.tau for s in self.candidates.columns.samples.segments]).square().mean(0)
@@ -235,12 +240,20 @@ def fit_terms(
         weight = effective / losses.clamp(min=1e-300)
     # Evidence: what is gained, less what is known beforehand and the price of the terms.
     nothing = torch.stack([g[-1, -1] for g in normal.g])
-    gain = effective * (nothing.clamp(min=1e-300) / losses.clamp(min=1e-300)).log()
+    gain = float(risen(effective, nothing, losses).sum())
     prior = float((ridge * solved.x.square()).sum())
-    evidence = float(gain.sum()) - prior - cost(question, terms, effective)
+    evidence = gain - prior - cost(question, terms, effective)
     if refused(every, solved):
         evidence = -math.inf
     return Fitted(every, subset, solved.x, solved.root, losses, evidence, effective)
+
+
+def risen(
+    effective: Float[Tensor, " n"], before: Float[Tensor, " n"], after: Float[Tensor, " n"]
+) -> Float[Tensor, " n"]:
+    """Twice the rise (n,) of each joint's logarithm of the likelihood between two sums of squares
+    of what is left; none on a joint of which no sample counts."""
+    return effective * (before.clamp(min=1e-300) / after.clamp(min=1e-300)).log()
 
 
 def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
@@ -258,7 +271,7 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
 
 def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
     """Of the coefficients and shapes of terms, and of their causes."""
-    total = question.price() * causes(terms, len(effective))
+    total = question.price() * causes(terms, question.joints)
     for term in terms:
         n = effective.sum() if term.place is None else effective[term.place]
         total += (directions(question, term) + term.shapes) * math.log(max(float(n), 2.0))

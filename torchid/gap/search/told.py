@@ -23,6 +23,7 @@ from torchid.gap.search.evidence import (
     fit_terms,
     is_common,
     residual,
+    risen,
 )
 from torchid.gap.search.explain import Explanation
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
@@ -85,7 +86,7 @@ def told(found: Explanation) -> Told:
         apart = []
         for other in others:
             again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
-            differs = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
+            differs = risen(fit.effective, again.losses, fit.losses)
             if other.name != BASE and float(differs.abs().sum()) >= 0.1:
                 apart.append(other)
         if term.inertial:
@@ -141,9 +142,9 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     number of samples (Wilks 1938), times all candidates. A joint of what most joints have was not
     searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
-    ratio = fit.effective * (without.losses / fit.losses.clamp(min=1e-300)).log()
+    ratio = risen(fit.effective, without.losses, fit.losses)
     df = directions(question, term) + term.shapes
-    searched = not is_common(term.name, fit.terms, len(fit.losses))
+    searched = not is_common(term.name, fit.terms, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
 
@@ -176,7 +177,7 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
     for base in question.candidates.terms:
         if base.name == BASE and not term.inertial and LINK not in names:
             again = fit_terms(question, (*others, base), fit.effective, fit.weight, 10)
-            lost = fit.effective * (again.losses / fit.losses.clamp(min=1e-300)).log()
+            lost = risen(fit.effective, again.losses, fit.losses)
             if float(lost.sum()) < 2 * math.log(ODDS):
                 names[LINK] = base
     return list(names.values())
@@ -306,8 +307,11 @@ def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestab
         needed = question.price() + (1 + term.shapes) * math.log(max(n, 2.0))
         smallest: float | None = math.sqrt(needed / max(left, 1e-300))
         reason = ""
-        # Why it cannot be told: not excited, hidden behind what is fitted, or below the noise.
-        if size <= 1e-9:
+        # Why it cannot be told: not measured, not excited, hidden behind what is fitted, or below
+        # the noise.
+        if term.place in data.silent:
+            smallest, reason = None, "the joint's torque holds no signal"
+        elif size <= 1e-9:
             smallest, reason = None, "the motion does not excite it"
         elif share < 1e-6:
             smallest, reason = None, "exactly a combination of parameters that are fitted"

@@ -1,0 +1,77 @@
+"""Whether the torque of a joint says anything: a dead sensor, or one too coarse, follows no motion.
+
+The torque of a joint that is measured at all can be foretold from its motion, by whatever rigid
+body and friction fit best, much better than by its mean. Where they cannot do that on stretches
+they were not fitted on, a log tells nothing about the joint's dynamics, though a model that
+predicts torque there has a large gap.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torchid.design.columns import Columns
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.statistics.robust import robust_std
+from torchid.typing import Bool, Float, Int, Tensor
+
+EXCITED = 1e-2
+"""Singular value of the columns, each of length one, relative to the largest, below which a
+direction is not fitted: hardly excited, it would foretell little and be wrong about it."""
+
+OUTSIDE = 4.0
+"""Robust standard deviations beyond which a torque, or what a fit leaves of it, is not a usual one:
+of a normal variable one in sixteen thousand."""
+
+
+def without_signal(
+    columns: Columns,
+    torque: Float[Tensor, "n N"],
+    keep: Bool[Tensor, "n N"],
+    parts: Int[Tensor, " N"],
+) -> Bool[Tensor, " n"]:
+    """Joints (n,) whose measured torque a rigid body with friction foretells no better than its own
+    mean does, in all or on half of the stretches, of which neither was fitted on the one judged.
+
+    Args:
+        columns: at any model; the regressor depends on the kinematics alone.
+        torque: measured, as samples.
+        keep: samples that count.
+        parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
+    """
+    laws = (ViscousFriction, CoulombFriction, TorqueOffset)
+    out = []
+    for joint, y in enumerate(torque):
+        own: Sequence[Tensor] = [columns.of(law(joint))[1] for law in laws]
+        a = torch.cat([columns.regressor[joint:, :, joint].flatten(0, 1), *own])
+        # A push is no law: what is far off what fits the usual torques takes no part.
+        telling = keep[joint] & ~_far(y - y.median(), keep[joint])
+        telling &= ~_far(y - _fitted(a[:, telling], y[telling]) @ a, telling)
+        # How much of the square of each stretch is foretold, beside what the mean foretells.
+        gains = []
+        for part in range(1, int(parts.max()) + 1):
+            fitted, judged = telling & (parts > 0) & (parts != part), telling & (parts == part)
+            if fitted.any() and judged.any():
+                left = y[judged] - _fitted(a[:, fitted], y[fitted]) @ a[:, judged]
+                usual = y[judged] - y[fitted].mean()
+                gains.append(float(usual.square().sum() - left.square().sum()))
+        useless = sum(gain <= 0 for gain in gains)
+        out.append(bool(gains) and (sum(gains) <= 0 or 2 * useless >= len(gains)))
+    return torch.tensor(out)
+
+
+def _far(x: Float[Tensor, " N"], keep: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
+    """Which of the samples that count are outside of what is usual."""
+    if not keep.any():
+        return torch.zeros_like(keep)
+    return x.abs() > OUTSIDE * robust_std(x[keep].unsqueeze(0)).nan_to_num(nan=math.inf)
+
+
+def _fitted(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
+    """Least squares along the directions that are excited."""
+    size = a.norm(dim=1)
+    size = torch.where(size > 0, size, torch.inf)
+    values, vectors = torch.linalg.eigh(a @ a.T / size / size.unsqueeze(1))
+    seen = values > EXCITED**2 * values[-1:]
+    return vectors[:, seen] @ ((vectors[:, seen].T @ (a @ y / size)) / values[seen]) / size
