@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchid.compare.diagnoses import GapComparison
 from torchid.compare.identifications import Compared, Comparison
@@ -10,11 +10,8 @@ from torchid.compare.sets import Range, SetComparison
 from torchid.compare.torque import TorqueSpread
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.compare import ORDER, WORDS
-from torchid.report.panels import finish, label, panel, rows_of
+from torchid.report.panels import Figure, finish, label, panel, rows_of
 from torchid.report.table import short
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
 SHADES = {"drift": RED, "differ": ORANGE}
@@ -22,7 +19,7 @@ CLIP = 10.0
 """Claimed standard deviations beyond which a value is drawn at the edge."""
 
 
-def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Figure]":
+def figures(result: Comparison | GapComparison | SetComparison) -> dict[str, Figure]:
     """Those that the comparison has, by name of the file."""
     out = {}
     if isinstance(result, Comparison):
@@ -36,7 +33,7 @@ def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Fi
     return out
 
 
-def forest_figure(result: Comparison) -> "Figure":
+def forest_figure(result: Comparison) -> Figure:
     """95 % intervals of every result about the consensus, in the geometric mean of the claimed
     standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
@@ -70,7 +67,7 @@ def forest_figure(result: Comparison) -> "Figure":
     return finish(figure, f"{result.robot}: do {m} identifications agree?")
 
 
-def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> "Figure":
+def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> Figure:
     """Ranges of the sets of every file, each parameter scaled to the widest of all."""
     shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
     m = len(labels)
@@ -96,7 +93,7 @@ def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> 
     return finish(figure, f"{robot}: sets compared")
 
 
-def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure":
+def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> Figure:
     """Per joint: differences between models against what their covariances claim, and, with a log,
     every model's error."""
     n, m = len(t.size), len(labels)
@@ -131,7 +128,7 @@ def _colour(k: int) -> str:
 
 
 def _verdicts(
-    figure: "Figure", axes: Any, shown: Sequence[Compared | Range], labels: Sequence[str]
+    figure: Figure, axes: Any, shown: Sequence[Compared | Range], labels: Sequence[str]
 ) -> None:
     """Names of the rows in the colours of their verdicts, and a legend of the results."""
     from matplotlib.lines import Line2D

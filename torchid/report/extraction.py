@@ -2,7 +2,7 @@
 parameters the torque determines, and how far."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from rich.text import Text
@@ -24,14 +24,10 @@ from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
 from torchid.json_data import plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import finish, label, panel, rows_of
+from torchid.report.panels import Figure, finish, label, panel, rows_of
 from torchid.report.table import Cell, Table
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _SHOWN = 12
 _ON_A_BOUND = 1e-4
@@ -242,7 +238,7 @@ def extraction_record(
     }
 
 
-def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
+def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss after the polish."""
     figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
     stages = range(1, search.settings.stages + 1)
@@ -329,7 +325,7 @@ def atlas_table(atlas: Atlas) -> Table:
     )
 
 
-def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
+def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}

@@ -20,7 +20,8 @@ from torchid.report.gap_words import (
     shapes,
     verdict,
 )  # fmt: skip
-from torchid.report.page.document import Origin, Page, Picture, result_page
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Picture
 from torchid.report.table import (
     Table,
     interval,
@@ -268,7 +269,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     if d.findings:
         numbers.insert(2, coefficient_table(d))
     low, high = float(d.floor.low.norm()), float(d.floor.high.norm())
-    return result_page(
+    return Page(
         f"Sim-to-real gap of {d.robot.name}",
         verdict(d),
         (
@@ -281,7 +282,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         origin,
         pictures=_pictures(d),
         tables=numbers,
-        notes=dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)]),
+        notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
     )
 
 

@@ -2,7 +2,7 @@
 everything it may depend on."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -10,13 +10,9 @@ import torch
 from torchid.gap.diagnosis import Diagnosis, Regime, Trace
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import CLEAR, regime_words
-from torchid.report.panels import finish, label, new_figure, panel, ruled, styled
+from torchid.report.panels import Figure, finish, label, new_figure, panel, ruled, styled
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 WORST = 3
 """Joints that get a figure of their own."""
@@ -27,7 +23,7 @@ _SHORTEST = 12.0
 """Seconds of a trajectory shown in the torque overlay, at most."""
 
 
-def figures(diagnosis: Diagnosis) -> dict[str, "Figure"]:
+def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """All figures by the names of their files."""
     out = {"where": map_figure(diagnosis), "how_far": bar_figure(diagnosis)}
     if not diagnosis.traces:
@@ -44,7 +40,7 @@ def worst_joints(diagnosis: Diagnosis, most: int = WORST) -> list[int]:
     return [gap.joint for gap in order[:most] if gap.share > 0.02] or [order[0].joint]
 
 
-def map_figure(diagnosis: Diagnosis) -> "Figure":
+def map_figure(diagnosis: Diagnosis) -> Figure:
     """Joints x regimes: excess as colour and number where clear, faint elsewhere; the joint's
     share of the gap beside it."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -100,7 +96,7 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
     return finish(figure, f"{diagnosis.robot.name}: where the gap lies")
 
 
-def bar_figure(diagnosis: Diagnosis) -> "Figure":
+def bar_figure(diagnosis: Diagnosis) -> Figure:
     """RMS of the gap before and after, joint by joint, over the noise bracket."""
     far, floor, n = diagnosis.how_far, diagnosis.floor, diagnosis.robot.n
     figure, axes = panel(2.4 + 0.85 * n, 4.3)
@@ -129,7 +125,7 @@ def bar_figure(diagnosis: Diagnosis) -> "Figure":
     return finish(figure, title, axes, columns=3 if n > 5 else 1)
 
 
-def budget_figure(diagnosis: Diagnosis) -> "Figure":
+def budget_figure(diagnosis: Diagnosis) -> Figure:
     """One bar: what refitted parameters close, what effects close, what stays unexplained."""
     b = diagnosis.budget
     parts = (
@@ -152,7 +148,7 @@ def budget_figure(diagnosis: Diagnosis) -> "Figure":
     return finish(figure, f"{diagnosis.robot.name}: what closes the gap", axes, columns=3)
 
 
-def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> "Figure":
+def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
     """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
     the largest gap, and what is left over."""
     joint = worst_joints(diagnosis)[0] if joint is None else joint
@@ -220,7 +216,7 @@ class Samples:
     block: np.ndarray
 
 
-def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
+def joint_figure(diagnosis: Diagnosis, joint: int) -> Figure:
     """Binned means of the gap against velocity, position, acceleration, load and time, over a light
     scatter, and its spectrum over the noise."""
     unit = joint_unit(diagnosis.robot, joint)

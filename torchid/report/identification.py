@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -15,13 +14,9 @@ from torchid.identification.payload import Estimate, Payload
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.validation import Errors, Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.page.document import Origin, Page, result_page
-from torchid.report.panels import Picture, finish, joint_rows, label, note, panel, rows_of
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Figure, Picture, finish, joint_rows, label, note, panel, rows_of
 from torchid.report.table import Table, joint_unit, listed, short, unit_words
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
@@ -173,7 +168,7 @@ def error_table(result: Identification) -> Table:
 _MOST_POINTS = 4000
 
 
-def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "Figure":
+def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> Figure:
     """Measured and predicted torque per joint, the residual beside it on its own scale."""
     n = prediction.measured.shape[1]
     figure, grid = joint_rows(n, ("", ""), (11, 1.2 + 1.35 * n), units, width_ratios=(3, 2))
@@ -197,7 +192,7 @@ def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "
     return finish(figure, title, *grid[0])
 
 
-def parameter_figure(result: Identification) -> "Figure":
+def parameter_figure(result: Identification) -> Figure:
     """Each estimated parameter's 95 % interval relative to its value: what the log determines."""
     relative = result.uncertainty.quantile() * result.relative_std_percent
     shown = [k for k in range(len(result.base)) if bool(result.free[k])]
@@ -214,7 +209,7 @@ def parameter_figure(result: Identification) -> "Figure":
     return finish(figure, f"{result.robot.name}: how well each parameter is known")
 
 
-def truth_figure(result: Identification, truth: torch.Tensor) -> "Figure":
+def truth_figure(result: Identification, truth: torch.Tensor) -> Figure:
     """Errors against known true values, in units of each parameter's 95 % interval."""
     half = result.uncertainty.quantile() * result.std
     shown = [k for k in range(len(result.base)) if bool(result.free[k])]
@@ -246,7 +241,7 @@ def identification_page(result: Identification, origin: Origin) -> Page:
     shown, held = shown_errors(result)
     known = [v for v in shown.relative_percent_moving.tolist() if math.isfinite(v)]
     mean = _percent(sum(known) / len(known)) if known else "-"
-    return result_page(
+    return Page(
         f"Identified dynamics of {result.robot.name}",
         verdict(result),
         (

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,13 +13,9 @@ from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
-from torchid.report.panels import finish, joint_rows, label, thin
+from torchid.report.panels import Figure, finish, joint_rows, label, thin
 from torchid.report.table import Cell, Table, joint_unit
 from torchid.robot.model import JointType, Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
 """Names of the signals of a motion, and their fields."""
@@ -89,7 +84,7 @@ def log_tables(seen: Overview) -> list[Table]:
     ]
 
 
-def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> "Figure":
+def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> Figure:
     """Position, velocity and acceleration per joint, limits in red.
 
     Args:
@@ -179,7 +174,7 @@ def choices(examination: Examination) -> str:
     return "\n".join(lines)
 
 
-def torque_figure(examination: Examination) -> "Figure | None":
+def torque_figure(examination: Examination) -> Figure | None:
     """Torque of each joint as the log has it, once mended, and what bodies explain of it."""
     judge, search = examination.judge, examination.search
     if judge is None or search is None:

@@ -14,6 +14,8 @@ from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+else:
+    Figure = Any  # matplotlib is slow to import, and most commands draw nothing
 
 
 MOST_POINTS = 1000
@@ -35,7 +37,7 @@ class Picture:
     name: str
     caption: str
     alt: str
-    draw: Callable[[], "Figure"]
+    draw: Callable[[], Figure]
     section: str = ""
 
     @property
@@ -44,13 +46,13 @@ class Picture:
         return f"{self.name}.png"
 
 
-def drawing(section: str, name: str, caption: str, draw: Callable[[], "Figure"]) -> Picture:
+def drawing(section: str, name: str, caption: str, draw: Callable[[], Figure]) -> Picture:
     """A picture of a section, told by its name; stars in its caption would be markup."""
     alt = f"Figure: {name.replace('_', ' ')}."
     return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
-def new_figure(width: float, height: float) -> "Figure":
+def new_figure(width: float, height: float) -> Figure:
     """An empty figure in the house style, with a canvas that needs no display."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -74,7 +76,7 @@ def styled(axes: Any) -> Any:
     return axes
 
 
-def panel(width: float, height: float, *shape: int, **subplots: Any) -> "tuple[Figure, Any]":
+def panel(width: float, height: float, *shape: int, **subplots: Any) -> tuple[Figure, Any]:
     """A figure of one panel, or of rows and columns of them as `subplots` gives them."""
     figure = new_figure(width, height)
     axes = figure.subplots(*shape, **subplots)
@@ -101,7 +103,7 @@ def joint_rows(
     units: Sequence[str] = (),
     x: str = "time [s]",
     **grid: Any,
-) -> "tuple[Figure, Any]":
+) -> tuple[Figure, Any]:
     """A figure of one row a joint, and its panels (n, columns).
 
     Args:
@@ -131,7 +133,7 @@ def tiles(
     y: str = "",
     loc: str = "center",
     **share: Any,
-) -> "tuple[Figure, list[Any]]":
+) -> tuple[Figure, list[Any]]:
     """A figure of one panel a title, labelled at its left and below the lowest of each column.
 
     Args:
@@ -165,12 +167,12 @@ def rows_of(axes: Any, names: Sequence[str], size: float = 7) -> None:
 
 
 def finish(
-    figure: "Figure",
+    figure: Figure,
     title: str,
     *axes: Any,
     columns: int = 4,
     keys: Mapping[str, Mapping[str, Any]] | None = None,
-) -> "Figure":
+) -> Figure:
     """Title at the left; below all panels one legend of what the given ones hold, each name once,
     and of `keys`, names of lines with their styles."""
     from matplotlib.lines import Line2D
@@ -223,7 +225,7 @@ def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-width, width, k)
 
 
-def literal(figure: "Figure") -> None:
+def literal(figure: Figure) -> None:
     """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
     axes are."""
     from matplotlib.text import Text
@@ -234,7 +236,7 @@ def literal(figure: "Figure") -> None:
             text.set(text=printable(words), parse_math=False)
 
 
-def save(figure: "Figure", path: Path) -> Path:
+def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
     literal(figure)
     with atomic_write(path, "wb") as stream:
@@ -242,7 +244,7 @@ def save(figure: "Figure", path: Path) -> Path:
     return path
 
 
-def save_small(figure: "Figure", path: Path) -> Path:
+def save_small(figure: Figure, path: Path) -> Path:
     """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image

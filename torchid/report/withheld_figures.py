@@ -2,15 +2,12 @@
 a figure is drawn."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import finish, label, new_figure, ruled, tiles
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from torchid.report.panels import Figure, finish, label, new_figure, ruled, tiles
 
 _SMALL = 8
 _COLUMNS = 3
@@ -19,7 +16,7 @@ _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 Matrix = Mapping[str, Mapping[str, int]]
 
 
-def figures(summary: Mapping[str, Any]) -> dict[str, "Figure"]:
+def figures(summary: Mapping[str, Any]) -> dict[str, Figure]:
     """All figures that there are data for, by the names of their files."""
     scores = summary["scores"]
     out = {}
@@ -30,7 +27,7 @@ def figures(summary: Mapping[str, Any]) -> dict[str, "Figure"]:
     return out
 
 
-def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
+def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
     """Planted causes (rows) and what was named first (columns): share of the row as colour, cases
     as number. Causes outside the library are below the line, and have no right name."""
     from matplotlib.patches import Rectangle
@@ -72,7 +69,7 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
     return finish(figure, "What was planted and what was named first (number of cases)")
 
 
-def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figure":
+def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     """Shares of cases detected and named over the planted size, one panel a family, with 95 %
     intervals."""
     columns = min(_COLUMNS, len(curves))

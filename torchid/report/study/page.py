@@ -12,7 +12,7 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, to_record
 from torchid.files import atomic_write
 from torchid.json_data import write_json
-from torchid.report.page.document import Origin, Page, result_page, versions
+from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts, tables
 from torchid.report.study.facts import by_feasibility, count, ids, number, verdict
@@ -164,7 +164,7 @@ def study_page(study: Study, origin: Origin) -> Page:
     error, real = facts.torque_errors(study.sets_motion)
     good = len(by_feasibility(study, True))
     feasible, runs = facts.feasible_runs(study)
-    return result_page(
+    return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
         (

@@ -1,21 +1,18 @@
 """How a study's searches went: convergence, losses against what is possible, degrees."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREY, INK, KEEPS
-from torchid.report.panels import Picture, drawing, finish, label, panel, spread
+from torchid.report.panels import Figure, Picture, drawing, finish, label, panel, spread
 from torchid.report.study import facts
 from torchid.report.study.facts import count, ids, kept, number
 from torchid.report.table import listed
 from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LEAST_PHI = 1e-32
 """Losses below it are drawn on it: the square of rounding."""
@@ -54,7 +51,7 @@ def _convergence_caption(study: Study) -> str:
     )
 
 
-def _convergence(study: Study) -> "Figure":
+def _convergence(study: Study) -> Figure:
     k = len(study.scenarios)
     width = max(6.0, 1.0 + 2.1 * k)
     figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
@@ -121,7 +118,7 @@ def _losses_caption(study: Study) -> str:
     )
 
 
-def _losses(study: Study) -> "Figure":
+def _losses(study: Study) -> Figure:
     figure, axes = _columns(study)
     axes.set_yscale("log")
     for c, s in enumerate(study.scenarios):
@@ -160,7 +157,7 @@ def _names(axes: Any) -> None:
     axes.scatter([], [], s=90, facecolors="none", edgecolors=INK, label="best set")
 
 
-def _columns(study: Study) -> "tuple[Figure, Any]":
+def _columns(study: Study) -> tuple[Figure, Any]:
     """A panel with one column a scenario."""
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
     figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
@@ -203,7 +200,7 @@ def _degrees_caption(study: Study) -> str:
     )
 
 
-def _degrees(study: Study) -> "Figure":
+def _degrees(study: Study) -> Figure:
     figure, axes = _columns(study)
     axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
     for c, s in enumerate(study.scenarios):

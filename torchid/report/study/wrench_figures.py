@@ -4,13 +4,14 @@ and its payload: what was estimated against the truth, and what it does inside t
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
 from torchid.report.panels import (
+    Figure,
     Picture,
     drawing,
     finish,
@@ -27,9 +28,6 @@ from torchid.report.table import listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import FEASIBLE, MIXED, ordered_classes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _CLASS_COLOURS = {FEASIBLE: GREEN, "inertia only": BLUE, "CoM only": ORANGE, MIXED: RED}
 """Of the classes of reasons; the others are grey."""
@@ -129,7 +127,7 @@ def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, 
     )
 
 
-def _joint_tiles(n: int, what: str) -> "tuple[Figure, list[Any]]":
+def _joint_tiles(n: int, what: str) -> tuple[Figure, list[Any]]:
     """A panel a joint over time: in a row up to three joints, else in two columns."""
     joints = [f"joint {j + 1}" for j in range(n)]
     columns = n if n <= 3 else 2
@@ -142,7 +140,7 @@ def _norms(
     chosen: Sequence[tuple[Any, ...]],
     title: str,
     what: str,
-) -> "Figure":
+) -> Figure:
     """Norms of some sets, one panel a joint. Chosen: (label, id, colour[, line style])."""
     n = values.shape[-1]
     rows = {name: facts.row_of(sets, name) for _, name, *_ in chosen}
@@ -198,7 +196,7 @@ def _errors(study: Study) -> Picture:
     return drawing("wrenches", "force_error_by_degree", caption, lambda: _error_figure(study))
 
 
-def _error_figure(study: Study) -> "Figure":
+def _error_figure(study: Study) -> Figure:
     error = study.errors.force_rms.amax(-1)
     degree, classes = facts.all_degrees(study), facts.run_classes(study)
     names = ordered_classes(classes)
@@ -274,7 +272,7 @@ def _estimate_caption(study: Study) -> str:
     return text
 
 
-def _estimate(study: Study) -> "Figure":
+def _estimate(study: Study) -> Figure:
     figure, axes = panel(9, 4.2)
     axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
     axes.axvline(0, color=GREY, linewidth=0.8)
@@ -309,7 +307,7 @@ def _force_caption(study: Study) -> str:
     )
 
 
-def _force(study: Study) -> "Figure":
+def _force(study: Study) -> Figure:
     figure, panels = _joint_tiles(study.robot.n, "force norm [N]")
     motion = study.wrench_motion.motion
     t = thin(motion.t - motion.t[0])

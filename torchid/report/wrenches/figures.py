@@ -1,19 +1,16 @@
 """Figures of sets with equal torque. matplotlib is imported when a figure is drawn."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, GRID, INK, ORANGE, PURPLE, RED
-from torchid.report.panels import finish, label, panel, tiles
+from torchid.report.panels import Figure, finish, label, panel, tiles
 from torchid.report.wrenches.tables import kind_words
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.regressor import wrench_norms
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLOURS = {
     "feasible": GREEN,
@@ -27,7 +24,7 @@ _LINEAR = 1e-3
 """Degrees smaller than this are drawn on a linear scale."""
 
 
-def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
+def figures(study: EqualTorqueStudy) -> dict[str, Figure]:
     """All figures by the names of their files."""
     return {
         "force_by_degree": degree_figure(study),
@@ -37,7 +34,7 @@ def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
     }
 
 
-def degree_figure(study: EqualTorqueStudy) -> "Figure":
+def degree_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
     figure, axes = panel(10.5, 5.4)
     degree, worst = study.degree.numpy(), study.worst.numpy()
@@ -76,7 +73,7 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
     return finish(figure, f"{study.setting.robot.name}: {what}")
 
 
-def kind_figure(study: EqualTorqueStudy) -> "Figure":
+def kind_figure(study: EqualTorqueStudy) -> Figure:
     """Boxes of the force error per joint and kind, with the greatest of any set and the force."""
     n, kinds = study.setting.robot.n, study.kinds
     columns = min(n, 4)
@@ -114,7 +111,7 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
     return finish(figure, title, columns=2, keys=keys)
 
 
-def mass_figure(study: EqualTorqueStudy) -> "Figure":
+def mass_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the weight of the carried mass's error: what it comes from."""
     figure, axes = panel(6.2, 5.2)
     weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
@@ -135,7 +132,7 @@ def mass_figure(study: EqualTorqueStudy) -> "Figure":
     return finish(figure, title)
 
 
-def time_figure(study: EqualTorqueStudy) -> "Figure":
+def time_figure(study: EqualTorqueStudy) -> Figure:
     """Norms of the internal forces over time: the reference and each kind's median set."""
     n, kinds = study.setting.robot.n, study.kinds
     chosen = []

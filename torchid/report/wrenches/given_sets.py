@@ -1,19 +1,16 @@
 """Internal wrenches of given sets: tables and figures."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import GREY, INK
-from torchid.report.panels import finish, label, panel
+from torchid.report.panels import Figure, finish, label, panel
 from torchid.report.table import Table
 from torchid.report.wrenches.figures import COLOURS
 from torchid.report.wrenches.tables import interval
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.wrenches.classes import KINDS, class_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MOST_ROWS = 40
 _MOST_MARKS = 60
@@ -104,12 +101,12 @@ def class_table(found: GivenSets) -> Table:
     )
 
 
-def figures(found: GivenSets) -> dict[str, "Figure"]:
+def figures(found: GivenSets) -> dict[str, Figure]:
     """All figures by the names of their files."""
     return {"force_errors": error_figure(found), "force_by_degree": degree_figure(found)}
 
 
-def error_figure(found: GivenSets) -> "Figure":
+def error_figure(found: GivenSets) -> Figure:
     """Force error per joint, a mark a set."""
     figure, axes = panel(8.0, 4.6)
     joints, errors = np.arange(1, found.robot.n + 1), found.errors.force_rms.numpy()
@@ -130,7 +127,7 @@ def error_figure(found: GivenSets) -> "Figure":
     return _finish(figure, axes, title, markerscale=0.7)
 
 
-def degree_figure(found: GivenSets) -> "Figure":
+def degree_figure(found: GivenSets) -> Figure:
     """Largest force error against the degree; ids beside the marks where there are few."""
     figure, axes = panel(8.0, 4.6)
     degree = found.checked.degree.numpy()
@@ -158,7 +155,7 @@ def _classes(found: GivenSets) -> list[str]:
     return [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
 
 
-def _finish(figure: "Figure", axes: Any, title: str, **legend: Any) -> "Figure":
+def _finish(figure: Figure, axes: Any, title: str, **legend: Any) -> Figure:
     axes.set_yscale("log")
     axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8, **legend)
