@@ -20,7 +20,7 @@ from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
 from torchid.json_data import picked
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import Figure, label, save, tiles
+from torchid.report.panels import Figure, save, tiles
 from torchid.report.table import Table, pipe_table
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -238,7 +238,7 @@ def family_figure(family: Family) -> Figure:
             signal = {"speed": motion.dq, "position": motion.q, "acceleration": motion.ddq}[over]
             axes.plot(signal[:, JOINT], torque, ".", color=colour, markersize=1.5)
         axes.axhline(0, color=GREY, linewidth=0.8)
-        label(axes, _AXES[over], "torque [N m]")
+        axes.set(xlabel=_AXES[over], ylabel="torque [N m]")
     return figure
 
 

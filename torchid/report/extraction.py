@@ -24,7 +24,7 @@ from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
 from torchid.json_data import plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import Figure, finish, label, panel, rows_of
+from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import Cell, Table
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Tensor
@@ -249,7 +249,7 @@ def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
         shown = history.clamp(min=1e-34).numpy()
         axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
         axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.6, label="best run")
-        label(axes, y=what)
+        axes.set_ylabel(what)
     upper.set_yscale("log")
     lower.set_yscale("symlog", linthresh=1e-8)
     lower.set_ylim(bottom=-1e-9)
@@ -259,13 +259,12 @@ def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
         upper.scatter(end, phi, s=10, color=BLUE, label="after the polish")
     if proof is not None and proof.feasible and proof.phi_min > 0:
         upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
-    upper.legend(fontsize=8, frameon=False, loc="best")
-    label(lower, "stage of Algorithm 1")
-    return finish(
-        figure,
+    lower.set_xlabel("stage of Algorithm 1")
+    title = (
         f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
-        f"'{search.problem.bounds.name}', {search.settings.penalty} loss",
+        f"'{search.problem.bounds.name}', {search.settings.penalty} loss"
     )
+    return finish(figure, title, upper)
 
 
 _KNOWN, _NARROWED = 0.01, 0.5
@@ -350,8 +349,7 @@ def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
         axes.set_xlim(-0.02, 1.02)
         axes.set_title(title, fontsize=9, color=INK)
         axes.grid(False, axis="y")
-    label(
-        grid[1],
+    grid[1].set_xlabel(
         "0 and 1: least and largest value that feasible sets of any torque have within the bounds",
     )
     keys = {

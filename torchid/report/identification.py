@@ -15,7 +15,7 @@ from torchid.identification.result import UNEXPLAINED
 from torchid.identification.validation import Errors, Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
-from torchid.report.panels import Figure, Picture, finish, joint_rows, label, note, panel, rows_of
+from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of
 from torchid.report.table import Table, joint_unit, listed, short, unit_words
 
 _ZERO = 100.0
@@ -201,11 +201,12 @@ def parameter_figure(result: Identification) -> Figure:
     values = [max(1e-3, min(float(relative[k]), 1e3)) for k in order]
     colours = [GREEN if v < 30 else ORANGE if v < 100 else RED for v in values]
     axes.barh(range(len(order)), values, left=1e-3, color=colours, height=0.7)
-    axes.set_xscale("log")
-    axes.set_xlim(max(1e-3, min(values) / 2), 1.1e3)
+    axes.set(xscale="log", xlim=(max(1e-3, min(values) / 2), 1.1e3))
     rows_of(axes, [short(result.base.names[k], 44) for k in order])
     axes.axvline(100, color=INK, linewidth=0.8)
-    label(axes, "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)")
+    axes.set_xlabel(
+        "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)"
+    )
     return finish(figure, f"{result.robot.name}: how well each parameter is known")
 
 
@@ -222,7 +223,7 @@ def truth_figure(result: Identification, truth: torch.Tensor) -> Figure:
     rows_of(axes, [short(result.base.names[k], 44) for k in shown])
     limit = max(2.0, 1.1 * float(np.abs(error).max()))
     axes.set_xlim(-limit, limit)
-    label(axes, "(identified - true) / half-width of the 95 % interval")
+    axes.set_xlabel("(identified - true) / half-width of the 95 % interval")
     return finish(figure, f"{result.robot.name}: identified against true values")
 
 

@@ -13,7 +13,7 @@ from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
-from torchid.report.panels import Figure, finish, joint_rows, label, thin
+from torchid.report.panels import Figure, finish, joint_rows, thin
 from torchid.report.table import Cell, Table, joint_unit
 from torchid.robot.model import JointType, Robot
 
@@ -186,12 +186,9 @@ def torque_figure(examination: Examination) -> Figure | None:
     n, x = examination.robot.n, "low-passed samples, all trajectories"
     figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
     for k, axes in enumerate(grid[:, 0]):
-        unit = joint_unit(examination.robot, k)
         axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
         axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
-        error = 100 * search.final.errors[k]
-        label(axes, y=f"joint {k + 1} [{unit}]\n{error:.1f} %")
-        if k == 0:
-            where = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
-            axes.legend(**where, fontsize=8, ncols=2, frameon=False)
-    return figure
+        unit, error = joint_unit(examination.robot, k), 100 * search.final.errors[k]
+        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %")
+    title = f"{examination.robot.name}: torque measured, and explained by bodies"
+    return finish(figure, title, grid[0, 0])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import Figure, finish, label, new_figure, ruled, tiles
+from torchid.report.panels import Figure, finish, new_figure, ruled, tiles
 
 _SMALL = 8
 _COLUMNS = 3
@@ -65,7 +65,8 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
             len(columns) - 0.4, len(inside) + 0.5 * len(outside) - 0.5, "outside\nthe library",
             fontsize=_SMALL, color=INK, va="center",
         )  # fmt: skip
-    label(axes, "named first", "planted")
+    axes.set_xlabel("named first", fontsize=_SMALL, color=INK)
+    axes.set_ylabel("planted", fontsize=_SMALL, color=INK)
     return finish(figure, "What was planted and what was named first (number of cases)")
 
 
@@ -74,18 +75,11 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figur
     intervals."""
     columns = min(_COLUMNS, len(curves))
     names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
-    figure, grid = tiles(
-        names,
-        columns,
-        width,
-        (2.2, 1.3),
-        "size / noise",
-        "cases [%]",
-        "left",
-        sharex=True,
-        sharey=True,
-    )
+    across: dict[str, Any] = {"x": "size / noise", "y": "cases [%]", "sharex": True, "sharey": True}
+    figure, grid = tiles(names, columns, width, (2.2, 1.3), **across)
     levels = sorted({point["level"] for points in curves.values() for point in points})
+    low, high = 0.8 * levels[0], 1.25 * levels[-1]
+    ticks = [x for x in _TICKS if low <= x <= high]
     for axes, points in zip(grid, curves.values(), strict=True):
         x = [point["level"] for point in points]
         for which, colour, style in (("detected", ORANGE, (0, (4, 2))), ("named", BLUE, "-")):
@@ -98,12 +92,9 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figur
                 x, [100 * r["share"] for r in rates], color=colour, linestyle=style, marker="o",
                 markersize=3, linewidth=1.5, label=f"{which} (band: 95 %)",
             )  # fmt: skip
-        axes.set_xscale("log")
-        axes.set_xlim(0.8 * levels[0], 1.25 * levels[-1])
-        ticks = [x for x in _TICKS if 0.8 * levels[0] <= x <= 1.25 * levels[-1]]
+        axes.set(xscale="log", xlim=(low, high), ylim=(-4, 104))
         axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
         axes.minorticks_off()
-        axes.set_ylim(-4, 104)
     return finish(figure, "Detected and named, by the size of what was planted", grid[0], columns=2)
 
 
