@@ -22,10 +22,10 @@ from torchid.extraction.record import (
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Cell, Table
+from torchid.report.table import Cell, Table, count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Tensor
 
@@ -111,7 +111,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
         else f"infeasible: {', '.join(verdict.reasons(k))}"
     )
     text = (
-        f"{len(found.sets)} set{'s' * (len(found.sets) > 1)} of {name} by {found.method}, "
+        f"{count(len(found.sets), 'set')} of {name} by {found.method}, "
         f"{int(verdict.feasible.sum())} of them feasible. Best: {found.sets.ids[k]}, phi "
         f"{float(found.phi[k]):.5g}, {said}; its torque is up to "
         f"{100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
@@ -128,8 +128,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
         )
     edges = at_bounds(found)
     if edges:
-        more = "" if len(edges) <= _SHOWN else f" and {len(edges) - _SHOWN} more"
-        text += f" On its bounds: {', '.join(edges[:_SHOWN])}{more}."
+        text += f" On its bounds: {listed(edges, most=_SHOWN)}."
     return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
 
 
@@ -172,10 +171,10 @@ def least_loss(found: Found, proof: Certificate) -> str:
 
 def tables(found: Found, proof: Certificate | None) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    count = len(found.sets)
-    which = f"the best {_SHOWN} of {count} sets" if count > _SHOWN else f"set{'s' * (count > 1)}"
+    every = len(found.sets)
+    which = f"the best {_SHOWN} of {every} sets" if every > _SHOWN else f"set{'s' * (every > 1)}"
     verdict = found.verdict.feasible.tolist()
-    order = sorted(range(count), key=lambda k: (not verdict[k], float(found.phi[k])))
+    order = sorted(range(every), key=lambda k: (not verdict[k], float(found.phi[k])))
     rows = []
     for k in order[:_SHOWN]:
         degree = float(found.verdict.degree[k])
@@ -208,14 +207,9 @@ def extraction_record(
     search: dict[str, Any] | None = None
     if found.search is not None:
         s = found.search
-        settings = (
-            "runs", "stages", "generations", "population", "penalty", "schedule", "engine",
-            "polish", "seed",
-        )  # fmt: skip
-        search = {name: getattr(s.settings, name) for name in settings}
-        search["phi_before_polish"] = s.searched_phi.tolist()
-        search["gamma_before_polish"] = s.searched_gamma.tolist()
-        search["contradictions"] = list(s.contradictions)
+        settings = "runs stages generations population penalty schedule engine polish seed"
+        course = "phi_before_polish=searched_phi gamma_before_polish=searched_gamma contradictions"
+        search = {**picked(s.settings, settings), **picked(s, course)}
     return {
         "schema": SCHEMA,
         **problem_record(found.problem),

@@ -294,9 +294,7 @@ def _percent(value: float) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    shown = [short(name, 30) for name in names[:_MOST_NAMED]]
-    more = len(names) - _MOST_NAMED
-    return f"{', '.join(shown)} and {more} more" if more > 0 else listed(shown)
+    return listed((short(name, 30) for name in names), most=_MOST_NAMED)
 
 
 def coefficient_table(result: Identification, which: Sequence[int], title: str) -> Table:

@@ -14,7 +14,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Table, joint_unit
+from torchid.report.table import Cell, Table, count, joint_unit
 from torchid.robot.model import JointType, Robot
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
@@ -32,17 +32,9 @@ def headline(seen: Overview) -> str:
     """One sentence: what the log is."""
     log, seconds = seen.log, sum(t.duration for t in seen.timing)
     kinds = list(dict.fromkeys(t.kind for t in seen.tables if t is not None))
-    trajectories = (
-        "1 trajectory" if log.trajectory_count == 1 else f"{log.trajectory_count} trajectories"
-    )
+    trajectories = count(log.trajectory_count, "trajectory", "trajectories")
     rates = sorted({f"{t.rate:.4g}" for t in seen.timing if t.rate is not None}, key=float)
-    at = (
-        f", {rates[0]} Hz"
-        if len(rates) == 1
-        else f", {rates[0]} to {rates[-1]} Hz"
-        if rates
-        else ""
-    )
+    at = f", {' to '.join(dict.fromkeys((rates[0], rates[-1])))} Hz" if rates else ""
     return (
         f"{', '.join(kinds) or 'log'}: {log.n} joints, {trajectories}, {seconds:.4g} s, "
         f"{log.samples} samples{at}"

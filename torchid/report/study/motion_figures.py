@@ -11,8 +11,8 @@ from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, KEEPS, ORANGE, RED
 from torchid.report.log import SIGNALS, trajectory_figure
 from torchid.report.panels import Figure, Picture, drawing, finish, headroom, joint_rows, note, thin
 from torchid.report.study import facts
-from torchid.report.study.facts import at_joint, count, number, rms
-from torchid.report.table import listed, torque_unit
+from torchid.report.study.facts import at_joint, number, rms
+from torchid.report.table import count, listed, torque_unit
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
 

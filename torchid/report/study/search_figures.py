@@ -9,8 +9,8 @@ import torch
 from torchid.report.colours import BLUE, BREAKS, GREY, INK, KEEPS
 from torchid.report.panels import Figure, Picture, drawing, finish, panel, spread
 from torchid.report.study import facts
-from torchid.report.study.facts import count, ids, kept, number
-from torchid.report.table import listed
+from torchid.report.study.facts import ids, kept, number
+from torchid.report.table import count, listed
 from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Tensor
 
