@@ -2,6 +2,7 @@
 
 import math
 import re
+from functools import partial
 from typing import Any
 
 from torchid.effects.registry import KINDS
@@ -345,14 +346,14 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
                 f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
                 f"and its spectrum: {change}.",
-                lambda joint=joint: joint_figure(d, joint),  # type: ignore[misc]
+                partial(joint_figure, d, joint),
             ),
             Picture(
                 f"torque_{number}",
                 f"Torque of joint {number} on data not fitted, where its gap is largest."
                 f"{'' if k else _OVER_TIME}",
                 f"Measured and modelled torque of joint {number} over time: {change}.",
-                lambda joint=joint: gap_figures.torque_figure(d, joint),  # type: ignore[misc]
+                partial(gap_figures.torque_figure, d, joint),
             ),
         ]
     pairs = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)

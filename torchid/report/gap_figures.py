@@ -58,14 +58,11 @@ def map_figure(diagnosis: Diagnosis) -> Figure:
             # A number where the excess is clear, else a dot.
             if r.p < CLEAR and r.excess > 0:
                 clear[y, x] = r.excess
-                text, style = percent(r.excess).replace(" ", "\u2009"), (_SMALL, INK, "bold")
+                text = percent(r.excess).replace(" ", "\u2009")
+                style = {"fontsize": _SMALL, "color": INK, "fontweight": "bold"}
             else:
-                text, style = "·", (12, GREY, "normal")
-            size, colour, weight = style
-            axes.text(
-                x, y, text, ha="center", va="center", fontsize=size, color=colour,
-                fontweight=weight,
-            )  # fmt: skip
+                text, style = "·", {"fontsize": 12, "color": GREY}
+            axes.text(x, y, text, ha="center", va="center", **style)
     # Blue over whatever ground the figure has, so light that ink on it can be read.
     shades = LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
     image = axes.imshow(clear, cmap=shades, vmin=0, vmax=1, aspect="auto")

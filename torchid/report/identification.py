@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import partial
 from itertools import count
 
 import numpy as np
@@ -346,7 +347,7 @@ def _pictures(result: Identification) -> list[Picture]:
                 f"Measured and predicted torque of every joint in {p.name}, {words}{place}."
                 f"{_RESIDUAL if k == 1 else ''}",
                 f"Measured and predicted torque over time in {p.name}, and their difference.",
-                lambda p=p: torque_figure(p, units, f"{p.name} ({words})"),  # type: ignore[misc]
+                partial(torque_figure, p, units, f"{p.name} ({words})"),
             )
         )
     poor = f"{len(poor_names(result))} of {len(result.base)}"
