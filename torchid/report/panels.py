@@ -115,6 +115,7 @@ def tiles(
     heights: tuple[float, float],
     x: str = "",
     y: str = "",
+    loc: str = "center",
     **share: Any,
 ) -> tuple[Figure, list[Any]]:
     """A figure of one panel a title, labelled at its left and below the lowest of each column.
@@ -125,6 +126,7 @@ def tiles(
         width: of the figure [inch].
         heights: of a row of panels, and of all that is above and below them [inch].
         x, y: of the abscissa and the ordinate.
+        loc: of the titles.
         share: `sharex` and `sharey` of `subplots`.
     """
     n, rows = len(titles), -(-len(titles) // columns)
@@ -133,7 +135,7 @@ def tiles(
     for axes in grid[n:]:
         axes.set_visible(False)
     for k, (axes, title) in enumerate(zip(grid, titles, strict=False)):
-        styled(axes).set_title(title, fontsize=9, color=INK, loc="left")
+        styled(axes).set_title(title, fontsize=9, color=INK, loc=loc)
         if k % columns == 0:
             axes.set_ylabel(y)
         if x and k + columns >= n:
@@ -160,7 +162,7 @@ def joint_lines(
     """
     n = next(iter(curves.values()))[0].shape[-1]
     joints = [f"joint {j + 1}" for j in range(n)]
-    figure, panels = tiles(joints, n if n <= 3 else 2, 11.0, (2.0, 1.1), x, y, sharex=True)
+    figure, panels = tiles(joints, n if n <= 3 else 2, 11.0, (2.0, 1.1), x, y, "left", sharex=True)
     for j, axes in enumerate(panels):
         for name, (values, style) in curves.items():
             axes.plot(t, values[:, j], label=name, **style)

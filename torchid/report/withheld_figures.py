@@ -75,7 +75,13 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figur
     intervals."""
     columns = min(_COLUMNS, len(curves))
     names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
-    across: dict[str, Any] = {"x": "size / noise", "y": "cases [%]", "sharex": True, "sharey": True}
+    across: dict[str, Any] = {
+        "x": "size / noise",
+        "y": "cases [%]",
+        "loc": "left",
+        "sharex": True,
+        "sharey": True,
+    }
     figure, grid = tiles(names, columns, width, (2.2, 1.3), **across)
     levels = sorted({point["level"] for points in curves.values() for point in points})
     low, high = 0.8 * levels[0], 1.25 * levels[-1]
