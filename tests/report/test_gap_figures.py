@@ -80,12 +80,12 @@ def test_spectrum_holds_the_energy():
     made = (trace(coulomb, some_left),)
     f, density = spectrum(made, 1, "before")
     s = samples(made, 1)
-    assert density.sum() * (f[1] - f[0]) == pytest.approx(float(np.var(s.before)), rel=0.15)
+    assert density.sum() * (f[1] - f[0]) == pytest.approx(float(np.var(s["before"])), rel=0.15)
 
 
 def test_samples_are_the_valid_ones():
     made = trace(coulomb, seconds=5.0)
-    assert len(samples((made, made), 1).t) == 2 * int(made.valid.sum())
+    assert len(samples((made, made), 1)["t"]) == 2 * int(made.valid.sum())
 
 
 def test_a_negative_and_a_missing_result_are_drawn(tmp_path):

@@ -31,8 +31,7 @@ def study() -> Study:
 def test_page(study):
     page = study_page(study, made())
     # One of its pictures: all of them are drawn in the tests of the figures.
-    first = replace(page.sections[0], pictures=page.sections[0].pictures[:1])
-    tree = parsed(render(replace(page, sections=(first, *page.sections[1:]))))
+    tree = parsed(render(replace(page, pictures=page.pictures[:1])))
     assert text_of(tree, "verdict") == page_verdict(study)
     rows = rows_of(tree, "best set of each scenario (tables 5.2 to 5.5)")
     for row, s in zip(rows, record(study)["sets"], strict=True):
@@ -41,7 +40,7 @@ def test_page(study):
 
 
 def test_the_first_picture_is_about_feasibility(study):
-    names = [p.name for p in study_page(study, made()).sections[0].pictures]
+    names = [p.name for p in study_page(study, made()).pictures]
     assert names[0] == "degrees"
     assert len(set(names)) == len(names) > 10
 

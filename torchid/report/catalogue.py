@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import torch
 
@@ -20,15 +20,11 @@ from torchid.excitation.trajectories import random_trajectory
 from torchid.files import atomic_write
 from torchid.json_data import picked
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import label, save, tiles
+from torchid.report.panels import Figure, save, tiles
 from torchid.report.table import Table, pipe_table
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 FAMILY_WORDS: dict[Family, str] = {
     "speed": "Torque that follows speed.",
@@ -226,7 +222,7 @@ def examples(family: Family) -> list[Effect]:
     return [kind.exemplar(JOINT) for kind in KINDS.values() if kind.family == family]
 
 
-def family_figure(family: Family) -> "Figure":
+def family_figure(family: Family) -> Figure:
     """Torque of every effect of a family on the shoulder of a KUKA LWR IV+, a panel an effect."""
     motion, robot = example_motion(120.0 if family == "time" else 8.0)
     drawn = examples(family)
@@ -242,7 +238,7 @@ def family_figure(family: Family) -> "Figure":
             signal = {"speed": motion.dq, "position": motion.q, "acceleration": motion.ddq}[over]
             axes.plot(signal[:, JOINT], torque, ".", color=colour, markersize=1.5)
         axes.axhline(0, color=GREY, linewidth=0.8)
-        label(axes, _AXES[over], "torque [N m]")
+        axes.set(xlabel=_AXES[over], ylabel="torque [N m]")
     return figure
 
 

@@ -9,7 +9,7 @@ from torchid.compare.diagnoses import ALPHA, GapComparison, Named, Shared
 from torchid.compare.identifications import Compared, Comparison, Verdict
 from torchid.compare.sets import SetComparison
 from torchid.compare.torque import TorqueSpread
-from torchid.report.table import Cell, Table, short
+from torchid.report.table import Cell, Table, count, short
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -31,8 +31,8 @@ NOTABLE = 2.0
 
 def verdict(result: Comparison) -> str:
     """What agrees, in sentences."""
-    count = len(result.having("agree", "drift", "differ", "never_determined"))
-    if not count:
+    common = len(result.having("agree", "drift", "differ", "never_determined"))
+    if not common:
         return "No parameter is estimated in two results: nothing can be compared."
     agree, drift, differ, never = (
         len(result.having(v)) for v in ("agree", "drift", "differ", "never_determined")
@@ -49,7 +49,7 @@ def verdict(result: Comparison) -> str:
     if never:
         parts.append(f"{never} cannot be told from zero in any, and agree in that")
     said = [
-        f"{len(result.labels)} identifications of {result.robot}, {count} parameters in common: "
+        f"{len(result.labels)} identifications of {result.robot}, {common} parameters in common: "
         f"{', '.join(parts)} (5 %, Holm)."
     ]
     changed = []
@@ -187,10 +187,8 @@ def torque_tables(t: TorqueSpread | None, labels: Sequence[str]) -> list[Table]:
 
 def set_verdict(result: SetComparison) -> str:
     """What the sets agree on, in sentences."""
-    total = ", ".join(
-        f"{k} set{'s' * (k != 1)} ({name})"
-        for k, name in zip(result.counts, result.labels, strict=True)
-    )
+    named = zip(result.counts, result.labels, strict=True)
+    total = ", ".join(f"{count(k, 'set')} ({name})" for k, name in named)
     parts = []
     for what, ranges in (("physical", result.physical), ("base", result.base)):
         of = {v: sum(r.verdict == v for r in ranges) for v in ORDER}

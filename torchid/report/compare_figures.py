@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 from torchid.compare.diagnoses import GapComparison
 from torchid.compare.identifications import Compared, Comparison
@@ -10,19 +9,16 @@ from torchid.compare.sets import Range, SetComparison
 from torchid.compare.torque import TorqueSpread
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.compare import ORDER, WORDS
-from torchid.report.panels import finish, label, panel, rows_of
+from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import short
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
-SHADES = {"drift": RED, "differ": ORANGE}
+SHADES = {"drift": RED, "differ": ORANGE, "never_determined": GREY}
 CLIP = 10.0
 """Claimed standard deviations beyond which a value is drawn at the edge."""
 
 
-def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Figure]":
+def figures(result: Comparison | GapComparison | SetComparison) -> dict[str, Figure]:
     """Those that the comparison has, by name of the file."""
     out = {}
     if isinstance(result, Comparison):
@@ -36,7 +32,7 @@ def figures(result: Comparison | GapComparison | SetComparison) -> "dict[str, Fi
     return out
 
 
-def forest_figure(result: Comparison) -> "Figure":
+def forest_figure(result: Comparison) -> Figure:
     """95 % intervals of every result about the consensus, in the geometric mean of the claimed
     standard deviations; the consensus' own interval is the grey bar."""
     shown = [p for kind in ORDER[:4] for p in result.having(kind)]
@@ -60,17 +56,15 @@ def forest_figure(result: Comparison) -> "Figure":
     axes.axvline(0, color=GREY, linewidth=0.8)
     axes.set_xlim(-CLIP - 0.5, CLIP + 0.5)
     rows_of(axes, [short(p.name, 44) for p in shown])
-    label(
-        axes,
+    axes.set_xlabel(
         "value - consensus, in the geometric mean of the claimed standard deviations (bars: 95 %)\n"
         "red: drifts, orange: differs, black: agrees, grey: never determined; "
-        "triangles lie beyond the edge",
+        "triangles lie beyond the edge"
     )
-    _verdicts(figure, axes, shown, result.labels)
-    return finish(figure, f"{result.robot}: do {m} identifications agree?")
+    return _compared(figure, f"{result.robot}: do {m} identifications agree?", shown, result.labels)
 
 
-def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> "Figure":
+def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> Figure:
     """Ranges of the sets of every file, each parameter scaled to the widest of all."""
     shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
     m = len(labels)
@@ -84,19 +78,16 @@ def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> 
             a, b = ((float(x[k]) - (low + high) / 2) / size for x in (r.low, r.high))
             axes.plot([a, b], [y, y], "|-", color=_colour(k), markersize=4)
         names.append(f"{short(r.name, 44)}  {low:.3g} .. {high:.3g}")
-    axes.set_xlim(-0.55, 0.55)
+    axes.set(xlim=(-0.55, 0.55), xticks=[])
     rows_of(axes, names, 6)
-    axes.set_xticks([])
-    label(
-        axes,
+    axes.set_xlabel(
         "range of each file's sets, scaled to the whole range of the parameter (given beside its "
-        f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file",
+        f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file"
     )
-    _verdicts(figure, axes, shown, labels)
-    return finish(figure, f"{robot}: sets compared")
+    return _compared(figure, f"{robot}: sets compared", shown, labels)
 
 
-def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure":
+def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> Figure:
     """Per joint: differences between models against what their covariances claim, and, with a log,
     every model's error."""
     n, m = len(t.size), len(labels)
@@ -114,7 +105,9 @@ def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> "Figure
             x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
             axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
         axes.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
-        label(axes, y="RMS [N m; N]", title=title).legend(fontsize=8, frameon=False)
+        axes.set_ylabel("RMS [N m; N]")
+        axes.set_title(title, fontsize=8, color=INK)
+        axes.legend(fontsize=8, frameon=False)
     for j in range(n):
         share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
         top = max(float(v[j]) for _, v, _ in spreads)
@@ -130,19 +123,11 @@ def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
 
 
-def _verdicts(
-    figure: "Figure", axes: Any, shown: Sequence[Compared | Range], labels: Sequence[str]
-) -> None:
+def _compared(
+    figure: Figure, title: str, shown: Sequence[Compared | Range], labels: Sequence[str]
+) -> Figure:
     """Names of the rows in the colours of their verdicts, and a legend of the results."""
-    from matplotlib.lines import Line2D
-
-    for name, row in zip(axes.get_yticklabels(), shown, strict=True):
-        name.set_color(SHADES.get(row.verdict, GREY if row.verdict == "never_determined" else INK))
-    handles = [
-        Line2D([], [], color=_colour(k), marker="o", markersize=4, label=name)
-        for k, name in enumerate(labels)
-    ]
-    columns = min(4, len(labels))
-    figure.legend(
-        handles=handles, loc="outside upper right", ncols=columns, frameon=False, fontsize=8
-    )
+    for name, row in zip(figure.axes[0].get_yticklabels(), shown, strict=True):
+        name.set_color(SHADES.get(row.verdict, INK))
+    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(len(labels)))
+    return finish(figure, title, keys=dict(zip(labels, styles, strict=True)))

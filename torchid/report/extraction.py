@@ -2,7 +2,7 @@
 parameters the torque determines, and how far."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from rich.text import Text
@@ -22,16 +22,12 @@ from torchid.extraction.record import (
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, to_record
 from torchid.identification.values import BaseValues
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import finish, label, panel, rows_of
-from torchid.report.table import Cell, Table
+from torchid.report.panels import Figure, finish, panel, rows_of
+from torchid.report.table import Cell, Table, count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _SHOWN = 12
 _ON_A_BOUND = 1e-4
@@ -115,7 +111,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
         else f"infeasible: {', '.join(verdict.reasons(k))}"
     )
     text = (
-        f"{len(found.sets)} set{'s' * (len(found.sets) > 1)} of {name} by {found.method}, "
+        f"{count(len(found.sets), 'set')} of {name} by {found.method}, "
         f"{int(verdict.feasible.sum())} of them feasible. Best: {found.sets.ids[k]}, phi "
         f"{float(found.phi[k]):.5g}, {said}; its torque is up to "
         f"{100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
@@ -132,8 +128,7 @@ def headline(found: Found, proof: Certificate | None) -> str:
         )
     edges = at_bounds(found)
     if edges:
-        more = "" if len(edges) <= _SHOWN else f" and {len(edges) - _SHOWN} more"
-        text += f" On its bounds: {', '.join(edges[:_SHOWN])}{more}."
+        text += f" On its bounds: {listed(edges, most=_SHOWN)}."
     return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
 
 
@@ -176,10 +171,10 @@ def least_loss(found: Found, proof: Certificate) -> str:
 
 def tables(found: Found, proof: Certificate | None) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    count = len(found.sets)
-    which = f"the best {_SHOWN} of {count} sets" if count > _SHOWN else f"set{'s' * (count > 1)}"
+    every = len(found.sets)
+    which = f"the best {_SHOWN} of {every} sets" if every > _SHOWN else f"set{'s' * (every > 1)}"
     verdict = found.verdict.feasible.tolist()
-    order = sorted(range(count), key=lambda k: (not verdict[k], float(found.phi[k])))
+    order = sorted(range(every), key=lambda k: (not verdict[k], float(found.phi[k])))
     rows = []
     for k in order[:_SHOWN]:
         degree = float(found.verdict.degree[k])
@@ -212,14 +207,9 @@ def extraction_record(
     search: dict[str, Any] | None = None
     if found.search is not None:
         s = found.search
-        settings = (
-            "runs", "stages", "generations", "population", "penalty", "schedule", "engine",
-            "polish", "seed",
-        )  # fmt: skip
-        search = {name: getattr(s.settings, name) for name in settings}
-        search["phi_before_polish"] = s.searched_phi.tolist()
-        search["gamma_before_polish"] = s.searched_gamma.tolist()
-        search["contradictions"] = list(s.contradictions)
+        settings = "runs stages generations population penalty schedule engine polish seed"
+        course = "phi_before_polish=searched_phi gamma_before_polish=searched_gamma contradictions"
+        search = {**picked(s.settings, settings), **picked(s, course)}
     return {
         "schema": SCHEMA,
         **problem_record(found.problem),
@@ -242,7 +232,7 @@ def extraction_record(
     }
 
 
-def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
+def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss after the polish."""
     figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
     stages = range(1, search.settings.stages + 1)
@@ -253,7 +243,7 @@ def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
         shown = history.clamp(min=1e-34).numpy()
         axes.plot(stages, shown.T, color=GREY, linewidth=0.7, alpha=0.6)
         axes.plot(stages, shown[search.best], color=BLUE, linewidth=1.6, label="best run")
-        label(axes, y=what)
+        axes.set_ylabel(what)
     upper.set_yscale("log")
     lower.set_yscale("symlog", linthresh=1e-8)
     lower.set_ylim(bottom=-1e-9)
@@ -263,13 +253,12 @@ def search_figure(search: Extraction, proof: Certificate | None) -> "Figure":
         upper.scatter(end, phi, s=10, color=BLUE, label="after the polish")
     if proof is not None and proof.feasible and proof.phi_min > 0:
         upper.axhline(proof.phi_min, color=RED, linewidth=1.0, label="least possible, phi_min")
-    upper.legend(fontsize=8, frameon=False, loc="best")
-    label(lower, "stage of Algorithm 1")
-    return finish(
-        figure,
+    lower.set_xlabel("stage of Algorithm 1")
+    title = (
         f"{search.problem.robot.name}: {search.settings.runs} runs within the bounds "
-        f"'{search.problem.bounds.name}', {search.settings.penalty} loss",
+        f"'{search.problem.bounds.name}', {search.settings.penalty} loss"
     )
+    return finish(figure, title, upper)
 
 
 _KNOWN, _NARROWED = 0.01, 0.5
@@ -329,7 +318,7 @@ def atlas_table(atlas: Atlas) -> Table:
     )
 
 
-def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
+def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
@@ -354,8 +343,7 @@ def atlas_figure(atlas: Atlas, problem: Problem) -> "Figure":
         axes.set_xlim(-0.02, 1.02)
         axes.set_title(title, fontsize=9, color=INK)
         axes.grid(False, axis="y")
-    label(
-        grid[1],
+    grid[1].set_xlabel(
         "0 and 1: least and largest value that feasible sets of any torque have within the bounds",
     )
     keys = {

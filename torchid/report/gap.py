@@ -2,6 +2,7 @@
 
 import math
 import re
+from functools import partial
 from typing import Any
 
 from torchid.effects.registry import KINDS
@@ -20,7 +21,8 @@ from torchid.report.gap_words import (
     shapes,
     verdict,
 )  # fmt: skip
-from torchid.report.page.document import Origin, Page, Picture, result_page
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Picture
 from torchid.report.table import (
     Table,
     interval,
@@ -268,7 +270,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     if d.findings:
         numbers.insert(2, coefficient_table(d))
     low, high = float(d.floor.low.norm()), float(d.floor.high.norm())
-    return result_page(
+    return Page(
         f"Sim-to-real gap of {d.robot.name}",
         verdict(d),
         (
@@ -281,7 +283,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         origin,
         pictures=_pictures(d),
         tables=numbers,
-        notes=dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)]),
+        notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
     )
 
 
@@ -344,14 +346,14 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
                 f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
                 f"and its spectrum: {change}.",
-                lambda joint=joint: joint_figure(d, joint),  # type: ignore[misc]
+                partial(joint_figure, d, joint),
             ),
             Picture(
                 f"torque_{number}",
                 f"Torque of joint {number} on data not fitted, where its gap is largest."
                 f"{'' if k else _OVER_TIME}",
                 f"Measured and modelled torque of joint {number} over time: {change}.",
-                lambda joint=joint: gap_figures.torque_figure(d, joint),  # type: ignore[misc]
+                partial(gap_figures.torque_figure, d, joint),
             ),
         ]
     pairs = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)

@@ -1,8 +1,7 @@
 """Figures of a diagnosis: where the gap lies, how far it shrinks, and the gap of one joint against
 everything it may depend on."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -10,13 +9,9 @@ import torch
 from torchid.gap.diagnosis import Diagnosis, Regime, Trace
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import CLEAR, regime_words
-from torchid.report.panels import finish, label, new_figure, panel, ruled, styled
+from torchid.report.panels import Figure, finish, new_figure, panel, ruled, styled
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 WORST = 3
 """Joints that get a figure of their own."""
@@ -27,7 +22,7 @@ _SHORTEST = 12.0
 """Seconds of a trajectory shown in the torque overlay, at most."""
 
 
-def figures(diagnosis: Diagnosis) -> dict[str, "Figure"]:
+def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """All figures by the names of their files."""
     out = {"where": map_figure(diagnosis), "how_far": bar_figure(diagnosis)}
     if not diagnosis.traces:
@@ -44,7 +39,7 @@ def worst_joints(diagnosis: Diagnosis, most: int = WORST) -> list[int]:
     return [gap.joint for gap in order[:most] if gap.share > 0.02] or [order[0].joint]
 
 
-def map_figure(diagnosis: Diagnosis) -> "Figure":
+def map_figure(diagnosis: Diagnosis) -> Figure:
     """Joints x regimes: excess as colour and number where clear, faint elsewhere; the joint's
     share of the gap beside it."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -63,14 +58,11 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
             # A number where the excess is clear, else a dot.
             if r.p < CLEAR and r.excess > 0:
                 clear[y, x] = r.excess
-                text, style = percent(r.excess).replace(" ", "\u2009"), (_SMALL, INK, "bold")
+                text = percent(r.excess).replace(" ", "\u2009")
+                style = {"fontsize": _SMALL, "color": INK, "fontweight": "bold"}
             else:
-                text, style = "·", (12, GREY, "normal")
-            size, colour, weight = style
-            axes.text(
-                x, y, text, ha="center", va="center", fontsize=size, color=colour,
-                fontweight=weight,
-            )  # fmt: skip
+                text, style = "·", {"fontsize": 12, "color": GREY}
+            axes.text(x, y, text, ha="center", va="center", **style)
     # Blue over whatever ground the figure has, so light that ink on it can be read.
     shades = LinearSegmentedColormap.from_list("shades", [(BLUE, 0.0), (BLUE, 0.6)])
     image = axes.imshow(clear, cmap=shades, vmin=0, vmax=1, aspect="auto")
@@ -86,8 +78,7 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
     bars.barh(range(len(joints)), [gap.share for gap in diagnosis.joints], color=BEFORE, height=0.6)
     for y, gap in enumerate(diagnosis.joints):
         bars.text(gap.share + 0.03, y, percent(gap.share), va="center", fontsize=_SMALL, color=INK)
-    bars.set_xlim(0, 1.3)
-    bars.set_xticks([])
+    bars.set(xlim=(0, 1.3), xticks=[])
     bars.tick_params(which="both", length=0, labelleft=False)
     bars.grid(False)
     bars.spines["bottom"].set_visible(False)
@@ -100,7 +91,7 @@ def map_figure(diagnosis: Diagnosis) -> "Figure":
     return finish(figure, f"{diagnosis.robot.name}: where the gap lies")
 
 
-def bar_figure(diagnosis: Diagnosis) -> "Figure":
+def bar_figure(diagnosis: Diagnosis) -> Figure:
     """RMS of the gap before and after, joint by joint, over the noise bracket."""
     far, floor, n = diagnosis.how_far, diagnosis.floor, diagnosis.robot.n
     figure, axes = panel(2.4 + 0.85 * n, 4.3)
@@ -121,15 +112,14 @@ def bar_figure(diagnosis: Diagnosis) -> "Figure":
             text = text.replace("-", "\u2212")
             axes.text(x, max(a, b) + 0.02 * top, text, ha="center", fontsize=_SMALL, color=INK)
     axes.set_xticks(place, [f"joint {j + 1}" for j in range(n)])
-    axes.set_xlim(-0.6, n - 0.4)
-    axes.set_ylim(0, 1.12 * top if top > 0 else 1.0)
+    axes.set(xlim=(-0.6, n - 0.4), ylim=(0, 1.12 * top if top > 0 else 1.0))
     axes.grid(axis="x", visible=False)
-    label(axes, y=f"measured - model, RMS [{torque_unit(diagnosis.robot)}]")
+    axes.set_ylabel(f"measured - model, RMS [{torque_unit(diagnosis.robot)}]")
     title = f"{diagnosis.robot.name}: how far the gap shrinks on data not fitted"
     return finish(figure, title, axes, columns=3 if n > 5 else 1)
 
 
-def budget_figure(diagnosis: Diagnosis) -> "Figure":
+def budget_figure(diagnosis: Diagnosis) -> Figure:
     """One bar: what refitted parameters close, what effects close, what stays unexplained."""
     b = diagnosis.budget
     parts = (
@@ -143,16 +133,14 @@ def budget_figure(diagnosis: Diagnosis) -> "Figure":
         width = max(0.0, share)
         axes.barh(0, width, left=left, color=colour, height=0.6, label=f"{name} {percent(share)}")
         left += width
-    axes.set_xlim(0, max(1.0, left))
-    axes.set_yticks([])
+    axes.set(xlim=(0, max(1.0, left)), yticks=[], xlabel="share of the gap beyond noise")
     axes.spines["left"].set_visible(False)
     axes.grid(axis="y", visible=False)
     axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
-    label(axes, "share of the gap beyond noise")
     return finish(figure, f"{diagnosis.robot.name}: what closes the gap", axes, columns=3)
 
 
-def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> "Figure":
+def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:
     """Measured torque and both models on a joint (from 0; the worst, if None), in the stretch with
     the largest gap, and what is left over."""
     joint = worst_joints(diagnosis)[0] if joint is None else joint
@@ -185,8 +173,8 @@ def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> "Figure":
     lower.plot(t, measured - before, color=BEFORE, linewidth=1.2)
     lower.plot(t, measured - after, color=AFTER, linewidth=1.2)
     unit = joint_unit(diagnosis.robot, joint)
-    label(upper, y=f"torque [{unit}]")
-    label(lower, f"time in {trace.name} [s]", f"measured - model [{unit}]")
+    upper.set_ylabel(f"torque [{unit}]")
+    lower.set(xlabel=f"time in {trace.name} [s]", ylabel=f"measured - model [{unit}]")
     lower.set_xlim(t[0], t[-1])
     title = f"{diagnosis.robot.name}: torque of joint {joint + 1} on data not fitted"
     return finish(figure, title, upper, lower)
@@ -200,27 +188,7 @@ _SCATTER = 1500
 _FEWEST = 3  # blocks in a bin that is drawn
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Valid instants of one joint, all trajectories.
-
-    Attributes:
-        t, q, dq, ddq, load: (N,).
-        before, after: (N,) measured - model.
-        block: (N,) number of the block.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    load: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    block: np.ndarray
-
-
-def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
+def joint_figure(diagnosis: Diagnosis, joint: int) -> Figure:
     """Binned means of the gap against velocity, position, acceleration, load and time, over a light
     scatter, and its spectrum over the noise."""
     unit = joint_unit(diagnosis.robot, joint)
@@ -228,13 +196,16 @@ def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
     s = samples(diagnosis.traces, joint)
     figure, grid = panel(11, 6.4, 2, 3)
     panels = (
-        (s.dq, f"velocity [{length}/s]"),
-        (s.q, f"position [{length}]"),
-        (s.ddq, f"acceleration [{length}/s²]"),
-        (s.load, f"torque of the model [{unit}]"),
+        (s["dq"], f"velocity [{length}/s]"),
+        (s["q"], f"position [{length}]"),
+        (s["ddq"], f"acceleration [{length}/s²]"),
+        (s["load"], f"torque of the model [{unit}]"),
     )
+    models = (
+        (s["before"], BEFORE, "model as given"), (s["after"], AFTER, "with the effects found"),
+    )  # fmt: skip
     # Half the height of the panels is the scatter but for its outermost points.
-    both = np.abs(np.concatenate([s.before, s.after]))
+    both = np.abs(np.concatenate([s["before"], s["after"]]))
     limit = 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
     high = float(diagnosis.floor.high[joint])
     for axes, (x, name) in zip(grid.flat[:4], panels, strict=True):
@@ -242,39 +213,36 @@ def joint_figure(diagnosis: Diagnosis, joint: int) -> "Figure":
         axes.axhline(0, color=GREY, linewidth=0.8)
         some = slice(None, None, max(1, len(x) // _SCATTER))
         faint = {"s": 4, "alpha": 0.16, "linewidths": 0, "rasterized": True}
-        for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
+        for y, colour, _ in models:
             axes.scatter(x[some], y[some], color=colour, **faint)
-        for y, colour, whose in (
-            (s.before, BEFORE, "model as given"),
-            (s.after, AFTER, "with the effects found"),
-        ):
-            centre, mean, half = binned(x, y, s.block)
-            text = f"{whose}: mean, 95 % interval"
-            _banded(axes, centre, mean, mean - half, mean + half, colour, text)
-        axes.set_ylim(-limit, limit)
-        label(axes, name)
+        for y, colour, whose in models:
+            centre, mean, half = binned(x, y, s["block"])
+            ends = (mean - half, mean + half)
+            _banded(axes, centre, mean, ends, colour, f"{whose}: mean, 95 % interval")
+        axes.set(ylim=(-limit, limit), xlabel=name)
     for axes in grid[:, 0]:
-        label(axes, y=f"measured - model [{unit}]")
+        axes.set_ylabel(f"measured - model [{unit}]")
     # RMS over a few seconds: a mean over time would show the motion, not the gap's size. A block
     # that two bins share counts in both, so that no bin of a short log has too few.
     axes = grid[1, 1]
     axes.axhspan(0, high, color=INK, alpha=0.10, linewidth=0)
-    bins = int(np.clip(len(np.unique(s.block)) // _FEWEST, 1, BINS))
-    for y, colour in ((s.before, BEFORE), (s.after, AFTER)):
-        centre, mean, half = binned(s.t, np.square(y), s.block, bins)
+    bins = int(np.clip(len(np.unique(s["block"])) // _FEWEST, 1, BINS))
+    for y, colour, _ in models:
+        centre, mean, half = binned(s["t"], np.square(y), s["block"], bins)
         ends = (np.sqrt(np.maximum(mean - half, 0)), np.sqrt(mean + half))
-        _banded(axes, centre, np.sqrt(mean), *ends, colour)
+        _banded(axes, centre, np.sqrt(mean), ends, colour)
     axes.set_ylim(bottom=0)
     several = len(diagnosis.traces) > 1
     time = "time, one trajectory after another [s]" if several else "time [s]"
-    label(axes, time, f"RMS [{unit}]")
+    axes.set(xlabel=time, ylabel=f"RMS [{unit}]")
     _spectrum(grid[1, 2], diagnosis, joint, unit)
     title = f"{diagnosis.robot.name}, joint {joint + 1}: what the model lacks, on data not fitted"
     return finish(figure, title, grid[0, 0], columns=5)
 
 
-def samples(traces: tuple[Trace, ...], joint: int) -> Samples:
-    """The valid instants of one joint."""
+def samples(traces: tuple[Trace, ...], joint: int) -> dict[str, np.ndarray]:
+    """The valid instants of one joint, all trajectories, (N,) each: `t`, `q`, `dq`, `ddq`, `load`,
+    what is `before` and `after` measured - model, and the number of the `block`."""
     parts: dict[str, list[np.ndarray]] = {}
     clock, blocks = 0.0, 0
     for trace in traces:
@@ -296,20 +264,19 @@ def samples(traces: tuple[Trace, ...], joint: int) -> Samples:
             parts.setdefault(name, []).append(x[v].cpu().numpy())
         clock += len(v) / trace.rate
         blocks = int(block[-1]) + 1
-    return Samples(**{name: np.concatenate(x) for name, x in parts.items()})
+    return {name: np.concatenate(x) for name, x in parts.items()}
 
 
 def _banded(
     axes: Any,
     x: np.ndarray,
     y: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
     colour: str,
     text: str | None = None,
 ) -> None:
     """A line with marks over the band of its interval."""
-    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
+    axes.fill_between(x, *ends, color=colour, alpha=0.25, linewidth=0)
     axes.plot(
         x, y, color=colour, linewidth=1.4, marker="o" if colour == BEFORE else "s",
         markersize=3.4, markeredgecolor="white", markeredgewidth=0.4, label=text,
@@ -370,7 +337,7 @@ def _spectrum(axes: Any, diagnosis: Diagnosis, joint: int, unit: str) -> None:
         " cut-off of the fit", (diagnosis.cutoff, 0.98), xycoords=("data", "axes fraction"),
         fontsize=7, color=GREY, va="top",
     )  # fmt: skip
-    label(axes, "frequency [Hz] (grey: noise)", f"gap, spectral density [{unit}/√Hz]")
+    axes.set(xlabel="frequency [Hz] (grey: noise)", ylabel=f"gap, spectral density [{unit}/√Hz]")
 
 
 def spectrum(traces: tuple[Trace, ...], joint: int, model: str) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from torchid.gap.diagnosis import Diagnosis, Finding, Parametric, RegimeGap
 from torchid.gap.record import unit_of
-from torchid.report.table import interval, listed, percent, torque_unit
+from torchid.report.table import count, interval, listed, percent, torque_unit
 from torchid.robot.model import Robot
 
 REGIMES = {
@@ -174,14 +174,12 @@ def _inner(findings: Sequence[Finding], robot: Robot) -> str:
 
 def _unseen(d: Diagnosis) -> str:
     """What `no gap` does not say."""
-    count = len(d.not_testable)
-    if not count:
+    if not d.not_testable:
         return ""
     joints = sorted({joint for x in d.not_testable for joint in x.joints})
     place = f", on {joints_words(joints)}" if joints else ""
-    return (
-        f" {count} effect{'s' if count > 1 else ''} could not have been seen in these data{place}."
-    )
+    effects = count(len(d.not_testable), "effect")
+    return f" {effects} could not have been seen in these data{place}."
 
 
 def _unconfirmed(d: Diagnosis) -> bool:
@@ -226,7 +224,7 @@ def _causes(d: Diagnosis) -> str:
         texts.append(f"{with_article(name)}{place}{_inner(same, d.robot)}")
     more = len(names) - _MOST_NAMED
     if more > 0:
-        texts.append(f"{more} smaller effect{'s' if more > 1 else ''}")
+        texts.append(count(more, "smaller effect"))
     lacks = [f"the model lacks {listed(texts)}"] if texts else []
     return ", and ".join([*lacks, *inertia]) or "nothing"
 

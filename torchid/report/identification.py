@@ -3,8 +3,8 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import partial
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -15,13 +15,9 @@ from torchid.identification.payload import Estimate, Payload
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.validation import Errors, Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.page.document import Origin, Page, result_page
-from torchid.report.panels import Picture, finish, joint_rows, label, note, panel, rows_of
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of
 from torchid.report.table import Table, joint_unit, listed, short, unit_words
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
@@ -173,7 +169,7 @@ def error_table(result: Identification) -> Table:
 _MOST_POINTS = 4000
 
 
-def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "Figure":
+def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> Figure:
     """Measured and predicted torque per joint, the residual beside it on its own scale."""
     n = prediction.measured.shape[1]
     figure, grid = joint_rows(n, ("", ""), (11, 1.2 + 1.35 * n), units, width_ratios=(3, 2))
@@ -197,7 +193,7 @@ def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> "
     return finish(figure, title, *grid[0])
 
 
-def parameter_figure(result: Identification) -> "Figure":
+def parameter_figure(result: Identification) -> Figure:
     """Each estimated parameter's 95 % interval relative to its value: what the log determines."""
     relative = result.uncertainty.quantile() * result.relative_std_percent
     shown = [k for k in range(len(result.base)) if bool(result.free[k])]
@@ -206,15 +202,16 @@ def parameter_figure(result: Identification) -> "Figure":
     values = [max(1e-3, min(float(relative[k]), 1e3)) for k in order]
     colours = [GREEN if v < 30 else ORANGE if v < 100 else RED for v in values]
     axes.barh(range(len(order)), values, left=1e-3, color=colours, height=0.7)
-    axes.set_xscale("log")
-    axes.set_xlim(max(1e-3, min(values) / 2), 1.1e3)
+    axes.set(xscale="log", xlim=(max(1e-3, min(values) / 2), 1.1e3))
     rows_of(axes, [short(result.base.names[k], 44) for k in order])
     axes.axvline(100, color=INK, linewidth=0.8)
-    label(axes, "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)")
+    axes.set_xlabel(
+        "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)"
+    )
     return finish(figure, f"{result.robot.name}: how well each parameter is known")
 
 
-def truth_figure(result: Identification, truth: torch.Tensor) -> "Figure":
+def truth_figure(result: Identification, truth: torch.Tensor) -> Figure:
     """Errors against known true values, in units of each parameter's 95 % interval."""
     half = result.uncertainty.quantile() * result.std
     shown = [k for k in range(len(result.base)) if bool(result.free[k])]
@@ -227,7 +224,7 @@ def truth_figure(result: Identification, truth: torch.Tensor) -> "Figure":
     rows_of(axes, [short(result.base.names[k], 44) for k in shown])
     limit = max(2.0, 1.1 * float(np.abs(error).max()))
     axes.set_xlim(-limit, limit)
-    label(axes, "(identified - true) / half-width of the 95 % interval")
+    axes.set_xlabel("(identified - true) / half-width of the 95 % interval")
     return finish(figure, f"{result.robot.name}: identified against true values")
 
 
@@ -246,7 +243,7 @@ def identification_page(result: Identification, origin: Origin) -> Page:
     shown, held = shown_errors(result)
     known = [v for v in shown.relative_percent_moving.tolist() if math.isfinite(v)]
     mean = _percent(sum(known) / len(known)) if known else "-"
-    return result_page(
+    return Page(
         f"Identified dynamics of {result.robot.name}",
         verdict(result),
         (
@@ -298,9 +295,7 @@ def _percent(value: float) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    shown = [short(name, 30) for name in names[:_MOST_NAMED]]
-    more = len(names) - _MOST_NAMED
-    return f"{', '.join(shown)} and {more} more" if more > 0 else listed(shown)
+    return listed((short(name, 30) for name in names), most=_MOST_NAMED)
 
 
 def coefficient_table(result: Identification, which: Sequence[int], title: str) -> Table:
@@ -352,7 +347,7 @@ def _pictures(result: Identification) -> list[Picture]:
                 f"Measured and predicted torque of every joint in {p.name}, {words}{place}."
                 f"{_RESIDUAL if k == 1 else ''}",
                 f"Measured and predicted torque over time in {p.name}, and their difference.",
-                lambda p=p: torque_figure(p, units, f"{p.name} ({words})"),  # type: ignore[misc]
+                partial(torque_figure, p, units, f"{p.name} ({words})"),
             )
         )
     poor = f"{len(poor_names(result))} of {len(result.base)}"

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,13 +13,9 @@ from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
-from torchid.report.panels import finish, joint_rows, label, thin
-from torchid.report.table import Cell, Table, joint_unit
+from torchid.report.panels import Figure, finish, joint_rows, thin
+from torchid.report.table import Cell, Table, count, joint_unit
 from torchid.robot.model import JointType, Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
 """Names of the signals of a motion, and their fields."""
@@ -37,17 +32,9 @@ def headline(seen: Overview) -> str:
     """One sentence: what the log is."""
     log, seconds = seen.log, sum(t.duration for t in seen.timing)
     kinds = list(dict.fromkeys(t.kind for t in seen.tables if t is not None))
-    trajectories = (
-        "1 trajectory" if log.trajectory_count == 1 else f"{log.trajectory_count} trajectories"
-    )
+    trajectories = count(log.trajectory_count, "trajectory", "trajectories")
     rates = sorted({f"{t.rate:.4g}" for t in seen.timing if t.rate is not None}, key=float)
-    at = (
-        f", {rates[0]} Hz"
-        if len(rates) == 1
-        else f", {rates[0]} to {rates[-1]} Hz"
-        if rates
-        else ""
-    )
+    at = f", {' to '.join(dict.fromkeys((rates[0], rates[-1])))} Hz" if rates else ""
     return (
         f"{', '.join(kinds) or 'log'}: {log.n} joints, {trajectories}, {seconds:.4g} s, "
         f"{log.samples} samples{at}"
@@ -89,7 +76,7 @@ def log_tables(seen: Overview) -> list[Table]:
     ]
 
 
-def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> "Figure":
+def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> Figure:
     """Position, velocity and acceleration per joint, limits in red.
 
     Args:
@@ -179,7 +166,7 @@ def choices(examination: Examination) -> str:
     return "\n".join(lines)
 
 
-def torque_figure(examination: Examination) -> "Figure | None":
+def torque_figure(examination: Examination) -> Figure | None:
     """Torque of each joint as the log has it, once mended, and what bodies explain of it."""
     judge, search = examination.judge, examination.search
     if judge is None or search is None:
@@ -191,12 +178,9 @@ def torque_figure(examination: Examination) -> "Figure | None":
     n, x = examination.robot.n, "low-passed samples, all trajectories"
     figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
     for k, axes in enumerate(grid[:, 0]):
-        unit = joint_unit(examination.robot, k)
         axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
         axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
-        error = 100 * search.final.errors[k]
-        label(axes, y=f"joint {k + 1} [{unit}]\n{error:.1f} %")
-        if k == 0:
-            where = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
-            axes.legend(**where, fontsize=8, ncols=2, frameon=False)
-    return figure
+        unit, error = joint_unit(examination.robot, k), 100 * search.final.errors[k]
+        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %")
+    title = f"{examination.robot.name}: torque measured, and explained by bodies"
+    return finish(figure, title, grid[0, 0])

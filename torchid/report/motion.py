@@ -1,7 +1,7 @@
 """A planned motion for people and as data: what it asks of the drives, and what it adds."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.torque import TorqueUse, has_torque_limits
@@ -10,9 +10,6 @@ from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
 from torchid.report.table import Table, joint_unit, short
 from torchid.robot.model import Robot
-
-if TYPE_CHECKING:
-    pass
 
 
 def torque_table(robot: Robot, use: TorqueUse) -> Table:

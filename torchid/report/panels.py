@@ -14,6 +14,8 @@ from torchid.typing import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+else:
+    Figure = Any  # matplotlib is slow to import, and most commands draw nothing
 
 
 MOST_POINTS = 1000
@@ -35,7 +37,7 @@ class Picture:
     name: str
     caption: str
     alt: str
-    draw: Callable[[], "Figure"]
+    draw: Callable[[], Figure]
     section: str = ""
 
     @property
@@ -44,54 +46,38 @@ class Picture:
         return f"{self.name}.png"
 
 
-def drawing(section: str, name: str, caption: str, draw: Callable[[], "Figure"]) -> Picture:
+def drawing(section: str, name: str, caption: str, draw: Callable[[], Figure]) -> Picture:
     """A picture of a section, told by its name; stars in its caption would be markup."""
     alt = f"Figure: {name.replace('_', ' ')}."
     return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
-def new_figure(width: float, height: float) -> "Figure":
-    """An empty figure in the house style, with a canvas that needs no display."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure that needs no display."""
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context():
-        figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
 def styled(axes: Any) -> Any:
     """Quiet axes: no box, light grid, small labels."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(GREY)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(GREY)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.label.set(fontsize=8, color=INK)
     axes.grid(True, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8, colors=INK)
     return axes
 
 
-def panel(width: float, height: float, *shape: int, **subplots: Any) -> "tuple[Figure, Any]":
+def panel(width: float, height: float, *shape: int, **subplots: Any) -> tuple[Figure, Any]:
     """A figure of one panel, or of rows and columns of them as `subplots` gives them."""
     figure = new_figure(width, height)
     axes = figure.subplots(*shape, **subplots)
     for one in np.ravel(axes):
         styled(one)
     return figure, axes
-
-
-def label(axes: Any, x: str = "", y: str = "", title: str = "", size: float = 8) -> Any:
-    """What a panel's axes show, in ink."""
-    if x:
-        axes.set_xlabel(x, fontsize=size, color=INK)
-    if y:
-        axes.set_ylabel(y, fontsize=size, color=INK)
-    if title:
-        axes.set_title(title, fontsize=size, color=INK)
-    return axes
 
 
 def joint_rows(
@@ -101,7 +87,7 @@ def joint_rows(
     units: Sequence[str] = (),
     x: str = "time [s]",
     **grid: Any,
-) -> "tuple[Figure, Any]":
+) -> tuple[Figure, Any]:
     """A figure of one row a joint, and its panels (n, columns).
 
     Args:
@@ -114,11 +100,11 @@ def joint_rows(
     """
     figure, panels = panel(*size, n, len(headings), sharex=True, squeeze=False, **grid)
     for j, axes in enumerate(panels[:, 0]):
-        label(axes, y=f"joint {j + 1}" + (f" [{units[j]}]" if units else ""))
+        axes.set_ylabel(f"joint {j + 1}" + (f" [{units[j]}]" if units else ""))
     for axes, heading in zip(panels[0], headings, strict=True):
         axes.set_title(heading, fontsize=9, color=INK)
     for axes in panels[-1]:
-        label(axes, x)
+        axes.set_xlabel(x)
     return figure, panels
 
 
@@ -131,7 +117,7 @@ def tiles(
     y: str = "",
     loc: str = "center",
     **share: Any,
-) -> "tuple[Figure, list[Any]]":
+) -> tuple[Figure, list[Any]]:
     """A figure of one panel a title, labelled at its left and below the lowest of each column.
 
     Args:
@@ -151,11 +137,36 @@ def tiles(
     for k, (axes, title) in enumerate(zip(grid, titles, strict=False)):
         styled(axes).set_title(title, fontsize=9, color=INK, loc=loc)
         if k % columns == 0:
-            label(axes, y=y)
+            axes.set_ylabel(y)
         if x and k + columns >= n:
+            axes.set_xlabel(x)
             # sharex hides the labels of a panel that has an empty one below it.
-            label(axes, x).tick_params(labelbottom=True)
+            axes.tick_params(labelbottom=True)
     return figure, list(grid[:n])
+
+
+def joint_lines(
+    title: str,
+    y: str,
+    t: np.ndarray,
+    curves: Mapping[str, tuple[np.ndarray, Mapping[str, Any]]],
+    x: str = "time [s]",
+) -> tuple[Figure, list[Any]]:
+    """Curves over time, a panel a joint: in a row up to three joints, else in two columns.
+
+    Args:
+        title: of the figure.
+        y, x: of the ordinate and the abscissa.
+        t: (T,) the abscissa.
+        curves: (T, n) values and the line's style by name.
+    """
+    n = next(iter(curves.values()))[0].shape[-1]
+    joints = [f"joint {j + 1}" for j in range(n)]
+    figure, panels = tiles(joints, n if n <= 3 else 2, 11.0, (2.0, 1.1), x, y, "left", sharex=True)
+    for j, axes in enumerate(panels):
+        for name, (values, style) in curves.items():
+            axes.plot(t, values[:, j], label=name, **style)
+    return finish(figure, title, panels[0], columns=len(curves)), panels
 
 
 def rows_of(axes: Any, names: Sequence[str], size: float = 7) -> None:
@@ -165,12 +176,12 @@ def rows_of(axes: Any, names: Sequence[str], size: float = 7) -> None:
 
 
 def finish(
-    figure: "Figure",
+    figure: Figure,
     title: str,
     *axes: Any,
     columns: int = 4,
     keys: Mapping[str, Mapping[str, Any]] | None = None,
-) -> "Figure":
+) -> Figure:
     """Title at the left; below all panels one legend of what the given ones hold, each name once,
     and of `keys`, names of lines with their styles."""
     from matplotlib.lines import Line2D
@@ -195,8 +206,7 @@ def ruled(axes: Any, rows: int, columns: int, width: float) -> None:
     axes.grid(which="minor", color="white", linewidth=width)
     axes.tick_params(which="both", length=0)
     axes.tick_params(which="major", labelsize=8, labelcolor=INK)
-    for side in axes.spines.values():
-        side.set_visible(False)
+    axes.spines[:].set_visible(False)
 
 
 def note(axes: Any, text: str) -> None:
@@ -223,7 +233,7 @@ def spread(k: int, seed: int, width: float = 0.3) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-width, width, k)
 
 
-def literal(figure: "Figure") -> None:
+def literal(figure: Figure) -> None:
     """Names of robots and files are no formulas, whatever dollars they hold; labels of logarithmic
     axes are."""
     from matplotlib.text import Text
@@ -234,7 +244,7 @@ def literal(figure: "Figure") -> None:
             text.set(text=printable(words), parse_math=False)
 
 
-def save(figure: "Figure", path: Path) -> Path:
+def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
     literal(figure)
     with atomic_write(path, "wb") as stream:
@@ -242,7 +252,7 @@ def save(figure: "Figure", path: Path) -> Path:
     return path
 
 
-def save_small(figure: "Figure", path: Path) -> Path:
+def save_small(figure: Figure, path: Path) -> Path:
     """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image

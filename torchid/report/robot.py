@@ -7,7 +7,7 @@ from rich.text import Text
 from torchid.export.export import Export
 from torchid.feasibility.plausibility import DENSITIES
 from torchid.json_data import picked, plain
-from torchid.report.table import Table
+from torchid.report.table import Table, count
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -20,8 +20,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
     p = robot.parameters
     return {
         "schema": "torchid.robot/1",
-        "name": robot.name,
-        "source": robot.source,
+        **picked(robot, "name source"),
         "joints": [
             {
                 "joint": i + 1,
@@ -39,8 +38,7 @@ def robot_record(robot: Robot) -> dict[str, Any]:
             **picked(p, "mass com inertia_about_com"),
             "consistency_margin": p.consistency_margin().tolist(),
         },
-        "effects": [dict(e) for e in robot.effects],
-        "drive_gain": None if robot.drive_gain is None else robot.drive_gain.tolist(),
+        **picked(robot, "effects drive_gain"),
         "bounds": sorted(robot.bounds),
         "warnings": list(robot_warnings(robot)),
     }
@@ -122,11 +120,7 @@ def export_record(done: Export) -> dict[str, Any]:
         "feasible": None if done.check is None else bool(done.check.feasibility.feasible[0]),
         "reasons": [] if done.check is None else list(done.check.feasibility.reasons(0)),
         "checks": checks,
-        "effects": {
-            "in_file": list(done.in_file),
-            "beside": list(done.beside),
-            "left_out": list(done.left_out),
-        },
+        "effects": picked(done, "in_file beside left_out"),
         "warnings": list(export_warnings(done)),
     }
 
@@ -173,11 +167,7 @@ def effect_lines(done: Export) -> list[str]:
     """Where each effect went, one sentence a place."""
     sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
     places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
-    return [
-        f"{len(words)} effect{'s' if len(words) > 1 else ''} {place}"
-        for place, words in places
-        if words
-    ]
+    return [f"{count(len(words), 'effect')} {place}" for place, words in places if words]
 
 
 def export_headline(done: Export) -> str:

@@ -147,9 +147,18 @@ def short(name: str, length: int) -> str:
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
-def listed(words: Iterable[str], last: str = "and", nothing: str = "") -> str:
-    """`a, b and c`."""
-    *first, end = list(words) or [nothing]
+def count(k: int, what: str, many: str = "") -> str:
+    """1 set, 2 sets."""
+    return f"{k} {what if k == 1 else many or what + 's'}"
+
+
+def listed(
+    words: Iterable[str], last: str = "and", nothing: str = "", most: int | None = None
+) -> str:
+    """`a, b and c`, or `a, b and 3 more` where there are more than `most`."""
+    every = list(words) or [nothing]
+    more = 0 if most is None else len(every) - most
+    *first, end = [*every[:most], f"{more} more"] if more > 0 else every
     return f"{', '.join(first)} {last} {end}" if first else end
 
 

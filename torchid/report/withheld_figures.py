@@ -2,15 +2,12 @@
 a figure is drawn."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import finish, label, new_figure, ruled, tiles
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from torchid.report.panels import Figure, finish, new_figure, ruled, tiles
 
 _SMALL = 8
 _COLUMNS = 3
@@ -19,7 +16,7 @@ _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 Matrix = Mapping[str, Mapping[str, int]]
 
 
-def figures(summary: Mapping[str, Any]) -> dict[str, "Figure"]:
+def figures(summary: Mapping[str, Any]) -> dict[str, Figure]:
     """All figures that there are data for, by the names of their files."""
     scores = summary["scores"]
     out = {}
@@ -30,7 +27,7 @@ def figures(summary: Mapping[str, Any]) -> dict[str, "Figure"]:
     return out
 
 
-def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
+def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
     """Planted causes (rows) and what was named first (columns): share of the row as colour, cases
     as number. Causes outside the library are below the line, and have no right name."""
     from matplotlib.patches import Rectangle
@@ -68,27 +65,27 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> "Figure":
             len(columns) - 0.4, len(inside) + 0.5 * len(outside) - 0.5, "outside\nthe library",
             fontsize=_SMALL, color=INK, va="center",
         )  # fmt: skip
-    label(axes, "named first", "planted")
+    axes.set_xlabel("named first", fontsize=_SMALL, color=INK)
+    axes.set_ylabel("planted", fontsize=_SMALL, color=INK)
     return finish(figure, "What was planted and what was named first (number of cases)")
 
 
-def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figure":
+def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     """Shares of cases detected and named over the planted size, one panel a family, with 95 %
     intervals."""
     columns = min(_COLUMNS, len(curves))
     names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
-    figure, grid = tiles(
-        names,
-        columns,
-        width,
-        (2.2, 1.3),
-        "size / noise",
-        "cases [%]",
-        "left",
-        sharex=True,
-        sharey=True,
-    )
+    across: dict[str, Any] = {
+        "x": "size / noise",
+        "y": "cases [%]",
+        "loc": "left",
+        "sharex": True,
+        "sharey": True,
+    }
+    figure, grid = tiles(names, columns, width, (2.2, 1.3), **across)
     levels = sorted({point["level"] for points in curves.values() for point in points})
+    low, high = 0.8 * levels[0], 1.25 * levels[-1]
+    ticks = [x for x in _TICKS if low <= x <= high]
     for axes, points in zip(grid, curves.values(), strict=True):
         x = [point["level"] for point in points]
         for which, colour, style in (("detected", ORANGE, (0, (4, 2))), ("named", BLUE, "-")):
@@ -101,12 +98,9 @@ def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> "Figu
                 x, [100 * r["share"] for r in rates], color=colour, linestyle=style, marker="o",
                 markersize=3, linewidth=1.5, label=f"{which} (band: 95 %)",
             )  # fmt: skip
-        axes.set_xscale("log")
-        axes.set_xlim(0.8 * levels[0], 1.25 * levels[-1])
-        ticks = [x for x in _TICKS if 0.8 * levels[0] <= x <= 1.25 * levels[-1]]
+        axes.set(xscale="log", xlim=(low, high), ylim=(-4, 104))
         axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
         axes.minorticks_off()
-        axes.set_ylim(-4, 104)
     return finish(figure, "Detected and named, by the size of what was planted", grid[0], columns=2)
 
 

@@ -72,66 +72,26 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Section:
-    """A part of the page.
-
-    Attributes:
-        key: unique on the page, as `Picture.name`.
-        heading: of the section.
-        notes: sentences before everything else, one a line.
-        pictures, sheets: figures, then tables.
-    """
-
-    key: str
-    heading: str
-    notes: tuple[str, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    sheets: tuple[Table, ...] = ()
-
-    @property
-    def empty(self) -> bool:
-        """Whether there is nothing in it."""
-        return not (self.notes or self.pictures or self.sheets)
-
-
-@dataclass(frozen=True)
 class Page:
-    """A whole page.
+    """A whole page; what is empty is left out.
 
     Attributes:
         title: what was done to what: `Sim-to-real gap of panda`.
         verdict: one sentence.
         facts: (label, value) the few numbers beside it.
-        sections: the pictures, then the tables, then remarks; empty ones are left out.
         origin: how to repeat it.
+        pictures, findings, tables: the figures, what they say, and the numbers.
+        notes: what to bear in mind, one sentence each.
     """
 
     title: str
     verdict: str
-    facts: tuple[tuple[str, str], ...]
-    sections: tuple[Section, ...]
+    facts: Sequence[tuple[str, str]]
     origin: Origin
-
-
-def result_page(
-    title: str,
-    verdict: str,
-    facts: Sequence[tuple[str, str]],
-    origin: Origin,
-    *,
-    pictures: Iterable[Picture],
-    tables: Iterable[Table],
-    notes: Iterable[str],
-    findings: Sequence[str] = (),
-) -> Page:
-    """The page of a result: pictures, findings, numbers, and what to bear in mind."""
-    sections = (
-        Section("pictures", "Pictures", pictures=tuple(pictures)),
-        Section("findings", "Findings", notes=tuple(findings)),
-        Section("numbers", "Numbers", sheets=tuple(tables)),
-        Section("remarks", "To bear in mind", notes=tuple(notes)),
-    )
-    return Page(title, verdict, tuple(facts), sections, origin)
+    pictures: Sequence[Picture]
+    tables: Sequence[Table]
+    notes: Sequence[str]
+    findings: Sequence[str] = ()
 
 
 def require_templates() -> None:
@@ -154,7 +114,7 @@ def render(page: Page) -> str:
     """
     template = _environment().get_template("page.html.j2")
     room, drawn = MOST_BYTES - _WORDS_AND_TABLES, {}
-    for picture in (picture for section in page.sections for picture in section.pictures):
+    for picture in page.pictures:
         svg = inline_svg(picture)
         room -= len(svg.encode())
         if room < 0:

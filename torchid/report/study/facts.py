@@ -11,7 +11,7 @@ import torch
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
 from torchid.report.identification import QUANTITIES
-from torchid.report.table import listed
+from torchid.report.table import count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.study.result import ScenarioResult, SetsOnMotion, Study
 from torchid.typing import Float, Int, Tensor
@@ -31,11 +31,6 @@ def number(value: float, digits: int = 3) -> str:
     if math.isnan(value):
         return "-"
     return "none" if math.isinf(value) else f"{value:.{digits}g}"
-
-
-def count(k: int, what: str, many: str = "") -> str:
-    """1 set, 2 sets."""
-    return f"{k} {what if k == 1 else many or what + 's'}"
 
 
 def joint_names(study: Study) -> tuple[str, ...]:

@@ -2,22 +2,19 @@
 comparisons, and the torques of the identified coefficients and of the best sets."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
 from torchid.log.model import Log
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, KEEPS, ORANGE, RED
 from torchid.report.log import SIGNALS, trajectory_figure
-from torchid.report.panels import Picture, drawing, finish, headroom, joint_rows, note, thin
+from torchid.report.panels import Figure, Picture, drawing, finish, headroom, joint_rows, note, thin
 from torchid.report.study import facts
-from torchid.report.study.facts import at_joint, count, number, rms
-from torchid.report.table import listed, torque_unit
+from torchid.report.study.facts import at_joint, number, rms
+from torchid.report.table import count, listed, torque_unit
 from torchid.study.motions import new_motion
 from torchid.study.result import Study
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _UNITS = ("rad", "rad/s", "rad/s²")
 """Of the signals that the report's noise is added to, where joints turn."""
@@ -92,7 +89,7 @@ def _motion(
     return drawing(section, file, caption, lambda: trajectory_figure(robot, plan, title, noisy))
 
 
-def _noise_figure(study: Study, plan: Log, log: Log) -> "Figure":
+def _noise_figure(study: Study, plan: Log, log: Log) -> Figure:
     """The noise alone: at the scale of the motion it is as wide as a line."""
     robot = study.robot
     headings = [f"{name} [{unit}]" for (name, _), unit in zip(SIGNALS, _UNITS, strict=True)]
@@ -173,7 +170,7 @@ def torque_drawings(study: Study) -> list[Picture]:
     return [validation, _sets_torque(study)]
 
 
-def _torque_figure(study: Study) -> "Figure":
+def _torque_figure(study: Study) -> Figure:
     identified, rebuilt, true = facts.validation_torques(study)
     n, unit = study.robot.n, torque_unit(study.robot, "N m; N")
     headings = (f"torque [{unit}]", f"residual [{unit}]")
@@ -227,7 +224,7 @@ def _sets_torque(study: Study) -> Picture:
     return drawing("validation", "sets_torque", caption, lambda: _sets_figure(study))
 
 
-def _sets_figure(study: Study) -> "Figure":
+def _sets_figure(study: Study) -> Figure:
     error, _ = facts.torque_errors(study.sets_motion)
     sets, n, unit = study.sets_motion, study.robot.n, torque_unit(study.robot, "N m; N")
     names = sets.labels[1:]

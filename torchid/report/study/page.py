@@ -12,14 +12,14 @@ from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, to_record
 from torchid.files import atomic_write
 from torchid.json_data import write_json
-from torchid.report.page.document import Origin, Page, result_page, versions
+from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts, tables
-from torchid.report.study.facts import by_feasibility, count, ids, number, verdict
+from torchid.report.study.facts import by_feasibility, ids, number, verdict
 from torchid.report.study.motion_figures import motion_drawings, torque_drawings
 from torchid.report.study.search_figures import search_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Table, listed
+from torchid.report.table import Table, count, listed
 from torchid.study.result import Study
 
 
@@ -164,7 +164,7 @@ def study_page(study: Study, origin: Origin) -> Page:
     error, real = facts.torque_errors(study.sets_motion)
     good = len(by_feasibility(study, True))
     feasible, runs = facts.feasible_runs(study)
-    return result_page(
+    return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
         (
@@ -186,11 +186,8 @@ def page_verdict(study: Study) -> str:
     good, bad = by_feasibility(study, True), by_feasibility(study, False)
     total = count(len(study.scenarios), "best set")
     # What the best sets that are not feasible violate, the most frequent first.
-    often = Counter(r for s in bad for r in s.reasons).most_common()
-    names = [name for name, _ in often[:_MOST_NAMED]]
-    if len(often) > _MOST_NAMED:
-        names.append(f"{len(often) - _MOST_NAMED} more")
-    failing = f"violate {listed(names)}" if names else "violate their conditions"
+    often = [name for name, _ in Counter(r for s in bad for r in s.reasons).most_common()]
+    failing = f"violate {listed(often, nothing='their conditions', most=_MOST_NAMED)}"
     if not bad:
         said = f"Feasible: all {total}"
     elif not good:

@@ -1,21 +1,18 @@
 """How a study's searches went: convergence, losses against what is possible, degrees."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREY, INK, KEEPS
-from torchid.report.panels import Picture, drawing, finish, label, panel, spread
+from torchid.report.panels import Figure, Picture, drawing, finish, panel, spread
 from torchid.report.study import facts
-from torchid.report.study.facts import count, ids, kept, number
-from torchid.report.table import listed
+from torchid.report.study.facts import ids, kept, number
+from torchid.report.table import count, listed
 from torchid.study.result import ScenarioResult, Study
 from torchid.typing import Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LEAST_PHI = 1e-32
 """Losses below it are drawn on it: the square of rounding."""
@@ -54,7 +51,7 @@ def _convergence_caption(study: Study) -> str:
     )
 
 
-def _convergence(study: Study) -> "Figure":
+def _convergence(study: Study) -> Figure:
     k = len(study.scenarios)
     width = max(6.0, 1.0 + 2.1 * k)
     figure, grid = panel(width, 5.6, 2, k, sharex=True, sharey="row", squeeze=False)
@@ -67,7 +64,7 @@ def _convergence(study: Study) -> "Figure":
             grid[:, c], (e.history_phi, e.history_gamma), (_LEAST_PHI, zero), strict=True
         ):
             values = _floored(history, floor)
-            axes.set_yscale("log")
+            axes.set(yscale="log", xlabel="stage" if axes is grid[1, c] else "")
             stages = np.arange(1, values.shape[1] + 1)
             axes.plot(stages, values.T, color=GREY, linewidth=0.5, alpha=0.7)
             axes.plot(stages, values[e.best], color=BLUE, linewidth=2.0)
@@ -76,13 +73,11 @@ def _convergence(study: Study) -> "Figure":
             grid[0, c].axhline(least, color=BREAKS, linewidth=1.2)
         heading = f"{s.scenario.id}: {s.scenario.bounds}, {s.scenario.penalty}"
         grid[0, c].set_title(heading, fontsize=9, color=KEEPS if s.feasible else BREAKS)
-        label(grid[1, c], "stage")
         grid[1, c].axhline(zero, color=INK, linewidth=0.8)
         grid[1, c].text(0.98, zero / 1.3, "gamma = 0", transform=grid[1, c].get_yaxis_transform(),
                         fontsize=7, color=INK, ha="right", va="top")  # fmt: skip
-    grid[1, 0].set_ylim(bottom=zero / 10)
-    label(grid[0, 0], y="phi")
-    label(grid[1, 0], y="gamma")
+    grid[0, 0].set_ylabel("phi")
+    grid[1, 0].set(ylim=(zero / 10, None), ylabel="gamma")
     keys = {
         "runs": {"color": GREY, "linewidth": 0.8},
         "best run": {"color": BLUE, "linewidth": 2.0},
@@ -121,9 +116,9 @@ def _losses_caption(study: Study) -> str:
     )
 
 
-def _losses(study: Study) -> "Figure":
+def _losses(study: Study) -> Figure:
     figure, axes = _columns(study)
-    axes.set_yscale("log")
+    axes.set(yscale="log", ylabel="loss phi")
     for c, s in enumerate(study.scenarios):
         e = s.extraction
         before, after = (_floored(x, _LEAST_PHI) for x in (e.searched_phi, e.phi))
@@ -133,7 +128,6 @@ def _losses(study: Study) -> "Figure":
         least = facts.phi_min(study, s)
         if not math.isnan(least) and least < math.inf:
             axes.hlines(max(least, _LEAST_PHI), c - 0.42, c + 0.42, color=INK, linewidth=1.6)
-    label(axes, y="loss phi")
     axes.scatter([], [], s=10, color=GREY, label="before the polish")
     _names(axes)
     axes.plot([], [], color=INK, linewidth=1.6, label="phi_min")
@@ -160,7 +154,7 @@ def _names(axes: Any) -> None:
     axes.scatter([], [], s=90, facecolors="none", edgecolors=INK, label="best set")
 
 
-def _columns(study: Study) -> "tuple[Figure, Any]":
+def _columns(study: Study) -> tuple[Figure, Any]:
     """A panel with one column a scenario."""
     names = [f"{s.scenario.id}\n{s.scenario.bounds}, {s.scenario.penalty}" for s in study.scenarios]
     figure, axes = panel(max(6.0, 1.5 + 1.5 * len(names)), 4.6)
@@ -203,7 +197,7 @@ def _degrees_caption(study: Study) -> str:
     )
 
 
-def _degrees(study: Study) -> "Figure":
+def _degrees(study: Study) -> Figure:
     figure, axes = _columns(study)
     axes.set_yscale("symlog", linthresh=1e-3, linscale=0.6)
     for c, s in enumerate(study.scenarios):
@@ -213,7 +207,6 @@ def _degrees(study: Study) -> "Figure":
     high = max(high, 1e-1)
     axes.axhspan(0, high, color=KEEPS, alpha=0.08, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.9)
-    axes.set_ylim(low, high)
-    label(axes, y="degree [-]")
+    axes.set(ylim=(low, high), ylabel="degree [-]")
     _names(axes)
     return finish(figure, f"{study.robot.name}: degree of feasibility of all runs", axes, columns=3)

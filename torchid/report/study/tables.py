@@ -4,8 +4,8 @@ import math
 from collections import Counter
 
 from torchid.report.study import facts
-from torchid.report.study.facts import count, kept, number
-from torchid.report.table import Table, listed, torque_unit
+from torchid.report.study.facts import kept, number
+from torchid.report.table import Table, count, listed, torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
 from torchid.wrenches.resampling import Estimate

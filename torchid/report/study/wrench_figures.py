@@ -4,37 +4,38 @@ and its payload: what was estimated against the truth, and what it does inside t
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.report.colours import BLUE, BREAKS, GREEN, GREY, INK, KEEPS, ORANGE, REAL, RED
 from torchid.report.panels import (
+    Figure,
     Picture,
     drawing,
     finish,
-    label,
+    joint_lines,
     panel,
     rows_of,
     spread,
     thin,
-    tiles,
 )
 from torchid.report.study import facts
-from torchid.report.study.facts import at_joint, count, ids, number, rms
-from torchid.report.table import listed
+from torchid.report.study.facts import at_joint, ids, number, rms
+from torchid.report.table import count, listed
 from torchid.study.result import SetsOnMotion, Study
 from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import FEASIBLE, MIXED, ordered_classes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _CLASS_COLOURS = {FEASIBLE: GREEN, "inertia only": BLUE, "CoM only": ORANGE, MIXED: RED}
 """Of the classes of reasons; the others are grey."""
 _STYLES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 """Lines that tell apart sets of one colour."""
+_Line = tuple[str, str, str, Any]
+"""What the legend says, id of the set or `real`, colour, dashes."""
+_REAL: _Line = ("real", "real", REAL, "-")
 _FAR = 8.0
 """Times the real arm's largest value from which a logarithmic axis is easier to read."""
 _DECADES = 1e-3
@@ -44,7 +45,7 @@ _DECADES = 1e-3
 def wrench_drawings(study: Study) -> list[Picture]:
     """Overviews, combinations, and errors of all runs."""
     wrench, name = study.wrench_motion, study.robot.name
-    chosen: list[tuple[Any, ...]] = [("real", "real", REAL)]
+    chosen = [_REAL]
     for feasible, colour in ((True, KEEPS), (False, BREAKS)):
         for k, own in enumerate(ids(facts.by_feasibility(study, feasible))):
             said = f"{own} ({'feasible' if feasible else 'infeasible'})"
@@ -55,29 +56,25 @@ def wrench_drawings(study: Study) -> list[Picture]:
         draw = partial(_norms, wrench, values, chosen, title, f"{what} norm [{unit}]")
         caption = _overview_caption(study, what, unit, values)
         out.append(drawing("wrenches", f"overview_{what}", caption, draw))
-    # Pairs of a feasible and an infeasible best set; one of them is None where there is none.
-    good: list[str | None] = [*ids(facts.by_feasibility(study, True))] or [None]
-    bad: list[str | None] = [*ids(facts.by_feasibility(study, False))] or [None]
-    for a, b in ((a, b) for a in good for b in bad):
+    # Pairs of a feasible and an infeasible best set; one of them is empty where there is none.
+    good = ids(facts.by_feasibility(study, True)) or [""]
+    bad = ids(facts.by_feasibility(study, False)) or [""]
+    for a, b in product(good, bad):
         parts = [x for x in (("F", a, KEEPS), ("UN", b, BREAKS)) if x[1]]
-        shown = [(f"{kind} = {own}", own, colour) for kind, own, colour in parts]
+        shown = [_REAL, *((f"{kind} = {own}", own, colour, "-") for kind, own, colour in parts)]
         file = "wrenches_" + "_".join(f"{kind}-{own}" for kind, own, _ in parts)
-        title = f"{name}: internal forces, {', '.join(x[0] for x in shown)}, real"
-        draw = partial(
-            _norms, wrench, wrench.force, [("real", "real", REAL), *shown], title, "force norm [N]"
-        )
+        title = f"{name}: internal forces, {', '.join(x[0] for x in shown[1:])}, real"
+        draw = partial(_norms, wrench, wrench.force, shown, title, "force norm [N]")
         out.append(drawing("wrenches", file, _combination_caption(study, a, b), draw))
     return [*out, _errors(study)]
 
 
-def _combination_caption(study: Study, good: str | None, bad: str | None) -> str:
+def _combination_caption(study: Study, good: str, bad: str) -> str:
     wrench = study.wrench_motion
     error = rms(wrench.force - wrench.force[0])
     real = rms(wrench.force[0])
     said = []
-    for name in (good, bad):
-        if name is None:
-            continue
+    for name in filter(None, (good, bad)):
         row = error[facts.row_of(wrench, name)]
         s = next(s for s in study.scenarios if s.scenario.id == name)
         why = "feasible" if s.feasible else f"infeasible by {listed(s.reasons)}"
@@ -90,7 +87,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
         "Norms of the internal forces on the reference motion, per joint. Root mean square "
         f"differences of the norms from the real ones: {'; '.join(said)}."
     )
-    if good is not None and bad is not None:
+    if good and bad:
         a, b = (error[facts.row_of(wrench, name)] for name in (good, bad))
         nearer = [str(j + 1) for j in range(study.robot.n) if b[j] < a[j]]
         where = f"{'joint' if len(nearer) == 1 else 'joints'} {listed(nearer)}"
@@ -101,7 +98,7 @@ def _combination_caption(study: Study, good: str | None, bad: str | None) -> str
             if nearer
             else f" The feasible {good} is nearer to the real arm than {bad} at every joint."
         )
-    elif good is None:
+    elif not good:
         caption += " There is no feasible set to compare with."
     return caption
 
@@ -129,41 +126,24 @@ def _overview_caption(study: Study, what: str, unit: str, values: Float[Tensor, 
     )
 
 
-def _joint_tiles(n: int, what: str) -> "tuple[Figure, list[Any]]":
-    """A panel a joint over time: in a row up to three joints, else in two columns."""
-    joints = [f"joint {j + 1}" for j in range(n)]
-    columns = n if n <= 3 else 2
-    return tiles(joints, columns, 11.0, (2.0, 1.1), "time [s]", what, "left", sharex=True)
-
-
 def _norms(
-    sets: SetsOnMotion,
-    values: Float[Tensor, "S T n"],
-    chosen: Sequence[tuple[Any, ...]],
-    title: str,
-    what: str,
-) -> "Figure":
-    """Norms of some sets, one panel a joint. Chosen: (label, id, colour[, line style])."""
-    n = values.shape[-1]
-    rows = {name: facts.row_of(sets, name) for _, name, *_ in chosen}
-    shown = values[list(rows.values())]
-    top, real = shown.amax((0, 1)), values[0].amax(0)
-    far = bool((top > _FAR * real.clamp(min=1e-9)).any())
-    figure, panels = _joint_tiles(n, what)
-    t = thin(sets.motion.t - sets.motion.t[0])
-    for j, axes in enumerate(panels):
-        for text, name, colour, *style in chosen:
-            axes.plot(
-                t, thin(values[rows[name], :, j]), color=colour,
-                linestyle=style[0] if style else "-", label=text,
-                linewidth=2.4 if name == "real" else 1.3,
-                zorder=2 if name == "real" else 3, alpha=0.85,
-            )  # fmt: skip
-        if far:
-            axes.set_yscale("log")
-            axes.set_ylim(bottom=max(_DECADES * float(real[j]), float(shown[..., j].min()) / 2))
+    sets: SetsOnMotion, values: Float[Tensor, "S T n"], chosen: Sequence[_Line], title: str, y: str
+) -> Figure:
+    """Norms of some sets, one panel a joint."""
+    shown = values[[facts.row_of(sets, own) for _, own, _, _ in chosen]]
+    real = values[0].amax(0)
+    far = bool((shown.amax((0, 1)) > _FAR * real.clamp(min=1e-9)).any())
+    curves = {}
+    for (text, own, colour, dashes), norms in zip(chosen, shown, strict=True):
+        width, order = (2.4, 2) if own == "real" else (1.3, 3)
+        style = {"linewidth": width, "zorder": order, "alpha": 0.85}
+        curves[text] = (thin(norms), {"color": colour, "linestyle": dashes, **style})
     title += " (logarithmic)" if far else ""
-    return finish(figure, title, panels[0], columns=len(chosen))
+    figure, panels = joint_lines(title, y, thin(sets.motion.t - sets.motion.t[0]), curves)
+    for j, axes in enumerate(panels if far else ()):
+        least = max(_DECADES * float(real[j]), float(shown[..., j].min()) / 2)
+        axes.set(yscale="log", ylim=(least, None))
+    return figure
 
 
 def _errors(study: Study) -> Picture:
@@ -198,14 +178,13 @@ def _errors(study: Study) -> Picture:
     return drawing("wrenches", "force_error_by_degree", caption, lambda: _error_figure(study))
 
 
-def _error_figure(study: Study) -> "Figure":
+def _error_figure(study: Study) -> Figure:
     error = study.errors.force_rms.amax(-1)
     degree, classes = facts.all_degrees(study), facts.run_classes(study)
     names = ordered_classes(classes)
     figure, (inside, outside, beside) = panel(12, 4.8, 1, 3, sharey=True, width_ratios=(2, 3, 2))
     for axes in (inside, outside):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
     best = torch.zeros_like(degree, dtype=torch.bool)
     best[facts.best_rows(study)] = True
     for c, name in enumerate(names):
@@ -228,8 +207,8 @@ def _error_figure(study: Study) -> "Figure":
         inside.text(0.5, 0.5, "no run is feasible", transform=inside.transAxes, ha="center",
                     fontsize=9, color=GREY)  # fmt: skip
     outside.scatter([], [], s=60, color=INK, marker="x", label="best sets")
-    label(inside, "degree (feasible)", "force error, largest joint [N]")
-    label(outside, "-degree (infeasible)")
+    inside.set(xlabel="degree (feasible)", ylabel="force error, largest joint [N]")
+    outside.set_xlabel("-degree (infeasible)")
     beside.set_xticks(range(len(names)), [x.replace(" ", "\n") for x in names], fontsize=8)
     beside.set_xlim(-0.6, len(names) - 0.4)
     title = f"{study.robot.name}: force error by degree and by reason, all runs"
@@ -274,7 +253,7 @@ def _estimate_caption(study: Study) -> str:
     return text
 
 
-def _estimate(study: Study) -> "Figure":
+def _estimate(study: Study) -> Figure:
     figure, axes = panel(9, 4.2)
     axes.axvspan(-1, 1, color=GREEN, alpha=0.12, linewidth=0)
     axes.axvline(0, color=GREY, linewidth=0.8)
@@ -290,7 +269,7 @@ def _estimate(study: Study) -> "Figure":
         labels.append(f"{q.name} [{q.unit}]\n{shown}, true {number(q.true, 4)}")
     rows_of(axes, labels, 6.5)
     axes.set_xlim(-largest, largest)
-    label(axes, "(estimated - true) / half-width of the 95 % interval")
+    axes.set_xlabel("(estimated - true) / half-width of the 95 % interval")
     return finish(figure, f"{study.robot.name}: payload, estimated against true")
 
 
@@ -309,17 +288,14 @@ def _force_caption(study: Study) -> str:
     )
 
 
-def _force(study: Study) -> "Figure":
-    figure, panels = _joint_tiles(study.robot.n, "force norm [N]")
-    motion = study.wrench_motion.motion
-    t = thin(motion.t - motion.t[0])
-    lines = (
-        ("without payload", GREY, "-", 1.2),
-        ("with the true payload", INK, "-", 2.4),
-        ("with the estimated payload", ORANGE, "--", 1.3),
-    )
-    for j, axes in enumerate(panels):
-        for values, (name, colour, style, width) in zip(study.payload.force, lines, strict=True):
-            axes.plot(t, thin(values[:, j]), style, color=colour, linewidth=width, label=name)
+def _force(study: Study) -> Figure:
+    t = study.wrench_motion.motion.t
+    styles = {
+        "without payload": {"color": GREY, "linewidth": 1.2},
+        "with the true payload": {"color": INK, "linewidth": 2.4},
+        "with the estimated payload": {"color": ORANGE, "linewidth": 1.3, "linestyle": "--"},
+    }
+    lines = zip(styles, study.payload.force, styles.values(), strict=True)
+    curves = {name: (thin(force), style) for name, force, style in lines}
     title = f"{study.robot.name}: internal forces with a payload"
-    return finish(figure, title, panels[0], columns=3)
+    return joint_lines(title, "force norm [N]", thin(t - t[0]), curves)[0]

@@ -1,19 +1,14 @@
 """Figures of sets with equal torque. matplotlib is imported when a figure is drawn."""
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import torch
 
-from torchid.report.colours import BLUE, BROWN, GREEN, GREY, GRID, INK, ORANGE, PURPLE, RED
-from torchid.report.panels import finish, label, panel, tiles
+from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
+from torchid.report.panels import Figure, finish, joint_lines, panel, tiles
 from torchid.report.wrenches.tables import kind_words
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.regressor import wrench_norms
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLOURS = {
     "feasible": GREEN,
@@ -27,7 +22,7 @@ _LINEAR = 1e-3
 """Degrees smaller than this are drawn on a linear scale."""
 
 
-def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
+def figures(study: EqualTorqueStudy) -> dict[str, Figure]:
     """All figures by the names of their files."""
     return {
         "force_by_degree": degree_figure(study),
@@ -37,7 +32,7 @@ def figures(study: EqualTorqueStudy) -> dict[str, "Figure"]:
     }
 
 
-def degree_figure(study: EqualTorqueStudy) -> "Figure":
+def degree_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the degree, coloured by kind; what any feasible set can reach."""
     figure, axes = panel(10.5, 5.4)
     degree, worst = study.degree.numpy(), study.worst.numpy()
@@ -54,7 +49,8 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
         axes.plot(x, y, color="white", linewidth=3.6)
         axes.plot(x, y, color=_colour(kind), linewidth=2.0)
     axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
-    axes.set_yscale("log")
+    axes.set(yscale="log", ylabel=_ERROR)
+    axes.set_xlabel("degree (smallest margin over its scale; 0 is the boundary)")
     axes.axvline(0, color=INK, linewidth=0.9)
     for text, side in ((" feasible", "left"), ("infeasible ", "right")):
         axes.text(
@@ -69,14 +65,11 @@ def degree_figure(study: EqualTorqueStudy) -> "Figure":
             xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
             fontsize=8, color=GREEN, va="bottom", ha="right",
         )  # fmt: skip
-    what = "degree (smallest margin over its scale; 0 is the boundary)"
-    label(axes, what, _ERROR, size=9)
-    _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     what = "the degree of a violation and the error of the internal forces"
-    return finish(figure, f"{study.setting.robot.name}: {what}")
+    return finish(figure, f"{study.setting.robot.name}: {what}", axes)
 
 
-def kind_figure(study: EqualTorqueStudy) -> "Figure":
+def kind_figure(study: EqualTorqueStudy) -> Figure:
     """Boxes of the force error per joint and kind, with the greatest of any set and the force."""
     n, kinds = study.setting.robot.n, study.kinds
     columns = min(n, 4)
@@ -114,7 +107,7 @@ def kind_figure(study: EqualTorqueStudy) -> "Figure":
     return finish(figure, title, columns=2, keys=keys)
 
 
-def mass_figure(study: EqualTorqueStudy) -> "Figure":
+def mass_figure(study: EqualTorqueStudy) -> Figure:
     """Force error against the weight of the carried mass's error: what it comes from."""
     figure, axes = panel(6.2, 5.2)
     weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
@@ -126,46 +119,30 @@ def mass_figure(study: EqualTorqueStudy) -> "Figure":
         )  # fmt: skip
     ends = [float(study.worst.min()), float(study.worst.max())]
     axes.plot(ends, ends, color=INK, linewidth=0.9)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    what = "weight of the carried mass's error, largest joint [N]"
-    label(axes, what, _ERROR, size=9)
-    _legend(axes)
+    axes.set(xscale="log", yscale="log", ylabel=_ERROR)
+    axes.set_xlabel("weight of the carried mass's error, largest joint [N]")
     title = f"{study.setting.robot.name}: the error is the weight of wrongly placed mass"
-    return finish(figure, title)
+    return finish(figure, title, axes)
 
 
-def time_figure(study: EqualTorqueStudy) -> "Figure":
+def time_figure(study: EqualTorqueStudy) -> Figure:
     """Norms of the internal forces over time: the reference and each kind's median set."""
-    n, kinds = study.setting.robot.n, study.kinds
     chosen = []
-    for kind in kinds:
+    for kind in study.kinds:
         rows = study.rows(kind)
         chosen.append(rows[int(study.worst[rows].argsort()[len(rows) // 2])])
     pi = torch.cat([study.setting.reference.parameters.pi, study.family.sets.parameters.pi[chosen]])
     motion = study.motion.state
     force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
-    columns = 1 if n <= 3 else 2
-    lines = -(-n // columns)
-    size = (7.0 if columns == 1 else 11.0, 1.5 * lines + 1.2)
-    figure, grid = panel(*size, lines, columns, sharex=True, squeeze=False)
+    curves = {}
+    for kind, norms in zip(study.kinds, force[1:], strict=True):
+        style = {"color": _colour(kind), "linewidth": 1.1}
+        curves[f"{kind_words(kind)}, median set"] = (norms.numpy(), style)
+    curves["reference"] = (force[0].numpy(), {"color": INK, "linewidth": 1.8})
     t = np.arange(force.shape[1]) / (study.rate or 1.0)
-    for j, axes in enumerate(grid.T.flat):
-        if j >= n:
-            axes.set_visible(False)
-            continue
-        for k, kind in enumerate(kinds, start=1):
-            axes.plot(t, force[k, :, j].numpy(), color=_colour(kind), linewidth=1.1)
-        axes.plot(t, force[0, :, j].numpy(), color=INK, linewidth=1.8)
-        label(axes, y=f"joint {j + 1} [N]")
-    for axes in grid[-1]:
-        label(axes, "sample" if study.rate is None else "time [s]")
-        axes.tick_params(labelbottom=True)
-    keys = {"reference": {"color": INK, "linewidth": 1.8}}
-    for kind in kinds:
-        keys[f"{kind_words(kind)}, median set"] = {"color": _colour(kind), "linewidth": 1.1}
     title = f"{study.setting.robot.name}: norms of the internal forces, all with the same torque"
-    return finish(figure, title, keys=keys)
+    x = "sample" if study.rate is None else "time [s]"
+    return joint_lines(title, "force norm [N]", t, curves, x)[0]
 
 
 _ERROR = "force error, largest joint [N], RMS over the motion"
@@ -173,11 +150,3 @@ _ERROR = "force error, largest joint [N], RMS over the motion"
 
 def _colour(kind: str) -> str:
     return COLOURS.get(kind, GREY)
-
-
-def _legend(axes: Any, **where: Any) -> None:
-    place = where or {"loc": "lower right"}
-    legend = axes.legend(**place, frameon=True, fontsize=8, framealpha=0.9)
-    legend.get_frame().set_edgecolor(GRID)
-    for handle in legend.legend_handles:
-        handle.set_alpha(1.0)

@@ -1,22 +1,20 @@
 """Internal wrenches of given sets: tables and figures."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import GREY, INK
-from torchid.report.panels import finish, label, panel
+from torchid.report.panels import Figure, finish, panel
 from torchid.report.table import Table
 from torchid.report.wrenches.figures import COLOURS
 from torchid.report.wrenches.tables import interval
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.wrenches.classes import KINDS, class_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _MOST_ROWS = 40
-_MOST_MARKS = 60
+_MOST_NAMED = 15
+"""Sets whose marks have names."""
 
 
 def tables(found: GivenSets) -> list[Table]:
@@ -104,65 +102,59 @@ def class_table(found: GivenSets) -> Table:
     )
 
 
-def figures(found: GivenSets) -> dict[str, "Figure"]:
+def figures(found: GivenSets) -> dict[str, Figure]:
     """All figures by the names of their files."""
     return {"force_errors": error_figure(found), "force_by_degree": degree_figure(found)}
 
 
-def error_figure(found: GivenSets) -> "Figure":
+def error_figure(found: GivenSets) -> Figure:
     """Force error per joint, a mark a set."""
     figure, axes = panel(8.0, 4.6)
     joints, errors = np.arange(1, found.robot.n + 1), found.errors.force_rms.numpy()
     floor = max(1e-6 * float(errors.max()), 1e-12)
-    names = _classes(found)
-    spread = np.linspace(-0.28, 0.28, len(names)) if len(names) > 1 else np.zeros(1)
-    for k, name in enumerate(names):
-        axes.scatter(
-            joints + spread[k], np.maximum(errors[k], floor), s=22, marker="o",
-            color=_colour(name), alpha=0.8, linewidths=0,
-            label=name if name not in names[:k] else None,
-        )  # fmt: skip
+    apart = np.linspace(-0.28, 0.28, len(errors)) if len(errors) > 1 else np.zeros(1)
+    for name, rows in _by_class(found).items():
+        place, shown = joints + apart[rows, None], np.maximum(errors[rows], floor)
+        axes.scatter(place, shown, s=22, color=_colour(name), alpha=0.8, linewidths=0, label=name)
     own = np.maximum(found.errors.reference_force_rms.numpy(), floor)
-    axes.scatter(joints, own, marker="_", s=900, color=GREY, label="the force itself", zorder=0)
-    axes.set_xticks(range(1, found.robot.n + 1))
-    label(axes, "joint", "force error [N], RMS over the motion", size=9)
+    itself = "the force itself"
+    axes.hlines(own, joints - 0.35, joints + 0.35, color=GREY, label=itself, zorder=0)
+    axes.set(xticks=joints, xlabel="joint", ylabel="force error [N], RMS over the motion")
     title = f"{found.robot.name}: force error per joint against {_reference(found)}"
-    return _finish(figure, axes, title, markerscale=0.7)
+    return _finish(figure, axes, title)
 
 
-def degree_figure(found: GivenSets) -> "Figure":
+def degree_figure(found: GivenSets) -> Figure:
     """Largest force error against the degree; ids beside the marks where there are few."""
     figure, axes = panel(8.0, 4.6)
     degree = found.checked.degree.numpy()
     worst = found.errors.force_rms.amax(-1).clamp(min=1e-12).numpy()
-    names = _classes(found)
-    for k, name in enumerate(names):
-        axes.scatter(
-            degree[k], worst[k], s=22, color=_colour(name), alpha=0.8, linewidths=0,
-            label=name if name not in names[:k] else None,
-        )  # fmt: skip
-        if len(names) <= _MOST_MARKS // 4:
-            axes.annotate(
-                found.sets.ids[k], (degree[k], worst[k]), xytext=(4, 3),
-                textcoords="offset points", fontsize=7, color=INK,
-            )  # fmt: skip
+    style = {"s": 22, "alpha": 0.8, "linewidths": 0}
+    for name, rows in _by_class(found).items():
+        axes.scatter(degree[rows], worst[rows], color=_colour(name), label=name, **style)
+    if len(worst) <= _MOST_NAMED:
+        for place in zip(found.sets.ids, zip(degree, worst, strict=True), strict=True):
+            axes.annotate(*place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
     axes.axvline(0, color=INK, linewidth=0.9)
     axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
     axes.margins(x=0.08)
-    y = "force error, largest joint [N], RMS"
-    label(axes, "degree (0 is the boundary, negative infeasible)", y, size=9)
+    axes.set_xlabel("degree (0 is the boundary, negative infeasible)")
+    axes.set_ylabel("force error, largest joint [N], RMS")
     return _finish(figure, axes, f"{found.robot.name}: degree and force error")
 
 
-def _classes(found: GivenSets) -> list[str]:
-    return [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+def _by_class(found: GivenSets) -> dict[str, list[int]]:
+    """Rows of the sets of every class."""
+    out: dict[str, list[int]] = {}
+    for k in range(len(found.sets)):
+        out.setdefault(class_of(found.checked.reasons(k)), []).append(k)
+    return out
 
 
-def _finish(figure: "Figure", axes: Any, title: str, **legend: Any) -> "Figure":
+def _finish(figure: Figure, axes: Any, title: str) -> Figure:
     axes.set_yscale("log")
     axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8, **legend)
-    return finish(figure, title)
+    return finish(figure, title, axes)
 
 
 def _reference(found: GivenSets) -> str:
