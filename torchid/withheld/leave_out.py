@@ -16,7 +16,7 @@ from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
-from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_shown
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
 from torchid.withheld.parallel import each
 from torchid.withheld.rows import named_record, row_of
@@ -132,13 +132,8 @@ def leave_out(
 
 def write_left_out(one: LeftOut) -> dict[str, Any]:
     """Simulate one case and write it with its key, which is returned."""
-    from torchid.withheld.plant.case import draw_case, simulate_case
-
-    spec = draw_case(one.seed, one.number, kind="single", effects=[one.effect])
-    case = simulate_case(spec)
-    write_shown(case.urdf, case.columns, one.place)
-    own = {"id": one.case, "seed": one.seed}
-    key = own | case.key | own
+    made = write_case(one.place, one.seed, one.number, kind="single", effects=[one.effect])
+    key = {"id": one.case, "seed": one.seed} | made
     write_json(key, one.place / KEY)
     return key
 

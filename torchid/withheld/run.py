@@ -1,7 +1,6 @@
 """Diagnose every case of a set. Nothing here knows where keys are, or reads one."""
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -94,7 +93,7 @@ def run(
             other[one.case] = reason
         elif old.get("code") != code():
             other[one.case] = "the diagnosis has changed since"
-        elif old.get("settings") != as_record(one.settings):
+        elif old.get("settings") != plain(asdict(one.settings)):
             other[one.case] = "they were found with other settings"
         elif old.get("status") != ERROR:
             answers[one.case] = old
@@ -142,7 +141,7 @@ def written(
         found = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
     found |= {
         "case": job.case,
-        "settings": as_record(job.settings),
+        "settings": plain(asdict(job.settings)),
         "version": __version__,
         "code": code(),
         "seconds": round(time.perf_counter() - begin, 2),
@@ -161,12 +160,6 @@ def _answer(job: Job) -> dict[str, Any]:
         "pi": found.corrected.require_parameters("an answer").pi,
     }
     return {**record(found), "corrected": plain(corrected)}
-
-
-def as_record(settings: GapSettings) -> dict[str, Any]:
-    """As JSON gives them back."""
-    record: dict[str, Any] = json.loads(json.dumps(plain(asdict(settings))))
-    return record
 
 
 @cache
