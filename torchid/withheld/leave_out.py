@@ -110,14 +110,11 @@ def leave_out(
         if not path.is_file():
             new.append(one)
             continue
-        key = read_json(path, "a key")
-        if key.get("seed") != one.seed:
+        key = keys[one.case] = read_json(path, "a key")
+        if key.get("seed") != seed:
             raise TorchidError(
-                f"'{one.folder}' holds cases of another seed.",
-                got=key.get("seed"),
-                expected=one.seed,
+                f"'{folder}' holds cases of another seed.", got=key.get("seed"), expected=seed
             )
-        keys[one.case] = key
     say = progress or (lambda stage, done, total: None)
     made = each(write_left_out, new, jobs, partial(say, "simulating cases"))
     keys |= {one.case: key for one, key in zip(new, made, strict=True)}
