@@ -197,14 +197,13 @@ class _Asker:
         s = self.samples
         own, base = s.third(kind, third), s.third("feasible", 0)
         degree = s.degree[own]
-        same = kind == "feasible" and third == 0
         return ThirdSummary(
             kind,
             THIRDS[third],
             (float(degree.min()), float(degree.max())),
             float(np.median(s.error[own])),
-            NO_ESTIMATE if same else self._against(hodges_lehmann_ratio, own, base),
-            NO_ESTIMATE if same else self._against(cliffs_delta, own, base),
+            self._against(hodges_lehmann_ratio, own, base),
+            self._against(cliffs_delta, own, base),
         )
 
     def correlations(self, kind: str) -> KindCorrelations:
@@ -225,8 +224,7 @@ class _Asker:
     def matched(self, kind: str) -> Matched:
         s = self.samples
         own, base = s.of(kind), s.of("feasible")
-        inside = np.zeros(len(s.kind), dtype=bool)
-        inside[own] = True
+        inside = np.isin(np.arange(len(s.kind)), own)
 
         def delta(k: Array) -> float:
             a, b = k[inside[k]], k[~inside[k]]
@@ -254,8 +252,10 @@ class _Asker:
         )
 
     def _against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
-        inside = np.zeros(len(self.samples.kind), dtype=bool)
-        inside[a] = True
+        """Errors of some sets against those of others; there is none of sets against themselves."""
+        if np.array_equal(a, b):
+            return NO_ESTIMATE
+        inside = np.isin(np.arange(len(self.samples.kind)), a)
         error = self.samples.error
         return self._estimate(lambda k: function(error[k[inside[k]]], error[k[~inside[k]]]), [a, b])
 
