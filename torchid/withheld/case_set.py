@@ -12,7 +12,7 @@ can check that no key was changed after the answers were known.
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.files import atomic_write
 from torchid.json_data import picked, read_json, write_json
-from torchid.withheld.parallel import each
+from torchid.withheld.parallel import Progress, each
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
@@ -142,9 +142,6 @@ def _check_schema(data: Mapping[str, Any], schema: str, path: Path) -> None:
         raise TorchidError(f"'{path}' has another schema.", got=data.get("schema"), expected=schema)
 
 
-Progress = Callable[[str, int, int], None]
-
-
 def make(
     folder: Path,
     count: int,
@@ -190,12 +187,11 @@ def make(
     for above in (folder.resolve().parent, keys.resolve().parent):
         if not above.is_dir():
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
-    say = progress or (lambda stage, done, total: None)
     # A folder that takes the place of `folder` only when all went well.
     with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.resolve().parent) as place:
         os.chmod(place, 0o755)
         write = partial(write_drawn, Path(place), seed)
-        found = each(write, range(count), jobs, partial(say, "simulating cases"))
+        found = each(write, range(count), jobs, "simulating cases", progress)
         sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
         made = CaseSet(folder, seed, tuple(map(case_id, range(count))), sealed, __version__)
         data = {"schema": SCHEMA, **picked(made, "seed keys_sha256 version cases=ids")}

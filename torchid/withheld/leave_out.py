@@ -17,9 +17,9 @@ from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
 from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
-from torchid.withheld.parallel import each
+from torchid.withheld.parallel import Progress, each
 from torchid.withheld.rows import named_record, row_of
-from torchid.withheld.run import ERROR, Job, Progress, default_settings, run
+from torchid.withheld.run import ERROR, Job, default_settings, run
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
@@ -94,9 +94,8 @@ def leave_out(
             raise TorchidError(
                 f"'{folder}' holds cases of another seed.", got=key.get("seed"), expected=seed
             )
-    say = progress or (lambda stage, done, total: None)
     write = partial(write_left_out, folder, seed)
-    made = each(write, new, jobs, partial(say, "simulating cases"))
+    made = each(write, new, jobs, "simulating cases", progress)
     keys |= {one.case: key for one, key in zip(new, made, strict=True)}
     diagnoses = []
     for one in todo:

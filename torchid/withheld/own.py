@@ -7,7 +7,7 @@ torque, with its real noise and its real other gaps, tells what would be seen on
 log.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -39,7 +39,7 @@ from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import Robot
-from torchid.withheld.parallel import each
+from torchid.withheld.parallel import Progress, each
 
 LEVELS = (1.0, 2.0, 5.0, 10.0)
 """Sizes planted, in units of the noise of the joint's torque."""
@@ -169,8 +169,6 @@ _PLANTED = "size_over_noise=level coefficients named in_set status"
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
 
-Progress = Callable[[str, int, int], None]
-
 
 @dataclass(frozen=True)
 class Withheld:
@@ -259,13 +257,13 @@ def check_own(
             f"robot '{robot.name}' has no such joint.", got=wrong, expected=f"1..{robot.n}"
         )
     settings = replace(settings or GapSettings(), rollout=False, held_out_fraction=0.0)
-    say = progress or (lambda stage, done, total: None)
     whole = untouched is not None
     if untouched is None:
         log, untouched = log.split(0.5)
     if untouched.tau is None:
         raise LogError("the untouched log has no torque.", got=list(untouched.signals))
-    say("diagnosing the first part", 0, 1)
+    if progress is not None:
+        progress("diagnosing the first part", 0, 1)
     first = diagnose(robot, log, settings=settings)
     # From here on the corrected model is the simulator, and its parameters are given.
     again = replace(settings, background=(), parameters="auto")
@@ -273,47 +271,39 @@ def check_own(
     lasting = [f for f in first.findings if f.effect.name not in EVENTS]
     noise = (first.floor.low * first.floor.high).sqrt().tolist()
     known = [(kind(j), noise[j]) for kind in kinds for j in places]
-    withheld = each(
-        partial(_withheld, bed), lasting, jobs, partial(say, "withholding what was accepted")
-    )
-    planted = each(
-        partial(smallest_found, bed), known, jobs, partial(say, "planting known effects")
-    )
+    hide, plant_one = partial(_withheld, bed), partial(smallest_found, bed)
+    withheld = each(hide, lasting, jobs, "withholding what was accepted", progress)
+    planted = each(plant_one, known, jobs, "planting known effects", progress)
     flat = tuple(one for several in planted for one in several)
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
 
 
 def own_record(found: OwnCheck) -> dict[str, Any]:
     """As JSON-ready data; joints from 1."""
-    return dict(
-        plain(
+    data = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "robot": found.first.robot.name,
+        "untouched": found.untouched,
+        "untouched_are_whole_trajectories": found.whole,
+        "withheld": [
             {
-                "schema": SCHEMA,
-                "version": __version__,
-                "robot": found.first.robot.name,
-                "untouched": found.untouched,
-                "untouched_are_whole_trajectories": found.whole,
-                "withheld": [
-                    {
-                        "effect": w.effect,
-                        "joints": [j + 1 for j in w.joints],
-                        **picked(w, "named in_set"),
-                        "found": [
-                            {"effect": name, "joints": [j + 1 for j in js]}
-                            for name, js in w.findings
-                        ],
-                        **picked(w, "known_closed=known closed closed_ci95 as_much status"),
-                    }
-                    for w in found.withheld
+                "effect": w.effect,
+                "joints": [j + 1 for j in w.joints],
+                **picked(w, "named in_set"),
+                "found": [
+                    {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
                 ],
-                "planted": [
-                    {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)}
-                    for p in found.planted
-                ],
-                "diagnosis": record(found.first),
+                **picked(w, "known_closed=known closed closed_ci95 as_much status"),
             }
-        )
-    )
+            for w in found.withheld
+        ],
+        "planted": [
+            {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)} for p in found.planted
+        ],
+        "diagnosis": record(found.first),
+    }
+    return {**plain(data)}
 
 
 def _without(corrected: Robot, finding: Finding) -> Robot:

@@ -35,7 +35,8 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.baselines import baseline_case
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.run import Job, Progress, default_settings, job_of, run, written
+from torchid.withheld.parallel import Progress
+from torchid.withheld.run import Job, default_settings, job_of, run, written
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""

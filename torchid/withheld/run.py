@@ -13,9 +13,7 @@ from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.parallel import each
-
-Progress = Callable[[str, int, int], None]
+from torchid.withheld.parallel import Progress, each
 
 ERROR = "error"
 """Status of a case whose diagnosis failed."""
@@ -79,7 +77,6 @@ def run(
     Raises:
         TorchidError: answers of another torchid, or with other settings, are there.
     """
-    say = progress or (lambda stage, done, total: None)
     # Answers that need not be found again.
     answers: dict[str, dict[str, Any]] = {}
     other: dict[str, str] = {}
@@ -106,12 +103,12 @@ def run(
         )
     left = [job for job in todo if job.case not in answers]
     kept = len(answers)
-    found = each(
-        method or diagnose_case,
-        left,
-        jobs,
-        lambda done, _: say("diagnosing", kept + done, len(todo)),
-    )
+
+    def say(stage: str, done: int, _: int) -> None:
+        if progress is not None:
+            progress(stage, kept + done, len(todo))
+
+    found = each(method or diagnose_case, left, jobs, "diagnosing", say)
     answers |= {job.case: answer for job, answer in zip(left, found, strict=True)}
     return {job.case: answers[job.case] for job in todo}
 
