@@ -1,6 +1,6 @@
 """Effects of what is measured: how each is planted at a scale."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -115,13 +115,15 @@ def contact(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     return replace(plan, push=push), {**force, "start": start, "stop": start + seconds}
 
 
-def hold(x: Array, t: Array, windows: tuple[tuple[float, float], ...]) -> Array:
-    """A signal (T,) held at its last value before each window; t since the beginning [s]."""
-    out = x.copy()
-    for begin, end in windows:
-        inside = np.flatnonzero((t >= begin) & (t < end))
-        if len(inside):
-            out[inside] = x[inside[0]]
+def hold(tau: Array, t: Array, held: Sequence[Windows], number: int) -> Array:
+    """Torque (T, n) of a trajectory of which joints are held at their last value before each of
+    their windows; t (T,) begins anywhere [s]."""
+    out, since = tau.copy(), t - t[0]
+    for own in held:
+        read = out[:, own.joint].copy()
+        for begin, end in own.windows[number]:
+            inside = np.flatnonzero((since >= begin) & (since < end))
+            out[inside, own.joint] = read[inside[:1]]
     return out
 
 

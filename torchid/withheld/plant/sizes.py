@@ -54,10 +54,7 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
     for number, (trace, reading) in enumerate(pairs):
         fine = float(reading.t[1] - reading.t[0])
         every = max(1, round(_GRID / fine))
-        tau = reading.tau.copy()
-        for held in plan.held:
-            since = reading.t - reading.t[0]
-            tau[:, held.joint] = hold(tau[:, held.joint], since, held.windows[number])
+        tau = hold(reading.tau, reading.t, plan.held, number)
         # One row of so many, of triangular means, which hold back what would be folded.
         tau, q, dq, ddq, friction, resistance = (
             uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
