@@ -282,7 +282,7 @@ def _strata(by_a: Array, by_b: Array) -> tuple[Array, Array]:
 
 
 Range = tuple[float, float, float]
-"""Median over the truths, and the range of 95 % of them."""
+"""Median of several numbers, and the range of 95 % of them."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +338,7 @@ def other_truths(
         errors = distances[:, kind == name]
         ratio = np.median(errors, 1) / own
         better = [(1 - cliffs_delta(e, b)) / 2 for e, b in zip(errors, bare, strict=True)]
-        compared.append(OtherTruths(name, _middle(ratio), _middle(np.array(better))))
+        compared.append(OtherTruths(name, middle_range(ratio), middle_range(np.array(better))))
     ranks = np.argsort(degree[feasible], kind="stable")
     firm = []
     for third, rows in zip(THIRDS, np.array_split(ranks, 3), strict=True):
@@ -346,10 +346,11 @@ def other_truths(
         for k in rows:
             rest = np.delete(np.arange(len(feasible)), k)
             rho.append(spearman(degree[feasible][rest], others[k, rest]))
-        firm.append(FirmTruths(third, _middle(np.array(rho))))
+        firm.append(FirmTruths(third, middle_range(np.array(rho))))
     return tuple(compared), tuple(firm)
 
 
-def _middle(values: Array) -> Range:
+def middle_range(values: Array) -> Range:
+    """Median of numbers, and the range of 95 % of them; nan counts as none."""
     low, middle, high = np.nanpercentile(values, [2.5, 50, 97.5]).tolist()
     return middle, low, high
