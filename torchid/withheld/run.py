@@ -86,8 +86,7 @@ def run(
         old = read_json(one.answer, "an answer")
         # Why it is not one of this diagnosis.
         if old.get("version") != __version__:
-            reason = f"they are of torchid {old.get('version')}, and this is {__version__}"
-            other[one.case] = reason
+            other[one.case] = f"they are of torchid {old.get('version')}, and this is {__version__}"
         elif old.get("code") != code():
             other[one.case] = "the diagnosis has changed since"
         elif old.get("settings") != plain(asdict(one.settings)):

@@ -68,12 +68,12 @@ def summary(
     failed = {"status": ERROR, "which": []}
     out = {}
     for method in methods:
-        pairs = [
-            (key, found[key["id"]].get("methods", {}).get(method, failed))
+        rows = [
+            scored(key, found[key["id"]].get("methods", {}).get(method, failed))
             for key in keys
             if key["id"] in found and key["id"] in wanted
         ]
-        out[method] = scores([scored(key, answer) for key, answer in pairs], closed)
+        out[method] = scores(rows, closed)
     return plain(
         {
             "schema": SCHEMA,
