@@ -87,8 +87,8 @@ def test_an_effect_that_the_plant_has_not_is_refused(asked, tmp_path):
         leave_out(tmp_path / "out", 3, effects=("position_dependent_friction",))
 
 
-def test_nothing_judged_is_no_share(tmp_path):
-    one = LeftOut("backlash", 0, 0, tmp_path)
+def test_nothing_judged_is_no_share():
+    one = LeftOut("backlash", "backlash-1", 0)
     key = {"effects": [{"name": "backlash", "family": "hysteresis", "joints": [1]}]}
     found = summary(0, [one], {one.case: key}, {one.case: answer("error")})
     assert found["verdicts"]["confident_wrong"]["share"] is None

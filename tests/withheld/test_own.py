@@ -37,15 +37,11 @@ def test_what_was_accepted_is_found_again_and_closes_as_much(found):
 
 def test_without_the_right_name_nothing_is_found_again(found):
     """The corrected model knows the friction; searched over others, another name is none."""
-    job = own._Hidden(
-        own._without(found.first.corrected, found.first.findings[0]),
-        found.first.corrected,
-        logged(REAL, (3, 4, 3), 5),
-        replace(QUICK, effects=("torque_offset",)),
-        found.first.findings[0],
-    )
-    assert len(job.robot.effects) == 0
-    missed = own._withheld(job)
+    settings = replace(QUICK, effects=("torque_offset",))
+    bed = own.Bed(found.first.corrected, logged(REAL, (3, 4, 3), 5), settings)
+    (finding,) = found.first.findings
+    assert len(own._without(bed.robot, finding).effects) == 0
+    missed = own._withheld(bed, finding)
     assert not missed.named
     assert not missed.in_set
     assert missed.as_much is False
@@ -54,10 +50,9 @@ def test_without_the_right_name_nothing_is_found_again(found):
 def test_a_planted_effect_has_the_size_that_is_told(found):
     log = logged(REAL, (3, 4, 3), 5)
     kind = own.plantable("coulomb_friction")
-    bed = own.Bed(found.first.corrected, log, QUICK, kind, 2, NOISE)
-    effect, values, planted = own._on_top(bed, 5.0)
+    bed = own.Bed(found.first.corrected, log, QUICK)
+    values, planted = own._on_top(bed, kind(2), 5 * NOISE)
     change = planted.tau - log.tau
-    assert effect.joint == 2
     assert bool((change[:, :2] == 0).all())
     # Below 20 Hz little of a step in torque is lost.
     assert float(change[:, 2].square().mean().sqrt()) == pytest.approx(5 * NOISE, rel=0.1)
@@ -70,12 +65,12 @@ def test_a_planted_effect_has_the_size_that_is_told(found):
 def test_the_smallest_size_is_sought_from_both_sides(from_level, tried, monkeypatch):
     """The search stops at the first size whose answer differs."""
 
-    def quick(bed, level):
+    def quick(bed, effect, noise, level):
         seen = level >= from_level
         return own.Planted("coulomb_friction", 0, level, {}, seen, seen, "explained")
 
     monkeypatch.setattr(own, "_one_level", quick)
-    assert tuple(p.level for p in own.smallest_found(None)) == tried
+    assert tuple(p.level for p in own.smallest_found(None, (None, 1.0))) == tried
     assert set(tried) <= set(LEVELS)
 
 

@@ -89,9 +89,9 @@ def test_the_diagnosis_needs_no_key(todo, tmp_path):
 
 def test_the_same_in_other_processes():
     said = []
-    found = each(math.sqrt, [1.0, 4.0, 9.0], 2, lambda *args: said.append(args))
+    found = each(math.sqrt, [1.0, 4.0, 9.0], 2, "roots", lambda *args: said.append(args))
     assert found == [1.0, 2.0, 3.0]
-    assert said == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert said == [("roots", done, 3) for done in range(4)]
 
 
 def test_an_error_in_another_process_is_raised_here():

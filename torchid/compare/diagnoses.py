@@ -1,5 +1,6 @@
 """Several gap diagnoses of one type of arm: which effects they share, and whether sizes agree."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
@@ -122,14 +123,9 @@ def compare_diagnoses(
         statuses = tuple(str(r.data["status"]) for r in results)
         closed = tuple(r.data["how_far"]["closed"] for r in results)
         # By effect and place that a diagnosis could not test.
-        hidden: list[dict[tuple[str, tuple[int, ...]], Any]] = [
-            {
-                (str(e["effect"]), () if e["joint"] is None else (int(e["joint"]),)): e[
-                    "smallest_detectable"
-                ]
-                for e in r.data["not_testable"]
-            }
-            for r in results
+        hidden = [
+            {(str(e["effect"]), _place(e["joint"])): e["smallest_detectable"] for e in own}
+            for own in (r.data["not_testable"] for r in results)
         ]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TorchidError(
@@ -146,14 +142,13 @@ def compare_diagnoses(
         replace(s, coefficients=tuple(replace(c, p_holm=next(adjusted)) for c in s.coefficients))
         for s in shared
     ]
-    torque = None
+    torque, notes = None, []
     robots = [r for r in corrected if r is not None and r.parameters is not None]
     if len(robots) == len(results):
         cutoff = min(float(r.data["band_hz"]) for r in results) if on is not None else None
         motion = common_motion(robots[0], on, seed, cutoff)
         torque = torque_spread([described_model(robot) for robot in robots], motion)
-    notes = []
-    if torque is None:
+    else:
         notes.append(
             "no torque: a diagnosis did not record its corrected model; run torchid gap again"
         )
@@ -173,6 +168,10 @@ def compare_diagnoses(
         torque=torque,
         notes=tuple(notes),
     )
+
+
+def _place(joint: int | None) -> tuple[int, ...]:
+    return () if joint is None else (int(joint),)
 
 
 def _named(entry: Mapping[str, Any]) -> Named:
@@ -225,35 +224,31 @@ def _shared(
     entries: Sequence[Sequence[Named]],
     hidden: Sequence[Mapping[tuple[str, tuple[int, ...]], Any]],
 ) -> Shared:
-    named: list[Named | None] = [None] * len(entries)
-    for k, i in group:
-        named[k] = entries[k][i]
+    at = dict(group)
+    named = [own[at[k]] if k in at else None for k, own in enumerate(entries)]
     present = [n for n in named if n is not None]
-    effects = sorted(
-        {n.effect for n in present}, key=lambda e: -sum(n.effect == e for n in present)
-    )
+    effects = [name for name, _ in Counter(n.effect for n in present).most_common()]
     place = max((n.place for n in present), key=len)
-    keys = [(e, place) for e in effects]
-    unseen = [next((h for h in keys if h in own), None) for own in hidden]
-    states: list[State] = [
-        "named" if n is not None else "not_found" if h is None else "not_testable"
-        for n, h in zip(named, unseen, strict=True)
-    ]
-    smallest = [
-        own[h] if h is not None and n is None else None
-        for n, h, own in zip(named, unseen, hidden, strict=True)
-    ]
-    own = [n if n is not None and n.effect == effects[0] else None for n in named]
-    first = next(n for n in own if n is not None)
+    states: list[State] = []
+    smallest: list[float | None] = []
+    for n, own in zip(named, hidden, strict=True):
+        unseen = [own[e, place] for e in effects if (e, place) in own]
+        states.append("named" if n is not None else "not_testable" if unseen else "not_found")
+        smallest.append(unseen[0] if n is None and unseen else None)
+    alike = [n if n is not None and n.effect == effects[0] else None for n in named]
+    first = next(n for n in alike if n is not None)
     coefficients = []
     for name in first.values:
-        known = [n for n in own if n is not None and name in n.std]
+        given = [
+            (n.values[name], n.std[name]) if n is not None and name in n.std else None
+            for n in alike
+        ]
+        known = [pair for pair in given if pair is not None]
         if len(known) < 2:
             continue
-        x, s = torch.tensor([(n.values[name], n.std[name]) for n in known], dtype=torch.float64).T
+        x, s = torch.tensor(known, dtype=torch.float64).T
         found = scatter(x, s, torch.full_like(x, BLOCKS - 1))
-        values = tuple(n.values[name] if n in known else None for n in own)
-        std = tuple(n.std[name] if n in known else None for n in own)
+        values, std = zip(*(pair or (None, None) for pair in given), strict=True)
         unit = first.units.get(name, "")
         coefficients.append(Coefficient(name, unit, values, std, found, found.p))
     return Shared(

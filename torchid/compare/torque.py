@@ -17,7 +17,7 @@ from torchid.identification.identify import prepared
 from torchid.identification.validation import model_torque
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.robot.model import Limits, Robot
+from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
 RANDOM, SECONDS, RATE = 5, 20.0, 25.0
@@ -82,7 +82,7 @@ def random_motion(robot: Robot, seed: int = 0) -> CommonMotion:
             missing.append(f"{name} up to {value:g}")
     if limits.position is not None and not bool(torch.isfinite(limits.position).all()):
         limits = replace(limits, position=None)
-    whole = replace(robot, limits=Limits(**vars(limits)))
+    whole = replace(robot, limits=limits)
     trajectories = random_trajectory(whole, seed, count=RANDOM, fill=True, duration=SECONDS)
     log = trajectory_log(trajectories, RATE)
     motions = tuple(

@@ -1,6 +1,6 @@
 """The motions and logs of a study, and torques of whole sets along them."""
 
-import torch
+from dataclasses import replace
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -11,7 +11,7 @@ from torchid.excitation.trajectories import (
     sinusoid,
     trajectory_log,
 )
-from torchid.feasibility.sets import ParameterSets
+from torchid.feasibility.sets import ParameterSets, joined
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -65,9 +65,6 @@ def with_real(sets: ParameterSets, real: ParameterSets) -> ParameterSets:
     """The true set before the others, under the name `real`, with the others' effects."""
     names = real.coefficient_names()
     order = [names.index(name) for name in sets.coefficient_names()]
-    return ParameterSets(
-        ("real", *sets.ids),
-        InertialParameters(torch.cat([real.parameters.pi, sets.parameters.pi])),
-        sets.effects,
-        torch.cat([real.coefficients[:, order], sets.coefficients]),
-    )
+    coefficients = real.coefficients[:, order]
+    first = replace(real, ids=("real",), effects=sets.effects, coefficients=coefficients)
+    return joined([first, sets])

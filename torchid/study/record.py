@@ -2,32 +2,31 @@
 
 from typing import Any
 
-import torch
-
 from torchid.extraction.record import certificate_record
 from torchid.identification.payload import record as payload_record
 from torchid.json_data import picked, plain
 from torchid.study.result import ScenarioResult, Study
 
 SCHEMA = "torchid.study/1"
+_SCENARIO = (
+    "id=scenario.id bounds=scenario.bounds loss=scenario.penalty phi gamma feasible reasons degree "
+    "torque_rms"
+)
 
 
 def record(study: Study) -> dict[str, Any]:
     """The result as JSON-ready data."""
     result = study.identification
     errors = result.held_out
-    held_out = None if errors is None else plain(errors.relative_percent)
     return {
         "schema": SCHEMA,
-        "study": study.settings.name,
-        "robot": study.robot.name,
-        "section": study.settings.section,
+        **picked(study, "study=settings.name robot=robot.name section=settings.section"),
         "identification": {
             **picked(result, "names=base.names values"),
             "true": study.truth.tolist(),
             "largest_error": float((result.values - study.truth).abs().max()),
             "rows": int(study.log.samples * study.robot.n),
-            "validation_error_percent": held_out or [],
+            "validation_error_percent": [] if errors is None else plain(errors.relative_percent),
         },
         "sets": [_scenario(study, s) for s in study.scenarios],
         "certificate": {
@@ -47,8 +46,7 @@ def record(study: Study) -> dict[str, Any]:
         "search": picked(
             study.settings.search, "runs stages generations schedule engine polish seed"
         ),
-        "seconds": dict(study.seconds),
-        "warnings": list(study.warnings),
+        **picked(study, "seconds warnings"),
     }
 
 
@@ -58,19 +56,14 @@ def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
     force = study.wrench_motion.force
     difference = (force[at] - force[0]).square().mean(0).sqrt()
     return {
-        "id": result.scenario.id,
-        "bounds": result.scenario.bounds,
-        "loss": result.scenario.penalty,
-        "phi": result.phi,
-        "gamma": result.gamma,
-        **picked(result, "feasible reasons degree torque_rms"),
+        **picked(result, _SCENARIO),
         "force_norm_difference_rms": difference.tolist(),
         "runs": {
             **picked(
                 found, "phi gamma phi_before_polish=searched_phi gamma_before_polish=searched_gamma"
             ),
             "feasible": int(result.feasibility.feasible.sum()),
-            "gamma_zero": int(torch.count_nonzero(found.gamma == 0)),
+            "gamma_zero": int((found.gamma == 0).sum()),
             "reasons": [list(result.feasibility.reasons(k)) for k in range(len(found.phi))],
             "degree": plain(result.feasibility.degree),
         },

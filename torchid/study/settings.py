@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,6 @@ import yaml
 from torchid.errors import TorchidError
 from torchid.extraction.settings import Penalty, SearchSettings
 from torchid.robot.config_files import config_folder
-
-_KEYS = (
-    "title", "robot", "section", "effects", "excitation", "validation", "sets_motion",
-    "wrench_motion", "search", "total_mass", "geometry", "scenarios", "payload",
-)  # fmt: skip
 
 _TEXTS = ("title", "section", "robot", "geometry")
 _MOTIONS = ("excitation", "validation", "sets_motion", "wrench_motion")
@@ -65,8 +60,9 @@ class StudySettings:
     """A whole study (sections 5.1 to 5.4).
 
     Attributes:
-        name, title, section: what it is, and where the report has it.
+        name, title: what it is.
         robot: built-in name.
+        section: where the report has it.
         effects: linear effects identified with the rigid body.
         excitation, validation, sets_motion, wrench_motion: motions.
         search: runs, stages, generations, schedule, seed; penalty by scenario.
@@ -78,8 +74,8 @@ class StudySettings:
 
     name: str
     title: str
-    section: str
     robot: str
+    section: str
     effects: tuple[str, ...]
     excitation: MotionSettings
     validation: MotionSettings
@@ -103,6 +99,9 @@ class StudySettings:
                 generations=max(10, search.generations // 5),
             ),
         )
+
+
+_KEYS = [key.name for key in fields(StudySettings) if key.name != "name"]
 
 
 def study_names() -> list[str]:
@@ -134,7 +133,7 @@ def load_study(name: str) -> StudySettings:
     if not isinstance(data, Mapping) or set(data) != set(_KEYS):
         got = sorted(set(data) ^ set(_KEYS)) if isinstance(data, Mapping) else type(data).__name__
         raise TorchidError(
-            f"'{path}' is not a study: keys missing or unknown.", got=got, expected=list(_KEYS)
+            f"'{path}' is not a study: keys missing or unknown.", got=got, expected=_KEYS
         )
     try:
         low, high = (float(x) for x in data["total_mass"])
@@ -169,8 +168,7 @@ def load_study(name: str) -> StudySettings:
 def _motion(data: Mapping[str, Any], key: str) -> MotionSettings:
     """A motion of positive duration and rate."""
     found = MotionSettings(**data[key])
-    for name in ("duration", "rate"):
-        value = getattr(found, name)
+    for name, value in (("duration", found.duration), ("rate", found.rate)):
         if not isinstance(value, int | float) or not 0 < value < math.inf:
             raise ValueError(f"{key}: {name} {value!r} is not a positive number")
     return found

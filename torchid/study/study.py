@@ -122,8 +122,8 @@ def run_study(
         least = proof.phi_min * (1 - _BELOW) if proof is not None else -math.inf
         below = int((own.feasibility.feasible & (found.phi < least)).sum())
         if below:
-            said = f"{below} sets are feasible and have a loss below phi_min"
-            warnings.append(f"{scenario.id}: {said}")
+            said = "sets are feasible and have a loss below phi_min"
+            warnings.append(f"{scenario.id}: {below} {said}")
     clock.start("wrenches")
     shown = with_real(joined([s.best for s in scenarios]), nominal_set(robot))
     reference = new_motion(robot, settings.wrench_motion)

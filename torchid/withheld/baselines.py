@@ -182,18 +182,12 @@ def _thresholded(gram: Tensor, b: Tensor, threshold: float) -> Tensor:
 
 def _ridge(gram: Tensor, b: Tensor, kept: Tensor, ridge: float) -> Tensor:
     values = torch.zeros_like(b)
-    if bool(kept.any()):
-        own = gram[kept][:, kept]
-        eye = torch.eye(len(own), dtype=own.dtype)
-        values[kept] = torch.linalg.solve(own + ridge * eye, b[kept])
+    own = gram[kept][:, kept]
+    values[kept] = torch.linalg.solve(own + ridge * torch.eye(len(own)).to(own), b[kept])
     return values
 
 
-METHODS: dict[str, Callable[[Data], list[Term]]] = {
-    "friction": friction,
-    "stlsq": stlsq,
-    "bic": bic,
-}
+METHODS: dict[str, Callable[[Data], list[Term]]] = {f.__name__: f for f in (friction, stlsq, bic)}
 
 
 def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
@@ -209,16 +203,17 @@ def answer_of(data: Data, terms: Sequence[Term]) -> dict[str, Any]:
             own = data.normal.g[j][term.at.unsqueeze(1), term.at]
             square[j] = data.weight[j] * (part @ own @ part)
         felt = (square > FELT_SHARE * square.sum()).nonzero().flatten().tolist()
-        entry = {
-            "effect": effect.name,
-            "family": effect.family,
-            "joints": [j + 1 for j in (effect.joints or felt)],
-            "places": ["joint"] if effect.joints else [],
-            "ambiguous_with": [],
-            "parameters": {},
-            "share": float(square.sum()),
-        }
-        which.append(entry)
+        which.append(
+            {
+                "effect": effect.name,
+                "family": effect.family,
+                "joints": [j + 1 for j in (effect.joints or felt)],
+                "places": ["joint"] if effect.joints else [],
+                "ambiguous_with": [],
+                "parameters": {},
+                "share": float(square.sum()),
+            }
+        )
     which.sort(key=lambda entry: -entry["share"])
     inertial = bool(which) and all(entry["effect"] == LINK for entry in which)
     status = "parametric_only" if inertial else "explained" if which else "no_gap"

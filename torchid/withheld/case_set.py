@@ -12,12 +12,11 @@ can check that no key was changed after the answers were known.
 
 import hashlib
 import os
-import shutil
-import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -25,8 +24,8 @@ import numpy as np
 from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.files import atomic_write
-from torchid.json_data import read_json, write_json
-from torchid.withheld.parallel import each
+from torchid.json_data import picked, read_json, write_json
+from torchid.withheld.parallel import Progress, each
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
@@ -78,13 +77,6 @@ def keys_beside(folder: Path) -> Path:
 def sha256(content: bytes) -> str:
     """In hexadecimal."""
     return hashlib.sha256(content).hexdigest()
-
-
-def write_cases(found: CaseSet) -> None:
-    """Write cases.json of a set."""
-    data = {"schema": SCHEMA, **asdict(found), "cases": list(found.ids)}
-    del data["folder"], data["ids"]
-    write_json(data, found.folder / CASES)
 
 
 def read_cases(folder: Path) -> CaseSet:
@@ -150,9 +142,6 @@ def _check_schema(data: Mapping[str, Any], schema: str, path: Path) -> None:
         raise TorchidError(f"'{path}' has another schema.", got=data.get("schema"), expected=schema)
 
 
-Progress = Callable[[str, int, int], None]
-
-
 def make(
     folder: Path,
     count: int,
@@ -198,33 +187,42 @@ def make(
     for above in (folder.resolve().parent, keys.resolve().parent):
         if not above.is_dir():
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
-    say = progress or (lambda stage, done, total: None)
     # A folder that takes the place of `folder` only when all went well.
-    place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.resolve().parent))
-    place.chmod(0o755)
-    try:
-        write = partial(write_case, place, seed)
-        found = each(write, range(count), jobs, partial(say, "simulating cases"))
+    with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.resolve().parent) as place:
+        os.chmod(place, 0o755)
+        write = partial(write_drawn, Path(place), seed)
+        found = each(write, range(count), jobs, "simulating cases", progress)
         sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
-        done = CaseSet(place, seed, tuple(map(case_id, range(count))), sealed, __version__)
-        write_cases(done)
+        made = CaseSet(folder, seed, tuple(map(case_id, range(count))), sealed, __version__)
+        data = {"schema": SCHEMA, **picked(made, "seed keys_sha256 version cases=ids")}
+        write_json(data, Path(place, CASES))
         if folder.exists():
             folder.rmdir()
         os.replace(place, folder)
-    except BaseException:
-        shutil.rmtree(place, ignore_errors=True)
-        raise
-    return replace(done, folder=folder)
+    return made
 
 
-def write_case(folder: Path, seed: int, number: int) -> dict[str, Any]:
-    """Simulate one case and write what the diagnosis may see; returns its key."""
+def write_drawn(folder: Path, seed: int, number: int) -> dict[str, Any]:
+    """Draw one case of a seed, and write it; returns its key."""
+    return write_case(folder / case_id(number), seed, number)
+
+
+def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, Any]:
+    """Simulate one case and write what the diagnosis may see.
+
+    Args:
+        place: its folder, with the case's name.
+        seed, number: that it is drawn from.
+        given: what is not drawn, see `draw_case`.
+
+    Returns:
+        Its key.
+    """
     from torchid.withheld.plant.case import draw_case, simulate_case
 
-    case = simulate_case(draw_case(seed, number))
-    name = case_id(number)
-    write_shown(case.urdf, case.columns, folder / name)
-    return {"id": name} | case.key | {"id": name}
+    case = simulate_case(draw_case(seed, number, **given))
+    write_shown(case.urdf, case.columns, place)
+    return {"id": place.name} | case.key | {"id": place.name}
 
 
 def write_shown(urdf: str, columns: Mapping[str, np.ndarray], place: Path) -> None:

@@ -7,64 +7,36 @@ their folder holds keys, for a diagnosis that is told what to leave out is not a
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
-from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_shown
+from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
-from torchid.withheld.parallel import each
+from torchid.withheld.parallel import Progress, each
 from torchid.withheld.rows import named_record, row_of
-from torchid.withheld.run import ERROR, Job, Progress, default_settings, run
+from torchid.withheld.run import ERROR, Job, default_settings, run
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
 
 
-@cache
-def known_to_plant() -> list[str]:
-    """The library's effects that the plant has under the same name, in the library's order."""
-    from torchid.withheld.plant.catalogue import LIBRARY
-
-    return [name for name in KINDS if name in LIBRARY]
-
-
-@dataclass(frozen=True)
-class LeftOut:
+class LeftOut(NamedTuple):
     """One case, and the effect that its diagnosis must do without.
 
     Attributes:
         effect: its name.
-        turn: which of the effect's cases, from 0.
-        seed: of the cases.
-        folder: of all of them.
+        case: name of its folder.
+        number: that it is drawn from: another one for every case of the seed.
     """
 
     effect: str
-    turn: int
-    seed: int
-    folder: Path
-
-    @property
-    def case(self) -> str:
-        """Name of its folder."""
-        return f"{self.effect}-{self.turn + 1}"
-
-    @property
-    def place(self) -> Path:
-        """Its folder."""
-        return self.folder / self.case
-
-    @property
-    def number(self) -> int:
-        """That it is drawn from: another one for every case of the seed."""
-        names = known_to_plant()
-        return self.turn * len(names) + names.index(self.effect)
+    case: str
+    number: int
 
 
 def leave_out(
@@ -94,52 +66,52 @@ def leave_out(
         TorchidError: an effect unknown to torchid or to the plant; a folder of another seed.
         MissingExtraError: the simulator is not installed.
     """
-    available = known_to_plant()
+    from torchid.withheld.plant.catalogue import LIBRARY
+
+    # The library's effects that the plant has under the same name.
+    available = [name for name in KINDS if name in LIBRARY]
     for name in effects or ():
         effect_kind(name)
         if name not in available:
             raise TorchidError(f"the withheld plant has no effect '{name}'.", available=available)
     wanted = list(available if effects is None else dict.fromkeys(effects))
     folder.mkdir(parents=True, exist_ok=True)
-    todo = [LeftOut(name, k, seed, folder) for name in wanted for k in range(per_effect)]
+    todo = [
+        LeftOut(name, f"{name}-{k + 1}", k * len(available) + available.index(name))
+        for name in wanted
+        for k in range(per_effect)
+    ]
     # Keys of all cases; those that are not there yet are simulated.
     keys: dict[str, dict[str, Any]] = {}
     new = []
     for one in todo:
-        path = one.place / KEY
+        path = folder / one.case / KEY
         if not path.is_file():
             new.append(one)
             continue
-        key = read_json(path, "a key")
-        if key.get("seed") != one.seed:
+        key = keys[one.case] = read_json(path, "a key")
+        if key.get("seed") != seed:
             raise TorchidError(
-                f"'{one.folder}' holds cases of another seed.",
-                got=key.get("seed"),
-                expected=one.seed,
+                f"'{folder}' holds cases of another seed.", got=key.get("seed"), expected=seed
             )
-        keys[one.case] = key
-    say = progress or (lambda stage, done, total: None)
-    made = each(write_left_out, new, jobs, partial(say, "simulating cases"))
+    write = partial(write_left_out, folder, seed)
+    made = each(write, new, jobs, "simulating cases", progress)
     keys |= {one.case: key for one, key in zip(new, made, strict=True)}
     diagnoses = []
     for one in todo:
         rest = tuple(name for name in KINDS if name != one.effect)
-        files = one.place / ROBOT, one.place / LOG, one.place / ANSWER
-        diagnoses.append(Job(one.case, *files, default_settings(effects=rest)))
+        place, settings = folder / one.case, default_settings(effects=rest)
+        diagnoses.append(Job(one.case, place / ROBOT, place / LOG, place / ANSWER, settings))
     answers = run(diagnoses, jobs=jobs, again=again, progress=progress)
     return summary(seed, todo, keys, answers)
 
 
-def write_left_out(one: LeftOut) -> dict[str, Any]:
+def write_left_out(folder: Path, seed: int, one: LeftOut) -> dict[str, Any]:
     """Simulate one case and write it with its key, which is returned."""
-    from torchid.withheld.plant.case import draw_case, simulate_case
-
-    spec = draw_case(one.seed, one.number, kind="single", effects=[one.effect])
-    case = simulate_case(spec)
-    write_shown(case.urdf, case.columns, one.place)
-    own = {"id": one.case, "seed": one.seed}
-    key = own | case.key | own
-    write_json(key, one.place / KEY)
+    place = folder / one.case
+    made = write_case(place, seed, one.number, kind="single", effects=[one.effect])
+    key = {"id": one.case, "seed": seed} | made
+    write_json(key, place / KEY)
     return key
 
 

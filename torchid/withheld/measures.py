@@ -206,20 +206,13 @@ def rate(flags: Iterable[bool]) -> dict[str, Any]:
 
 def micro_f1(counts: Sequence[Counts]) -> dict[str, Any]:
     """F1 of all cases together, with an interval over cases; None of nothing."""
-    if not counts:
-        return {"f1": None, "ci95": None, "hits": 0, "extra": 0, "missed": 0, "cases": 0}
-    table = np.array(counts)
-    draws = table[_draws(len(table))].sum(1)
-    values = [f1((int(h), int(e), int(m))) for h, e, m in draws]
-    hits, extra, missed = added(counts)
-    return {
-        "f1": f1((hits, extra, missed)),
-        "ci95": list(percentile_interval(np.array(values))),
-        "hits": hits,
-        "extra": extra,
-        "missed": missed,
-        "cases": len(counts),
-    }
+    total, value, interval = added(counts), None, None
+    if counts:
+        draws = np.array(counts)[_draws(len(counts))].sum(1).tolist()
+        interval = list(percentile_interval(np.array([f1((h, e, m)) for h, e, m in draws])))
+        value = f1(total)
+    numbers = dict(zip(("hits", "extra", "missed"), total, strict=True))
+    return {"f1": value, "ci95": interval, **numbers, "cases": len(counts)}
 
 
 def median(values: Sequence[float]) -> dict[str, Any]:

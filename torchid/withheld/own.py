@@ -7,7 +7,7 @@ torque, with its real noise and its real other gaps, tells what would be seen on
 log.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,7 +21,6 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import (
     EVENTS,
     KINDS,
-    Valued,
     effect_kind,
     model_torque,
     nominal_effects,
@@ -40,7 +39,7 @@ from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import Robot
-from torchid.withheld.parallel import each
+from torchid.withheld.parallel import Progress, each
 
 LEVELS = (1.0, 2.0, 5.0, 10.0)
 """Sizes planted, in units of the noise of the joint's torque."""
@@ -75,14 +74,11 @@ class Planted:
 
 @dataclass(frozen=True)
 class Bed:
-    """Where an effect is planted: the corrected model, the untouched log, and the joint's noise."""
+    """Where effects are hidden: the corrected model as the simulator, and the untouched log."""
 
     robot: Robot
     log: Log
     settings: GapSettings
-    kind: type[JointEffect]
-    joint: int
-    noise: float
 
 
 def plantable(name: str) -> type[JointEffect]:
@@ -113,13 +109,18 @@ def in_set(found: Diagnosis, name: str, place: tuple[int, ...]) -> bool:
     return any(name in names and (not place or not at or at == place) for names, at in said)
 
 
-def smallest_found(bed: Bed) -> list[Planted]:
-    """The smallest level that is named, and what was tried on the way to it."""
+def smallest_found(bed: Bed, planted: tuple[JointEffect, float]) -> list[Planted]:
+    """The smallest level that is named, and what was tried on the way to it.
+
+    Args:
+        bed: where.
+        planted: the effect, and the noise of its joint's torque.
+    """
     torch.set_num_threads(1)
     tried: list[Planted] = []
     k = FIRST_LEVEL
     while 0 <= k < len(LEVELS):
-        tried.append(_one_level(bed, LEVELS[k]))
+        tried.append(_one_level(bed, *planted, LEVELS[k]))
         down = tried[0].in_set
         if tried[-1].in_set is not down:
             break
@@ -127,20 +128,20 @@ def smallest_found(bed: Bed) -> list[Planted]:
     return sorted(tried, key=lambda p: p.level)
 
 
-def _one_level(bed: Bed, level: float) -> Planted:
-    effect, values, log = _on_top(bed, level)
+def _one_level(bed: Bed, effect: JointEffect, noise: float, level: float) -> Planted:
+    values, log = _on_top(bed, effect, level * noise)
     found = diagnose(bed.robot, log, settings=bed.settings)
-    at = effect.name, (bed.joint,)
+    at = effect.name, (effect.joint,)
     coefficients = {c.name: v for c, v in zip(effect.coefficients, values, strict=True)}
     said = named(found, *at), in_set(found, *at), found.status
-    return Planted(effect.name, bed.joint, level, coefficients, *said)
+    return Planted(effect.name, effect.joint, level, coefficients, *said)
 
 
-def _on_top(bed: Bed, level: float) -> tuple[JointEffect, list[float], Log]:
-    """The log with an effect's torque added, each coefficient's part of the same RMS."""
-    effect = bed.kind(bed.joint)
+def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Log]:
+    """The log with an effect's torque added, of an RMS below BAND to which each coefficient's part
+    adds the same."""
     parts = list(resample(bed.log).trajectories())
-    effects: list[Valued] = nominal_effects(bed.robot)
+    effects = nominal_effects(bed.robot)
     # The effect's columns on its own joint along each trajectory, and the same below BAND.
     columns, low = [], []
     for part in parts:
@@ -149,17 +150,17 @@ def _on_top(bed: Bed, level: float) -> tuple[JointEffect, list[float], Log]:
         motion = motion._replace(torque=model_torque(bed.robot, effects, motion))
         columns.append(effect.torque_columns(motion, bed.robot)[:, effect.joint])
         low.append(ZeroPhaseFilter(m.rate, BAND).apply(columns[-1].T).T)
-    size = torch.cat(low).square().mean(0).sqrt()
-    values = torch.where(size > 0, 1 / size.clamp(min=1e-300), torch.zeros_like(size))
+    rms = torch.cat(low).square().mean(0).sqrt()
+    values = torch.where(rms > 0, 1 / rms.clamp(min=1e-300), torch.zeros_like(rms))
     together = torch.cat(low) @ values
-    values = values * (level * bed.noise / together.square().mean().sqrt().clamp(min=1e-300))
+    values = values * (size / together.square().mean().sqrt().clamp(min=1e-300))
     grown = []
     for part, full in zip(parts, columns, strict=True):
         assert part.tau is not None
         tau = part.tau.clone()
-        tau[:, bed.joint] += full @ values
+        tau[:, effect.joint] += full @ values
         grown.append(part.replace(tau=tau))
-    return effect, values.tolist(), Log.concatenate(grown)
+    return values.tolist(), Log.concatenate(grown)
 
 
 SCHEMA = "torchid.withheld.own/1"
@@ -167,8 +168,6 @@ _PLANTED = "size_over_noise=level coefficients named in_set status"
 
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -223,17 +222,6 @@ class OwnCheck:
     planted: tuple[Planted, ...]
 
 
-@dataclass(frozen=True)
-class _Hidden:
-    """A diagnosis to make: a simulator, a log, and the finding the simulator was robbed of."""
-
-    robot: Robot
-    corrected: Robot
-    log: Log
-    settings: GapSettings
-    finding: Finding
-
-
 def check_own(
     robot: Robot,
     log: Log,
@@ -269,60 +257,53 @@ def check_own(
             f"robot '{robot.name}' has no such joint.", got=wrong, expected=f"1..{robot.n}"
         )
     settings = replace(settings or GapSettings(), rollout=False, held_out_fraction=0.0)
-    say = progress or (lambda stage, done, total: None)
     whole = untouched is not None
     if untouched is None:
         log, untouched = log.split(0.5)
     if untouched.tau is None:
         raise LogError("the untouched log has no torque.", got=list(untouched.signals))
-    say("diagnosing the first part", 0, 1)
+    if progress is not None:
+        progress("diagnosing the first part", 0, 1)
     first = diagnose(robot, log, settings=settings)
     # From here on the corrected model is the simulator, and its parameters are given.
     again = replace(settings, background=(), parameters="auto")
-    hidden = [
-        _Hidden(_without(first.corrected, f), first.corrected, untouched, again, f)
-        for f in first.findings
-        if f.effect.name not in EVENTS
-    ]
+    bed = Bed(first.corrected, untouched, again)
+    lasting = [f for f in first.findings if f.effect.name not in EVENTS]
     noise = (first.floor.low * first.floor.high).sqrt().tolist()
-    beds = [
-        Bed(first.corrected, untouched, again, kind, j, noise[j]) for kind in kinds for j in places
-    ]
-    withheld = each(_withheld, hidden, jobs, partial(say, "withholding what was accepted"))
-    planted = each(smallest_found, beds, jobs, partial(say, "planting known effects"))
+    known = [(kind(j), noise[j]) for kind in kinds for j in places]
+    hide, plant_one = partial(_withheld, bed), partial(smallest_found, bed)
+    withheld = each(hide, lasting, jobs, "withholding what was accepted", progress)
+    planted = each(plant_one, known, jobs, "planting known effects", progress)
     flat = tuple(one for several in planted for one in several)
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
 
 
 def own_record(found: OwnCheck) -> dict[str, Any]:
     """As JSON-ready data; joints from 1."""
-    data: dict[str, Any] = plain(
-        {
-            "schema": SCHEMA,
-            "version": __version__,
-            "robot": found.first.robot.name,
-            "untouched": found.untouched,
-            "untouched_are_whole_trajectories": found.whole,
-            "withheld": [
-                {
-                    "effect": w.effect,
-                    "joints": [j + 1 for j in w.joints],
-                    **picked(w, "named in_set"),
-                    "found": [
-                        {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
-                    ],
-                    **picked(w, "known_closed=known closed closed_ci95 as_much status"),
-                }
-                for w in found.withheld
-            ],
-            "planted": [
-                {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)}
-                for p in found.planted
-            ],
-            "diagnosis": record(found.first),
-        }
-    )
-    return data
+    data = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "robot": found.first.robot.name,
+        "untouched": found.untouched,
+        "untouched_are_whole_trajectories": found.whole,
+        "withheld": [
+            {
+                "effect": w.effect,
+                "joints": [j + 1 for j in w.joints],
+                **picked(w, "named in_set"),
+                "found": [
+                    {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
+                ],
+                **picked(w, "known_closed=known closed closed_ci95 as_much status"),
+            }
+            for w in found.withheld
+        ],
+        "planted": [
+            {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)} for p in found.planted
+        ],
+        "diagnosis": record(found.first),
+    }
+    return {**plain(data)}
 
 
 def _without(corrected: Robot, finding: Finding) -> Robot:
@@ -338,17 +319,16 @@ def _without(corrected: Robot, finding: Finding) -> Robot:
     return replace(corrected, effects=tuple(kept))
 
 
-def _withheld(job: _Hidden) -> Withheld:
+def _withheld(bed: Bed, finding: Finding) -> Withheld:
     torch.set_num_threads(1)
-    found = diagnose(job.robot, job.log, settings=job.settings)
-    given = prepare(job.robot, job.log, found.cutoff)
-    before, after = (
-        Model(robot, tuple(nominal_effects(robot))) for robot in (job.robot, job.corrected)
-    )
+    robbed = _without(bed.robot, finding)
+    found = diagnose(robbed, bed.log, settings=bed.settings)
+    given = prepare(robbed, bed.log, found.cutoff)
+    before, after = (Model(robot, tuple(nominal_effects(robot))) for robot in (robbed, bed.robot))
     reach = stuck(Columns(after, given.samples), found.floor.high)
     shown = traces(given.samples, None, [before], [after], found.band, reach=reach)
-    known = closing(shown, found.floor, job.settings.seed)
-    name, place = job.finding.effect.name, job.finding.located
+    known = closing(shown, found.floor, bed.settings.seed)
+    name, place = finding.effect.name, finding.located
     return Withheld(
         name,
         place,

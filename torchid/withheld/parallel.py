@@ -15,6 +15,8 @@ from torchid.errors import TorchidError
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
+Progress = Callable[[str, int, int], None]
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -22,7 +24,8 @@ def each(
     function: Callable[[Job], Result],
     jobs: Sequence[Job],
     processes: int,
-    said: Callable[[int, int], None] = lambda done, total: None,
+    stage: str = "",
+    progress: Progress | None = None,
 ) -> list[Result]:
     """The results, in the order of the jobs.
 
@@ -30,17 +33,19 @@ def each(
         function: of a module, so that another process can find it.
         jobs: any number.
         processes: 1 stays in this one.
-        said: called with (done, total).
+        stage: what is done, for the progress.
+        progress: called with (stage, done, total).
 
     Raises:
         TorchidError: a process was ended from outside.
     """
-    said(0, len(jobs))
+    say = progress or (lambda stage, done, total: None)
+    say(stage, 0, len(jobs))
     if processes == 1 or len(jobs) < 2:
         out = []
         for job in jobs:
             out.append(function(job))
-            said(len(out), len(jobs))
+            say(stage, len(out), len(jobs))
         return out
     context = multiprocessing.get_context("spawn")
     count = min(processes, len(jobs))
@@ -49,7 +54,7 @@ def each(
         try:
             for done, future in enumerate(as_completed(waiting), 1):
                 future.result()
-                said(done, len(jobs))
+                say(stage, done, len(jobs))
             return [future.result() for future in waiting]
         except BrokenProcessPool as error:
             raise TorchidError(

@@ -14,10 +14,9 @@ Answers lie beside the set, not in it, and are kept as long as the diagnosis doe
   reversals, joints weighted by their noise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -36,26 +35,38 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.baselines import baseline_case
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.run import Job, Progress, default_settings, job_of, run, written
+from torchid.withheld.parallel import Progress
+from torchid.withheld.run import Job, default_settings, job_of, run, written
 
 LEVEL = 0.5
 """At which the oracle accepts what it is told."""
 
 
-def beside(cases: CaseSet, what: str) -> Path:
-    """The folder of what belongs to a set but must not lie in it; made if it is not there."""
+Answers = dict[str, dict[str, Any]]
+"""By case."""
+
+
+def _beside(
+    what: str,
+    cases: CaseSet,
+    wanted: Mapping[str, GapSettings | None],
+    method: Callable[[Job], dict[str, Any]] | None,
+    jobs: int,
+    progress: Progress | None,
+) -> Answers:
+    """Answers of a method to cases, each with its settings, in a folder beside the set: they belong
+    to it but must not lie in it."""
     folder = cases.folder.parent / f"{cases.folder.name}.{what}"
     folder.mkdir(exist_ok=True)
-    return folder
+    todo = [job_of(cases, case, folder / f"{case}.json", own) for case, own in wanted.items()]
+    return run(todo, method=method, jobs=jobs, again=True, progress=progress)
 
 
 def baseline_answers(
     cases: CaseSet, wanted: Sequence[str], jobs: int, progress: Progress | None
-) -> dict[str, dict[str, Any]]:
+) -> Answers:
     """Records of `baselines.baseline_case`, by case."""
-    folder = beside(cases, "baselines")
-    todo = [job_of(cases, case, folder / f"{case}.json") for case in wanted]
-    return run(todo, method=baseline_case, jobs=jobs, again=True, progress=progress)
+    return _beside("baselines", cases, dict.fromkeys(wanted), baseline_case, jobs, progress)
 
 
 def oracle_answers(
@@ -64,15 +75,12 @@ def oracle_answers(
     wanted: Sequence[str],
     jobs: int,
     progress: Progress | None,
-) -> dict[str, dict[str, Any]]:
+) -> Answers:
     """Answers of the diagnosis that is told, by case with one effect of the library."""
-    folder = beside(cases, "oracle")
-    todo = []
-    for key in keys:
-        settings = told(key, default_settings()) if key["kind"] == "single" else None
-        if settings is not None and key["id"] in wanted:
-            todo.append(job_of(cases, key["id"], folder / f"{key['id']}.json", settings))
-    return run(todo, jobs=jobs, again=True, progress=progress)
+    single = [key for key in keys if key["kind"] == "single" and key["id"] in wanted]
+    settings = {key["id"]: told(key, default_settings()) for key in single}
+    known = {case: own for case, own in settings.items() if own is not None}
+    return _beside("oracle", cases, known, None, jobs, progress)
 
 
 def told(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
@@ -108,15 +116,10 @@ def true_shares(
         jobs: processes.
         progress: called with (stage, done, total).
     """
-    folder = beside(cases, "truth")
-    todo = []
-    for key in keys:
-        case = str(key["id"])
-        known = (answers.get(case, {}).get("how_far") or {}).get("closed_ci95") is not None
-        events = any(effect["name"] in EVENTS for effect in key["effects"])
-        if known and not events:
-            todo.append(job_of(cases, case, folder / f"{case}.json"))
-    found = run(todo, method=partial(truth_case, cases), jobs=jobs, again=True, progress=progress)
+    lasting = [k["id"] for k in keys if not any(e["name"] in EVENTS for e in k["effects"])]
+    far = {case: answers.get(case, {}).get("how_far") or {} for case in lasting}
+    wanted = dict.fromkeys(case for case in lasting if far[case].get("closed_ci95") is not None)
+    found = _beside("truth", cases, wanted, partial(truth_case, cases), jobs, progress)
     return {case: float(f["closed"]) for case, f in found.items() if f.get("closed") is not None}
 
 

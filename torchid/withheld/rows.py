@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from torchid.effects.base import JointEffect
+from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS
 from torchid.effects.variation import OneJointEffect
 
@@ -136,39 +136,35 @@ def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
 
 
 def _claim(found: Mapping[str, Any]) -> Claim:
-    joints = tuple(int(j) for j in found["joints"])
-    kind = KINDS.get(str(found["effect"]))
-    at_joints = kind is not None and issubclass(kind, JointEffect | OneJointEffect)
-    located = at_joints or found["effect"] in INERTIAL
-    std = {} if found.get("shape") else dict(found.get("std", {}))
-    values = found.get("parameters", {})
+    name, joints = found["effect"], tuple(found["joints"])
+    at_joints = issubclass(KINDS.get(name, Effect), JointEffect | OneJointEffect)
+    located = at_joints or name in INERTIAL
+    std = {} if found.get("shape") else found.get("std", {})
+    values = _numbers(found)
     return Claim(
-        name=str(found["effect"]),
-        family=str(found["family"]),
-        place=joints if located and not found.get("common") else (),
-        joints=joints,
-        ambiguous=tuple(found["ambiguous_with"]),
-        share=float(found.get("share") or 0.0),
-        coefficients={
-            name: (float(values[name]), float(s))
-            for name, s in std.items()
-            if s is not None and isinstance(values.get(name), int | float)
-        },
+        name,
+        found["family"],
+        joints if located and not found.get("common") else (),
+        joints,
+        tuple(found["ambiguous_with"]),
+        found.get("share") or 0.0,
+        {c: (values[c], float(s)) for c, s in std.items() if s is not None and c in values},
     )
 
 
 def _planted(effect: Mapping[str, Any]) -> Planted:
-    numbers = {
-        str(name): float(value)
-        for name, value in effect.get("parameters", {}).items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    }
     return Planted(
-        name=str(effect["name"]),
-        family=str(effect["family"]),
-        place=tuple(int(j) for j in effect["joints"]),
-        felt=tuple(int(j) for j in effect.get("felt_by", ())),
-        size=float(effect.get("size", math.nan)),
-        acceptable=tuple(effect.get("acceptable", ())),
-        coefficients=numbers,
+        effect["name"],
+        effect["family"],
+        tuple(effect["joints"]),
+        tuple(effect.get("felt_by", ())),
+        effect.get("size", math.nan),
+        tuple(effect.get("acceptable", ())),
+        _numbers(effect),
     )
+
+
+def _numbers(entry: Mapping[str, Any]) -> dict[str, float]:
+    """Those of an entry's parameters that are numbers, not lists or words."""
+    given = entry.get("parameters", {}).items()
+    return {name: float(value) for name, value in given if type(value) in (int, float)}

@@ -1,7 +1,6 @@
 """Diagnose every case of a set. Nothing here knows where keys are, or reads one."""
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,9 +13,7 @@ from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.parallel import each
-
-Progress = Callable[[str, int, int], None]
+from torchid.withheld.parallel import Progress, each
 
 ERROR = "error"
 """Status of a case whose diagnosis failed."""
@@ -80,7 +77,6 @@ def run(
     Raises:
         TorchidError: answers of another torchid, or with other settings, are there.
     """
-    say = progress or (lambda stage, done, total: None)
     # Answers that need not be found again.
     answers: dict[str, dict[str, Any]] = {}
     other: dict[str, str] = {}
@@ -90,11 +86,10 @@ def run(
         old = read_json(one.answer, "an answer")
         # Why it is not one of this diagnosis.
         if old.get("version") != __version__:
-            reason = f"they are of torchid {old.get('version')}, and this is {__version__}"
-            other[one.case] = reason
+            other[one.case] = f"they are of torchid {old.get('version')}, and this is {__version__}"
         elif old.get("code") != code():
             other[one.case] = "the diagnosis has changed since"
-        elif old.get("settings") != as_record(one.settings):
+        elif old.get("settings") != plain(asdict(one.settings)):
             other[one.case] = "they were found with other settings"
         elif old.get("status") != ERROR:
             answers[one.case] = old
@@ -107,12 +102,12 @@ def run(
         )
     left = [job for job in todo if job.case not in answers]
     kept = len(answers)
-    found = each(
-        method or diagnose_case,
-        left,
-        jobs,
-        lambda done, _: say("diagnosing", kept + done, len(todo)),
-    )
+
+    def say(stage: str, done: int, _: int) -> None:
+        if progress is not None:
+            progress(stage, kept + done, len(todo))
+
+    found = each(method or diagnose_case, left, jobs, "diagnosing", say)
     answers |= {job.case: answer for job, answer in zip(left, found, strict=True)}
     return {job.case: answers[job.case] for job in todo}
 
@@ -142,7 +137,7 @@ def written(
         found = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
     found |= {
         "case": job.case,
-        "settings": as_record(job.settings),
+        "settings": plain(asdict(job.settings)),
         "version": __version__,
         "code": code(),
         "seconds": round(time.perf_counter() - begin, 2),
@@ -161,12 +156,6 @@ def _answer(job: Job) -> dict[str, Any]:
         "pi": found.corrected.require_parameters("an answer").pi,
     }
     return {**record(found), "corrected": plain(corrected)}
-
-
-def as_record(settings: GapSettings) -> dict[str, Any]:
-    """As JSON gives them back."""
-    record: dict[str, Any] = json.loads(json.dumps(plain(asdict(settings))))
-    return record
 
 
 @cache

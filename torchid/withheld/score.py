@@ -67,8 +67,7 @@ class Scored:
 
 def closed_by(answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
     """Closed shares, by case."""
-    closed = {case: (a.get("how_far") or {}).get("closed") for case, a in answers.items()}
-    return {case: None if value is None else float(value) for case, value in closed.items()}
+    return {case: (a.get("how_far") or {}).get("closed") for case, a in answers.items()}
 
 
 def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
@@ -77,8 +76,8 @@ def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     # As in a file, where what is not a number is null.
     low, high = far.get("closed_ci95") or (None, None)
     return Scored(
-        case=str(key["id"]),
-        kind=str(key["kind"]),
+        case=key["id"],
+        kind=key["kind"],
         colour_hz=key.get("colour_hz"),
         level=key.get("level"),
         row=row_of(key, answer),
@@ -108,14 +107,12 @@ def scores(
     out = _naming(single)
     groups = _by(single, lambda c: c.row.planted[0].name)
     out["by_effect"] = {name: _naming(groups[name]) for name in sorted(groups)}
-    out["white"] = _naming([c for c in single if c.colour_hz is None])
-    out["coloured"] = _naming([c for c in single if c.colour_hz is not None])
+    out |= {noise: _naming(some) for noise, some in _by_noise(single).items()}
     return {
         # Of logs without any effect: whether anything is said to be there.
         "false_alarms": {
-            "all": rate(c.row.alarm for c in quiet),
-            "white": rate(c.row.alarm for c in quiet if c.colour_hz is None),
-            "coloured": rate(c.row.alarm for c in quiet if c.colour_hz is not None),
+            noise: rate(c.row.alarm for c in some)
+            for noise, some in {"all": quiet, **_by_noise(quiet)}.items()
         },
         # Of logs where only inertial parameters are wrong.
         "parameters": {
@@ -179,15 +176,16 @@ def _several(cases: Sequence[Scored]) -> dict[str, Any]:
 
 def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
     """Of logs with a cause that the library lacks: whether a wrong family is named for sure."""
-    said = [verdict(c.row, FAMILIES, every=True) for c in cases]
-    groups = _by(cases, lambda c: " + ".join(p.name for p in c.row.planted))
+    said: Counter[str] = Counter()
+    by_cause: dict[str, Counter[str]] = defaultdict(Counter)
+    for case in cases:
+        found = verdict(case.row, FAMILIES, every=True)
+        said[found] += 1
+        by_cause[_cause(case)][found] += 1
     return {
-        "confident_wrong": rate(v == "confident_wrong" for v in said),
-        "verdicts": dict(Counter(said)),
-        "by_cause": {
-            name: dict(Counter(verdict(c.row, FAMILIES, every=True) for c in some))
-            for name, some in sorted(groups.items())
-        },
+        "confident_wrong": rate(v == "confident_wrong" for v in said.elements()),
+        "verdicts": dict(said),
+        "by_cause": {name: dict(by_cause[name]) for name in sorted(by_cause)},
     }
 
 
@@ -234,7 +232,7 @@ def confusion(cases: Iterable[Scored]) -> dict[str, dict[str, int]]:
     for case in cases:
         top = case.row.top
         said = NOTHING.get(case.row.status, "(nothing)") if top is None else top.name
-        out[" + ".join(p.name for p in case.row.planted)][said] += 1
+        out[_cause(case)][said] += 1
     return {name: dict(out[name]) for name in sorted(out)}
 
 
@@ -259,6 +257,15 @@ def _curve(cases: Sequence[Scored]) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _cause(case: Scored) -> str:
+    return " + ".join(p.name for p in case.row.planted)
+
+
+def _by_noise(cases: Iterable[Scored]) -> dict[str, list[Scored]]:
+    groups = _by(cases, lambda c: "white" if c.colour_hz is None else "coloured")
+    return {noise: groups.get(noise, []) for noise in ("white", "coloured")}
 
 
 def _by(cases: Iterable[Scored], key: Callable[[Scored], str]) -> dict[str, list[Scored]]:

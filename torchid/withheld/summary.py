@@ -16,6 +16,8 @@ from torchid.withheld.score import Scored, closed_by, scored, scores
 
 SCHEMA = "torchid.withheld.score/1"
 
+_KEY = ("kind", "arm", "rate_hz", "colour_hz", "repeats", "level")
+
 Answers = Mapping[str, Mapping[str, Any]]
 
 
@@ -55,7 +57,7 @@ def summary(
         oracle: by case, answers of the diagnosis that was told.
         truly_closed: as `score.scores`.
     """
-    by_id = {str(key["id"]): key for key in keys}
+    by_id = {key["id"]: key for key in keys}
     ours = [scored(k, answers[k["id"]]) for k in keys if k["id"] in answers]
     closed = None if oracle is None else closed_by(oracle)
     own = [answers[c.case] for c in ours]
@@ -66,12 +68,12 @@ def summary(
     failed = {"status": ERROR, "which": []}
     out = {}
     for method in methods:
-        pairs = [
-            (key, found[key["id"]].get("methods", {}).get(method, failed))
+        rows = [
+            scored(key, found[key["id"]].get("methods", {}).get(method, failed))
             for key in keys
             if key["id"] in found and key["id"] in wanted
         ]
-        out[method] = scores([scored(key, answer) for key, answer in pairs], closed)
+        out[method] = scores(rows, closed)
     return plain(
         {
             "schema": SCHEMA,
@@ -94,14 +96,9 @@ def summary(
 def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:
     """One case, for the reader who wants to know what went wrong."""
     return {
-        **picked(case, "case kind"),
-        **{name: key.get(name) for name in ("arm", "rate_hz")},
-        "colour_hz": case.colour_hz,
-        "repeats": key.get("repeats"),
-        "level": case.level,
-        "planted": [
-            {"name": p.name, "joints": p.located, "size": p.size} for p in case.row.planted
-        ],
+        "case": case.case,
+        **{name: key.get(name) for name in _KEY},
+        "planted": [picked(p, "name joints=located size") for p in case.row.planted],
         "status": case.row.status,
         "named": named_record(case.row),
         "closed": case.closed,

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import asdict
 
 import pytest
 
@@ -59,7 +60,7 @@ def test_most_logs_repeat_one_trajectory():
 
 def test_a_case_is_json():
     for k in range(40):
-        record = draw_case(6, k).record()
+        record = asdict(draw_case(6, k))
         assert json.loads(json.dumps(record))["arm"] == record["arm"]
 
 

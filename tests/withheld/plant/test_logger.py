@@ -68,8 +68,9 @@ def test_held_samples_are_copies():
     rows = (columns["t"] > 102.001) & (columns["t"] < 102.099)
     assert len(set(columns["tau2"][rows])) == 1
     assert len(set(columns["tau1"][rows])) > 40
-    x, t = np.arange(10.0), np.arange(10.0)
-    assert hold(x, t, ((2.5, 6.0),)).tolist() == [0, 1, 2, 3, 3, 3, 6, 7, 8, 9]
+    x, t = np.arange(10.0)[:, None], np.arange(10.0)
+    held = hold(x, t, [Windows(0, (((2.5, 6.0),),))], 0)
+    assert held[:, 0].tolist() == [0, 1, 2, 3, 3, 3, 6, 7, 8, 9]
 
 
 def test_another_seed_is_other_noise():

@@ -11,7 +11,7 @@ solutions, z <- argmax (G_i z)'z climbs to a local maximum (z'G z is convex, so 
 The greatest error lies between the two: reached <= greatest <= bound.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,7 +65,6 @@ def force_reach(
     space: EqualTorqueSpace,
     squares: Float[Tensor, "n D D"],
     kinds: Sequence[str] = KINDS,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[ForceReach, ...]:
     """The greatest force errors of each kind of set, see the module's text.
 
@@ -73,21 +72,16 @@ def force_reach(
         space: of the reference.
         squares: see `force_squares`.
         kinds: of `KINDS`; one without any set, or without a condition to violate, is left out.
-        progress: called with (joints done, joints in all).
 
     Raises:
         MissingExtraError: Clarabel is not installed.
     """
-    found, total = [], len(kinds) * space.n
-    for order, kind in enumerate(kinds):
+    found = []
+    for kind in kinds:
         cone = _cone(space, frozenset(kind.split("+")) - {"feasible"})
         if cone is None:
             continue
-        both = []
-        for joint in range(space.n):
-            both.append(cone.reach(squares[joint]))
-            if progress is not None:
-                progress(order * space.n + joint + 1, total)
+        both = [cone.reach(square) for square in squares]
         reached, bound = torch.tensor(both, dtype=squares.dtype).T
         found.append(ForceReach(kind, reached, bound))
     return tuple(found)
@@ -114,23 +108,23 @@ class _Cone:
         """Root mean squares reached and not exceeded; nan where the solver fails."""
         g = square.numpy()
         values, vectors = np.linalg.eigh(g)
-        total, best, z = 0.0, 0.0, self.origin
+        total, z = 0.0, self.origin
         # Thin directions together: l_k |e_k'z|^2 <= l |z|^2 would need |z|; each has its own pair.
         for value, axis in zip(values[::-1], vectors.T[::-1], strict=True):
             if value <= _AXES**2 * values[-1]:
                 break
-            ends = [self.furthest(sign * axis) for sign in (1.0, -1.0)]
-            if ends[0] is None or ends[1] is None:
+            far = [self.furthest(sign * axis) for sign in (1.0, -1.0)]
+            ends = [end for end in far if end is not None]
+            if len(ends) < 2:
                 return float("nan"), float("nan")
-            total += value * max(float(axis @ e) ** 2 for e in ends if e is not None)
-            for end in ends:
-                if end is not None and end @ g @ end > best:
-                    best, z = float(end @ g @ end), end
+            total += value * max(float(axis @ end) ** 2 for end in ends)
+            z = max([z, *ends], key=lambda end: float(end @ g @ end))
         for _ in range(_CLIMBS):
             higher = self.furthest(g @ z)
-            if higher is None or higher @ g @ higher <= best * (1 + 1e-6):
+            if higher is None or higher @ g @ higher <= z @ g @ z * (1 + 1e-6):
                 break
-            best, z = float(higher @ g @ higher), higher
+            z = higher
+        best = float(z @ g @ z)
         return best**0.5, max(total, best) ** 0.5
 
 

@@ -5,33 +5,37 @@ from typing import Any
 
 import torch
 
-from torchid.json_data import plain
+from torchid.json_data import picked, plain
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.study import EqualTorqueStudy
 
 SCHEMA = "torchid.wrenches/1"
+_STUDY = (
+    "robot=setting.robot.name seed geometry=setting.geometry outer=setting.outer.name "
+    "total_mass=setting.conditions.total_mass"
+)
+_REFERENCE = (
+    "torque_change_rms=setting.torque_change force_rms=errors.reference_force_rms "
+    "force_rms_to_nominal=reference_to_nominal"
+)
+_SETS = (
+    "force_rms=errors.force_rms force_max=errors.force_max force_norm_rms=errors.force_norm_rms "
+    "moment_rms=errors.moment_rms torque_relative carried_mass_difference=carried"
+)
 
 
 def study_record(study: EqualTorqueStudy) -> dict[str, Any]:
     """A study of sets with equal torque; numbers that are not known are null."""
-    setting = study.setting
     data = {
         "schema": SCHEMA,
         "mode": "equal_torque",
-        "robot": setting.robot.name,
-        "seed": study.seed,
-        "geometry": setting.geometry,
-        "outer": setting.outer.name,
-        "total_mass": setting.conditions.total_mass,
+        **picked(study, _STUDY),
         "reference": {
-            "origin": setting.origin,
-            "mass": setting.reference.parameters.mass[0],
-            "torque_change_rms": setting.torque_change,
-            "force_rms": study.errors.reference_force_rms,
-            "force_rms_to_nominal": study.reference_to_nominal,
+            "origin": study.setting.origin,
+            "mass": study.setting.reference.parameters.mass[0],
+            **picked(study, _REFERENCE),
         },
-        "instants": study.motion.q.shape[0],
-        "torque_relative_max": float(study.torque_relative.max()),
+        **_motion(study),
         "static_share": study.static_share,
         "kinds": [_kind(study, kind) for kind in study.kinds],
         "comparison": asdict(study.comparison),
@@ -54,22 +58,23 @@ def given_record(found: GivenSets, source: list[str]) -> dict[str, Any]:
         found: what was found.
         source: files of the sets.
     """
+    own = picked(found.errors, "force_rms=reference_force_rms moment_rms=reference_moment_rms")
     data = {
         "schema": SCHEMA,
         "mode": "sets",
         "robot": found.robot.name,
         "source": source,
-        "reference": {
-            "id": found.reference.ids[0],
-            "force_rms": found.errors.reference_force_rms,
-            "moment_rms": found.errors.reference_moment_rms,
-        },
-        "instants": found.motion.q.shape[0],
-        "torque_relative_max": float(found.torque_relative.max()),
+        "reference": {"id": found.reference.ids[0], **own},
+        **_motion(found),
         "comparison": asdict(found.comparison),
         "sets": _sets(found),
     }
     return dict(plain(data))
+
+
+def _motion(found: EqualTorqueStudy | GivenSets) -> dict[str, Any]:
+    worst = found.torque_relative.max()
+    return {"instants": found.motion.q.shape[0], "torque_relative_max": worst}
 
 
 def _kind(study: EqualTorqueStudy, kind: str) -> dict[str, Any]:
@@ -89,26 +94,16 @@ def _kind(study: EqualTorqueStudy, kind: str) -> dict[str, Any]:
 
 
 def _sets(found: EqualTorqueStudy | GivenSets) -> list[dict[str, Any]]:
-    kinds: list[dict[str, Any]]
+    checked, columns = found.checked, dict[str, Any]()
     if isinstance(found, EqualTorqueStudy):
-        ids, degree = found.family.sets.ids, found.degree
-        kinds = [{"kind": kind} for kind in found.family.kind]
+        columns |= {"id": found.family.sets.ids, "kind": found.family.kind}
+        degree = found.degree
     else:
-        ids, degree = found.sets.ids, found.checked.degree
-        kinds = [{} for _ in ids]
-    errors = {
-        name: getattr(found.errors, name)
-        for name in ("force_rms", "force_max", "force_norm_rms", "moment_rms")
+        columns["id"], degree = found.sets.ids, checked.degree
+    columns |= {
+        "feasible": plain(checked.feasible),
+        "reasons": tuple(checked.reasons(k) for k in range(len(degree))),
+        "degree": plain(degree),
+        **picked(found, _SETS),
     }
-    errors |= {"torque_relative": found.torque_relative, "carried_mass_difference": found.carried}
-    return [
-        {
-            "id": name,
-            **kinds[k],
-            "feasible": bool(found.checked.feasible[k]),
-            "reasons": found.checked.reasons(k),
-            "degree": degree[k],
-            **{key: values[k] for key, values in errors.items()},
-        }
-        for k, name in enumerate(ids)
-    ]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -197,14 +197,13 @@ class _Asker:
         s = self.samples
         own, base = s.third(kind, third), s.third("feasible", 0)
         degree = s.degree[own]
-        same = kind == "feasible" and third == 0
         return ThirdSummary(
             kind,
             THIRDS[third],
             (float(degree.min()), float(degree.max())),
             float(np.median(s.error[own])),
-            NO_ESTIMATE if same else self._against(hodges_lehmann_ratio, own, base),
-            NO_ESTIMATE if same else self._against(cliffs_delta, own, base),
+            self._against(hodges_lehmann_ratio, own, base),
+            self._against(cliffs_delta, own, base),
         )
 
     def correlations(self, kind: str) -> KindCorrelations:
@@ -225,8 +224,7 @@ class _Asker:
     def matched(self, kind: str) -> Matched:
         s = self.samples
         own, base = s.of(kind), s.of("feasible")
-        inside = np.zeros(len(s.kind), dtype=bool)
-        inside[own] = True
+        inside = np.isin(np.arange(len(s.kind)), own)
 
         def delta(k: Array) -> float:
             a, b = k[inside[k]], k[~inside[k]]
@@ -254,8 +252,10 @@ class _Asker:
         )
 
     def _against(self, function: Callable[[Array, Array], float], a: Array, b: Array) -> Estimate:
-        inside = np.zeros(len(self.samples.kind), dtype=bool)
-        inside[a] = True
+        """Errors of some sets against those of others; there is none of sets against themselves."""
+        if np.array_equal(a, b):
+            return NO_ESTIMATE
+        inside = np.isin(np.arange(len(self.samples.kind)), a)
         error = self.samples.error
         return self._estimate(lambda k: function(error[k[inside[k]]], error[k[~inside[k]]]), [a, b])
 
@@ -282,7 +282,7 @@ def _strata(by_a: Array, by_b: Array) -> tuple[Array, Array]:
 
 
 Range = tuple[float, float, float]
-"""Median over the truths, and the range of 95 % of them."""
+"""Median of several numbers, and the range of 95 % of them."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +338,7 @@ def other_truths(
         errors = distances[:, kind == name]
         ratio = np.median(errors, 1) / own
         better = [(1 - cliffs_delta(e, b)) / 2 for e, b in zip(errors, bare, strict=True)]
-        compared.append(OtherTruths(name, _middle(ratio), _middle(np.array(better))))
+        compared.append(OtherTruths(name, middle_range(ratio), middle_range(np.array(better))))
     ranks = np.argsort(degree[feasible], kind="stable")
     firm = []
     for third, rows in zip(THIRDS, np.array_split(ranks, 3), strict=True):
@@ -346,10 +346,11 @@ def other_truths(
         for k in rows:
             rest = np.delete(np.arange(len(feasible)), k)
             rho.append(spearman(degree[feasible][rest], others[k, rest]))
-        firm.append(FirmTruths(third, _middle(np.array(rho))))
+        firm.append(FirmTruths(third, middle_range(np.array(rho))))
     return tuple(compared), tuple(firm)
 
 
-def _middle(values: Array) -> Range:
+def middle_range(values: Array) -> Range:
+    """Median of numbers, and the range of 95 % of them; nan counts as none."""
     low, middle, high = np.nanpercentile(values, [2.5, 50, 97.5]).tolist()
     return middle, low, high

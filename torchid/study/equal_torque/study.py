@@ -45,6 +45,7 @@ from torchid.study.equal_torque.statistics import (
     OtherTruths,
     Samples,
     Statistics,
+    middle_range,
     other_truths,
     statistics,
 )
@@ -94,11 +95,25 @@ class Drawn:
         sets, reference = self.family.sets.parameters, self.setting.reference.parameters
         return (sets.mass - reference.mass).flip(-1).cumsum(-1).flip(-1)
 
+    @property
+    def worst(self) -> Float[Tensor, " K"]:
+        """(K,) largest over the joints of the root mean square force error [N]."""
+        return self.errors.force_rms.amax(-1)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds that have sets, in their order."""
+        return tuple(dict.fromkeys(self.family.kind))
+
+    def rows(self, kind: str) -> list[int]:
+        """Indices of the sets of a kind."""
+        return [k for k, own in enumerate(self.family.kind) if own == kind]
+
     def samples(self) -> Samples:
         """For the statistics."""
         return Samples(
             kind=np.array(self.family.kind),
-            error=self.errors.force_rms.amax(-1).numpy(),
+            error=self.worst.numpy(),
             degree=self.degree.numpy(),
             carried=self.carried.abs().amax(-1).numpy(),
             coordinates=self.checked.violated[..., 3:6].sum((1, 2)).numpy(),
@@ -108,7 +123,7 @@ class Drawn:
 
     def distances(self) -> np.ndarray:
         """(F, K) force error of each set if feasible set f is the truth: by joint from z'G z."""
-        feasible = [k for k, own in enumerate(self.family.kind) if own == FEASIBLE]
+        feasible = self.rows(FEASIBLE)
         largest = self.z.new_zeros(len(feasible), len(self.z))
         for square in self.squares:
             values, vectors = torch.linalg.eigh(square)
@@ -248,20 +263,6 @@ class EqualTorqueStudy(Drawn):
     seed: int
     warnings: tuple[str, ...]
 
-    @property
-    def worst(self) -> Float[Tensor, " K"]:
-        """(K,) largest over the joints of the root mean square force error [N]."""
-        return self.errors.force_rms.amax(-1)
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """Kinds that have sets, in their order."""
-        return tuple(dict.fromkeys(self.family.kind))
-
-    def rows(self, kind: str) -> list[int]:
-        """Indices of the sets of a kind."""
-        return [k for k, own in enumerate(self.family.kind) if own == kind]
-
 
 def equal_torque_study(
     robot: Robot,
@@ -321,7 +322,6 @@ def equal_torque_study(
     found = statistics(samples, resamples=resamples, seed=seed)
     tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
     weight = samples.carried * float(setting.robot.gravity.norm())
-    low, middle, high = np.percentile(weight / samples.error, [2.5, 50, 97.5]).tolist()
     comparison = drawn.compared(resamples, seed)
     variants = []
     if with_variants:
@@ -330,8 +330,8 @@ def equal_torque_study(
         other = setting.widened(name, share, total_mass=total_mass)
         more = draw(other, motion, kinds, per_kind, chains, seed)
         compared = more.compared(resamples, seed)
-        worst, own = more.samples().error, np.array(more.family.kind)
-        medians = {k: float(np.median(worst[own == k])) for k in dict.fromkeys(more.family.kind)}
+        worst = more.worst.numpy()
+        medians = {kind: float(np.median(worst[more.rows(kind)])) for kind in more.kinds}
         deltas = {
             e.first: (e.delta.value, e.delta.low, e.delta.high)
             for e in compared.effects
@@ -351,7 +351,7 @@ def equal_torque_study(
         truths=truths,
         firm_truths=firm,
         reach=reach,
-        static_share=(middle, low, high),
+        static_share=middle_range(weight / samples.error),
         to_nominal=to_nominal,
         reference_to_nominal=offset,
         variants=tuple(variants),

@@ -4,8 +4,12 @@
 collaborative arms; `7r` has alternating axes and the size of a human arm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
+
+from lxml import etree
+from lxml.builder import E
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant.bodies import Array, Box, Cylinder, Inertial, combined
@@ -66,6 +70,12 @@ _LEVEL = (0.0, 0.0, 0.0)
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
+def _joint(xyz: Triple, rpy: Triple, axis: Triple, limits: Triple, *solids: Solid) -> Joint:
+    """A joint that turns as far one way as the other: limits of position, velocity and effort."""
+    reach, velocity, effort = limits
+    return Joint(xyz, rpy, axis, -reach, reach, velocity, effort, solids)
+
+
 def _tube(radius: float, length: float, density: float) -> Cylinder:
     """A tube from the joint along z."""
     return Cylinder(density, radius, length, (0.0, 0.0, length / 2))
@@ -78,23 +88,19 @@ def _hub(radius: float, length: float, axis: str, density: float, at: Triple) ->
 _3R = Arm(
     "3r",
     (
-        Joint(
-            (0.0, 0.0, 0.12), _LEVEL, _Z, -2.6, 2.6, 3.0, 40.0,
-            (_tube(0.07, 0.16, 2400.0), _hub(0.06, 0.14, "y", 2700.0, (0.01, 0.03, 0.16))),
+        _joint(
+            (0.0, 0.0, 0.12), _LEVEL, _Z, (2.6, 3.0, 40.0),
+            _tube(0.07, 0.16, 2400.0), _hub(0.06, 0.14, "y", 2700.0, (0.01, 0.03, 0.16)),
         ),
-        Joint(
-            (0.0, 0.0, 0.18), _LEVEL, _Y, -1.9, 1.9, 2.6, 110.0,
-            (
-                Box(1100.0, (0.09, 0.08, 0.36), (0.0, 0.01, 0.18)),
-                _hub(0.05, 0.11, "y", 2600.0, (0.005, 0.0, 0.36)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.18), _LEVEL, _Y, (1.9, 2.6, 110.0),
+            Box(1100.0, (0.09, 0.08, 0.36), (0.0, 0.01, 0.18)),
+            _hub(0.05, 0.11, "y", 2600.0, (0.005, 0.0, 0.36)),
         ),
-        Joint(
-            (0.0, 0.02, 0.36), _LEVEL, _Y, -2.4, 2.4, 3.2, 50.0,
-            (
-                Box(1000.0, (0.06, 0.06, 0.30), (0.01, 0.0, 0.14)),
-                Box(2200.0, (0.07, 0.10, 0.05), (0.0, -0.01, 0.30)),
-            ),
+        _joint(
+            (0.0, 0.02, 0.36), _LEVEL, _Y, (2.4, 3.2, 50.0),
+            Box(1000.0, (0.06, 0.06, 0.30), (0.01, 0.0, 0.14)),
+            Box(2200.0, (0.07, 0.10, 0.05), (0.0, -0.01, 0.30)),
         ),
     ),
     (0.0, 0.0, 0.34),
@@ -103,48 +109,36 @@ _3R = Arm(
 _6R = Arm(
     "6r",
     (
-        Joint(
-            (0.0, 0.0, 0.09), _LEVEL, _Z, -3.1, 3.1, 3.0, 150.0,
-            (
-                _hub(0.06, 0.12, "z", 2100.0, (0.0, -0.01, 0.0)),
-                Box(1500.0, (0.1, 0.1, 0.09), (0.0, 0.03, 0.01)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.09), _LEVEL, _Z, (3.1, 3.0, 150.0),
+            _hub(0.06, 0.12, "z", 2100.0, (0.0, -0.01, 0.0)),
+            Box(1500.0, (0.1, 0.1, 0.09), (0.0, 0.03, 0.01)),
         ),
-        Joint(
-            (0.0, 0.135, 0.0), (0.0, pi / 2, 0.0), _Y, -1.7, 1.7, 2.6, 150.0,
-            (
-                Cylinder(1250.0, 0.055, 0.42, (0.0, 0.0, 0.21)),
-                _hub(0.06, 0.13, "y", 2300.0, (0.0, 0.01, 0.0)),
-                _hub(0.05, 0.11, "y", 2300.0, (0.0, -0.02, 0.42)),
-            ),
+        _joint(
+            (0.0, 0.135, 0.0), (0.0, pi / 2, 0.0), _Y, (1.7, 2.6, 150.0),
+            Cylinder(1250.0, 0.055, 0.42, (0.0, 0.0, 0.21)),
+            _hub(0.06, 0.13, "y", 2300.0, (0.0, 0.01, 0.0)),
+            _hub(0.05, 0.11, "y", 2300.0, (0.0, -0.02, 0.42)),
         ),
-        Joint(
-            (0.0, -0.12, 0.425), _LEVEL, _Y, -2.5, 2.5, 3.0, 110.0,
-            (
-                Cylinder(1000.0, 0.04, 0.38, (0.005, 0.0, 0.19)),
-                _hub(0.04, 0.09, "y", 2200.0, (0.0, 0.01, 0.38)),
-            ),
+        _joint(
+            (0.0, -0.12, 0.425), _LEVEL, _Y, (2.5, 3.0, 110.0),
+            Cylinder(1000.0, 0.04, 0.38, (0.005, 0.0, 0.19)),
+            _hub(0.04, 0.09, "y", 2200.0, (0.0, 0.01, 0.38)),
         ),
-        Joint(
-            (0.0, 0.0, 0.392), (0.0, pi / 2, 0.0), _Y, -2.8, 2.8, 3.3, 40.0,
-            (
-                _hub(0.038, 0.11, "y", 2100.0, (0.0, 0.06, 0.01)),
-                Box(1500.0, (0.06, 0.06, 0.06), (0.01, 0.09, 0.0)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.392), (0.0, pi / 2, 0.0), _Y, (2.8, 3.3, 40.0),
+            _hub(0.038, 0.11, "y", 2100.0, (0.0, 0.06, 0.01)),
+            Box(1500.0, (0.06, 0.06, 0.06), (0.01, 0.09, 0.0)),
         ),
-        Joint(
-            (0.0, 0.093, 0.0), _LEVEL, _Z, -2.8, 2.8, 3.6, 35.0,
-            (
-                _hub(0.037, 0.10, "z", 2100.0, (0.005, 0.0, 0.05)),
-                Box(1500.0, (0.05, 0.07, 0.06), (0.0, 0.015, 0.09)),
-            ),
+        _joint(
+            (0.0, 0.093, 0.0), _LEVEL, _Z, (2.8, 3.6, 35.0),
+            _hub(0.037, 0.10, "z", 2100.0, (0.005, 0.0, 0.05)),
+            Box(1500.0, (0.05, 0.07, 0.06), (0.0, 0.015, 0.09)),
         ),
-        Joint(
-            (0.0, 0.0, 0.095), _LEVEL, _Y, -2.8, 2.8, 3.6, 25.0,
-            (
-                _hub(0.034, 0.05, "y", 2500.0, (0.0, 0.06, 0.0)),
-                Box(1900.0, (0.05, 0.10, 0.09), (0.02, 0.12, 0.015)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.095), _LEVEL, _Y, (2.8, 3.6, 25.0),
+            _hub(0.034, 0.05, "y", 2500.0, (0.0, 0.06, 0.0)),
+            Box(1900.0, (0.05, 0.10, 0.09), (0.02, 0.12, 0.015)),
         ),
     ),
     (0.0, 0.16, 0.0),
@@ -153,45 +147,37 @@ _6R = Arm(
 _7R = Arm(
     "7r",
     (
-        Joint(
-            (0.0, 0.0, 0.11), _LEVEL, _Z, -2.8, 2.8, 2.2, 160.0,
-            (_tube(0.06, 0.17, 1500.0), Box(1300.0, (0.1, 0.09, 0.09), (0.0, -0.03, 0.17))),
+        _joint(
+            (0.0, 0.0, 0.11), _LEVEL, _Z, (2.8, 2.2, 160.0),
+            _tube(0.06, 0.17, 1500.0), Box(1300.0, (0.1, 0.09, 0.09), (0.0, -0.03, 0.17)),
         ),
-        Joint(
-            (0.0, 0.0, 0.2), (-pi / 2, 0.0, 0.0), _Z, -1.9, 1.9, 2.2, 180.0,
-            (
-                _hub(0.06, 0.12, "z", 1500.0, (0.0, -0.01, 0.01)),
-                _hub(0.06, 0.14, "y", 1500.0, (0.0, -0.11, 0.02)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.2), (-pi / 2, 0.0, 0.0), _Z, (1.9, 2.2, 180.0),
+            _hub(0.06, 0.12, "z", 1500.0, (0.0, -0.01, 0.01)),
+            _hub(0.06, 0.14, "y", 1500.0, (0.0, -0.11, 0.02)),
         ),
-        Joint(
-            (0.0, -0.2, 0.0), (pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 2.3, 120.0,
-            (_tube(0.055, 0.16, 1550.0), Box(1300.0, (0.09, 0.08, 0.08), (0.0, 0.03, 0.17))),
+        _joint(
+            (0.0, -0.2, 0.0), (pi / 2, 0.0, 0.0), _Z, (2.8, 2.3, 120.0),
+            _tube(0.055, 0.16, 1550.0), Box(1300.0, (0.09, 0.08, 0.08), (0.0, 0.03, 0.17)),
         ),
-        Joint(
-            (0.0, 0.0, 0.2), (pi / 2, 0.0, 0.0), _Z, -2.0, 2.0, 2.3, 120.0,
-            (
-                _hub(0.055, 0.11, "z", 1550.0, (0.0, 0.01, 0.01)),
-                _hub(0.055, 0.13, "y", 1550.0, (0.0, 0.10, 0.02)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.2), (pi / 2, 0.0, 0.0), _Z, (2.0, 2.3, 120.0),
+            _hub(0.055, 0.11, "z", 1550.0, (0.0, 0.01, 0.01)),
+            _hub(0.055, 0.13, "y", 1550.0, (0.0, 0.10, 0.02)),
         ),
-        Joint(
-            (0.0, 0.2, 0.0), (-pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 2.5, 60.0,
-            (_tube(0.045, 0.15, 1600.0), Box(1400.0, (0.08, 0.07, 0.07), (0.0, -0.02, 0.16))),
+        _joint(
+            (0.0, 0.2, 0.0), (-pi / 2, 0.0, 0.0), _Z, (2.8, 2.5, 60.0),
+            _tube(0.045, 0.15, 1600.0), Box(1400.0, (0.08, 0.07, 0.07), (0.0, -0.02, 0.16)),
         ),
-        Joint(
-            (0.0, 0.0, 0.19), (-pi / 2, 0.0, 0.0), _Z, -2.0, 2.0, 2.6, 60.0,
-            (
-                _hub(0.045, 0.10, "z", 1700.0, (0.0, 0.01, 0.0)),
-                Box(1500.0, (0.07, 0.06, 0.08), (0.005, -0.02, 0.02)),
-            ),
+        _joint(
+            (0.0, 0.0, 0.19), (-pi / 2, 0.0, 0.0), _Z, (2.0, 2.6, 60.0),
+            _hub(0.045, 0.10, "z", 1700.0, (0.0, 0.01, 0.0)),
+            Box(1500.0, (0.07, 0.06, 0.08), (0.005, -0.02, 0.02)),
         ),
-        Joint(
-            (0.0, -0.08, 0.0), (pi / 2, 0.0, 0.0), _Z, -2.8, 2.8, 3.0, 40.0,
-            (
-                _hub(0.04, 0.04, "z", 2300.0, (0.0, 0.0, 0.03)),
-                Box(1900.0, (0.06, 0.10, 0.08), (0.025, 0.01, 0.09)),
-            ),
+        _joint(
+            (0.0, -0.08, 0.0), (pi / 2, 0.0, 0.0), _Z, (2.8, 3.0, 40.0),
+            _hub(0.04, 0.04, "z", 2300.0, (0.0, 0.0, 0.03)),
+            Box(1900.0, (0.06, 0.10, 0.08), (0.025, 0.01, 0.09)),
         ),
     ),
     (0.0, 0.0, 0.14),
@@ -218,48 +204,42 @@ def urdf(arm: Arm, damping: Array, friction: Array) -> str:
         arm: the arm.
         damping, friction: (n,) viscous [N m s/rad] and Coulomb [N m] friction; zeros are left out.
     """
-    lines = ['<?xml version="1.0"?>', '<robot name="arm">', '  <link name="base"/>']
-    for k, joint in enumerate(arm.joints, 1):
-        name = f"link{k}"
-        body = joint.inertial()
-        entries = {f"i{'xyz'[a]}{'xyz'[b]}": float(body.inertia[a, b]) for a, b in _UPPER}
-        moments = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
-        lines += [
-            f'  <link name="{name}">',
-            "    <inertial>",
-            f'      <origin xyz="{spaced(body.com)}" rpy="0 0 0"/>',
-            f'      <mass value="{float(body.mass)!r}"/>',
-            f"      <inertia {moments}/>",
-            "    </inertial>",
-            "  </link>",
-        ]
-        parent = f"link{k - 1}" if k > 1 else "base"
-        viscous = float(damping[k - 1])
-        coulomb = float(friction[k - 1])
-        dynamics = f'    <dynamics damping="{viscous!r}" friction="{coulomb!r}"/>'
-        lines += [
-            f'  <joint name="joint{k}" type="revolute">',
-            f'    <parent link="{parent}"/>',
-            f'    <child link="link{k}"/>',
-            f'    <origin xyz="{spaced(joint.xyz)}" rpy="{spaced(joint.rpy)}"/>',
-            f'    <axis xyz="{spaced(joint.axis)}"/>',
-            f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" '
-            f'velocity="{joint.velocity!r}" effort="{joint.effort!r}"/>',
-            *([dynamics] if viscous or coulomb else []),
-            "  </joint>",
-        ]
-    lines += [
-        '  <link name="tool"/>',
-        '  <joint name="tool_mount" type="fixed">',
-        f'    <parent link="link{arm.n}"/>',
-        '    <child link="tool"/>',
-        f'    <origin xyz="{spaced(arm.tool)}" rpy="0 0 0"/>',
-        "  </joint>",
-        "</robot>",
-    ]
-    return "\n".join(lines) + "\n"
+    robot = E.robot(E.link(name="base"), name="arm")
+    parent = "base"
+    for k, (joint, viscous, coulomb) in enumerate(zip(arm.joints, damping, friction, strict=True)):
+        name, body = f"link{k + 1}", joint.inertial()
+        moments = {f"i{'xyz'[a]}{'xyz'[b]}": spaced([body.inertia[a, b]]) for a, b in _UPPER}
+        inertial = E.inertial(
+            E.origin(xyz=spaced(body.com), rpy="0 0 0"),
+            E.mass(value=spaced([body.mass])),
+            E.inertia(moments),
+        )
+        limits = ("lower", "upper", "velocity", "effort")
+        mount = E.joint(
+            E.parent(link=parent),
+            E.child(link=name),
+            E.origin(xyz=spaced(joint.xyz), rpy=spaced(joint.rpy)),
+            E.axis(xyz=spaced(joint.axis)),
+            E.limit({limit: spaced([getattr(joint, limit)]) for limit in limits}),
+            name=f"joint{k + 1}",
+            type="revolute",
+        )
+        if viscous or coulomb:
+            mount.append(E.dynamics(damping=spaced([viscous]), friction=spaced([coulomb])))
+        robot.extend([E.link(inertial, name=name), mount])
+        parent = name
+    tool = E.joint(
+        E.parent(link=parent),
+        E.child(link="tool"),
+        E.origin(xyz=spaced(arm.tool), rpy="0 0 0"),
+        name="tool_mount",
+        type="fixed",
+    )
+    robot.extend([E.link(name="tool"), tool])
+    text: str = etree.tostring(robot, pretty_print=True, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{text}'
 
 
-def spaced(values: Array | Triple) -> str:
+def spaced(values: Array | Sequence[float]) -> str:
     """Numbers separated by spaces, none of their digits lost."""
     return " ".join(repr(float(v)) for v in values)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from torchid.json_data import picked
 from torchid.withheld.plant.arms import arm_named, urdf
 from torchid.withheld.plant.catalogue import kind_named
 from torchid.withheld.plant.draw import CaseSpec, draw_case
@@ -84,8 +85,7 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
     effects = [
         {
             "name": effect.name,
-            "family": kind_named(effect.name).family,
-            "acceptable": list(kind_named(effect.name).akin),
+            **picked(kind_named(effect.name), "family acceptable=akin"),
             "joints": [j + 1 for j in effect.joints],
             "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
             "parameters": own,
@@ -106,26 +106,14 @@ def _key(
     spec: CaseSpec, scene: Scene, plan: Plan, effects: list[dict[str, Any]], gap: np.ndarray
 ) -> dict[str, Any]:
     return {
-        "kind": spec.kind,
-        "arm": spec.arm,
-        "rate_hz": spec.logger.rate_hz,
-        "colour_hz": spec.logger.colour_hz,
+        **picked(spec, "kind arm rate_hz=logger.rate_hz colour_hz=logger.colour_hz"),
         "repeats": len(set(spec.motion.shapes)) < len(spec.motion.shapes),
         "level": spec.level,
         "effects": effects,
-        "background": {
-            "viscous": plan.known_damping.tolist(),
-            "coulomb": plan.known_friction.tolist(),
-        },
+        "background": picked(plan, "viscous=known_damping coulomb=known_friction"),
         "noise_std": scene.noise.tolist(),
-        "controller": {
-            "kp": scene.kp.tolist(),
-            "kd": scene.kd.tolist(),
-            "bandwidth_hz": spec.bandwidth_hz,
-            "damping_ratio": spec.damping_ratio,
-        },
-        "encoder_bits": spec.logger.encoder_bits,
-        "jitter": spec.logger.jitter,
+        "controller": {**picked(scene, "kp kd"), **picked(spec, "bandwidth_hz damping_ratio")},
+        **picked(spec.logger, "encoder_bits jitter"),
         "own_velocity": spec.logger.own_velocity or plan.own_velocity,
         "excitation": spec.excitation,
         "true_gap_rms": gap.tolist(),

@@ -1,8 +1,8 @@
 """What a case is, drawn from a seed and its number alone."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -67,7 +67,7 @@ _SEVERAL = tuple(name for name in LIBRARY if name not in ("filter_lag", "link_in
 
 @dataclass(frozen=True)
 class CaseSpec:
-    """A case before it is simulated; with `record` as JSON.
+    """A case before it is simulated.
 
     Attributes:
         seed, number: what it was drawn from.
@@ -99,10 +99,6 @@ class CaseSpec:
     bandwidth_hz: float
     damping_ratio: float
     logger: Logger
-
-    def record(self) -> dict[str, Any]:
-        """The case as JSON's types."""
-        return asdict(self)
 
 
 def draw_case(

@@ -56,7 +56,7 @@ def power_law(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted
 def coulomb(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """LuGre with stiff bristles and a constant limit."""
     joint = effect.joints[0]
-    deflection = _deflection(scene, effect, joint, s)
+    deflection = _deflection(scene, effect, s)
     law = bristles(joint, lambda dq, k: s, deflection)
     return with_law(plan, law), {"Fc": s, "deflection": deflection}
 
@@ -65,7 +65,7 @@ def stribeck(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """LuGre whose limit falls with speed from s to nothing, beside the known dry friction."""
     joint, d = effect.joints[0], effect.draws["decay"]
     vs = effect.draws["speed"] * float(scene.speed[joint])
-    deflection = _deflection(scene, effect, joint, s)
+    deflection = _deflection(scene, effect, s)
 
     def limit(dq: float, k: int) -> float:
         return s * exp(-(abs(dq / vs) ** d))
@@ -97,7 +97,7 @@ def asymmetric(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plante
     share = effect.draws["viscous"]
     dry, wet = s * direction, share * s / float(scene.speed[joint]) * direction
     plan = knowing(plan, joint, damping=1.3 * abs(wet), friction=1.3 * abs(dry))
-    deflection = _deflection(scene, effect, joint, s)
+    deflection = _deflection(scene, effect, s)
     plan = with_law(plan, one_sided_bristles(joint, dry, deflection))
     plan = with_law(plan, resisting(joint, lambda q, dq: wet * abs(dq)))
     return plan, {"dF": dry, "dFv": wet, "deflection": deflection}
@@ -178,9 +178,9 @@ def replacing(plan: Plan, joint: int) -> Plan:
     return replace(plan, replaced=(*plan.replaced, joint))
 
 
-def _deflection(scene: Scene, effect: EffectSpec, joint: int, torque: float) -> float:
+def _deflection(scene: Scene, effect: EffectSpec, torque: float) -> float:
     """Of stiff bristles [rad]: as drawn, but not stiffer than a step can follow."""
-    softest = torque * (5e-4) ** 2 / (0.3 * float(scene.inertia[joint, 0]))
+    softest = torque * (5e-4) ** 2 / (0.3 * float(scene.inertia[effect.joints[0], 0]))
     return max(effect.draws["deflection"], softest)
 
 

@@ -15,17 +15,16 @@ Limit = Callable[[float, int], float]
 """Friction that bristles carry when they slide [N m], of speed and step."""
 
 
-def bristles(joint: int, limit: Limit, deflection: float, damping: float = 0.0) -> Law:
+def bristles(joint: int, limit: Limit, deflection: float) -> Law:
     """LuGre friction: bristles of stiffness sigma0 that slide at a limit g(dq).
 
-    dz/dt = dq - sigma0 |dq| z / g(dq), torque sigma0 z + sigma1 dz/dt (Canudas de Wit et al. 1995);
+    dz/dt = dq - sigma0 |dq| z / g(dq), torque sigma0 z (Canudas de Wit et al. 1995, sigma1 = 0);
     exact over a step at constant speed, so stiff bristles need no smaller steps.
 
     Args:
         joint: from 0.
         limit: g.
         deflection: at which bristles with the limit at speed 0 slide [rad].
-        damping: sigma1 [N m s/rad].
     """
 
     def start(live: Live) -> Act:
@@ -39,9 +38,8 @@ def bristles(joint: int, limit: Limit, deflection: float, damping: float = 0.0) 
             speed = float(dq[dof])
             g = max(limit(speed, k), 1e-9)
             slides = copysign(g / stiffness, speed)
-            before = z
             z = slides + (z - slides) * exp(-stiffness * abs(speed) * step / g)
-            applied[dof] -= stiffness * z + damping * (z - before) / step
+            applied[dof] -= stiffness * z
 
         return act
 

@@ -54,8 +54,7 @@ def logged(
         every = round(1 / logger.rate_hz / fine)
         t, q, dq, tau = (x[::every] for x in (reading.t, reading.q, reading.dq, reading.tau))
         tau = tau + noise_std * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
-        for held in plan.held:
-            tau[:, held.joint] = hold(tau[:, held.joint], t - t[0], held.windows[number])
+        tau = hold(tau, t, plan.held, number)
         tick = 2 * np.pi / 2**logger.encoder_bits
         # Bounded, so that stamps never go backwards.
         jitter = np.clip(rng.standard_normal(len(t)) * logger.jitter, -0.4, 0.4) / logger.rate_hz

@@ -21,30 +21,31 @@ LOWEST_BASE_HZ = 4.5
 
 def elastic(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """A motor with a mass of its own before a gear of compliance s; the log has the motor."""
-    joint, stiffness = effect.joints[0], 1 / s
-    light, heavy = scene.inertia[joint]
-    damping = 2 * effect.draws["damping"] * float(np.sqrt(stiffness * light))
-    drive = Drive(joint, _ROTOR * float(scene.free_inertia[joint]), stiffness, damping)
+    drive = _drive(scene, effect, 1 / s)
+    heavy = scene.inertia[drive.joint, 1]
     parameters = {
         "compliance": s,
-        "gear_damping": damping,
+        "gear_damping": drive.damping,
         "rotor": drive.rotor,
-        "lowest_resonance_hz": float(np.sqrt(stiffness / heavy)) / (2 * np.pi),
+        "lowest_resonance_hz": float(np.sqrt(drive.stiffness / heavy)) / (2 * np.pi),
     }
     return with_plant(plan, drives=(*plan.plant.drives, drive)), parameters
 
 
 def backlash(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """A motor and a link that touch, when they do, through a stiff spring."""
-    joint = effect.joints[0]
-    light = float(scene.inertia[joint, 0])
-    stiffness = (2 * np.pi * _STIFF_HZ) ** 2 * float(scene.inertia[joint, 1])
-    damping = 2 * effect.draws["damping"] * float(np.sqrt(stiffness * light))
-    drive = Drive(
-        joint, _ROTOR * float(scene.free_inertia[joint]), float(stiffness), damping, play=s
-    )
-    parameters = {"width": s, "stiffness": float(stiffness), "gear_damping": damping}
+    stiffness = (2 * np.pi * _STIFF_HZ) ** 2 * float(scene.inertia[effect.joints[0], 1])
+    drive = _drive(scene, effect, stiffness, play=s)
+    parameters = {"width": s, "stiffness": stiffness, "gear_damping": drive.damping}
     return with_plant(plan, drives=(*plan.plant.drives, drive)), parameters
+
+
+def _drive(scene: Scene, effect: EffectSpec, stiffness: float, play: float = 0.0) -> Drive:
+    """A motor whose gear is damped by the drawn share of what is critical for the lightest link."""
+    joint = effect.joints[0]
+    damping = 2 * effect.draws["damping"] * float(np.sqrt(stiffness * scene.inertia[joint, 0]))
+    rotor = _ROTOR * float(scene.free_inertia[joint])
+    return Drive(joint, rotor, stiffness, damping, play)
 
 
 def coupling(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:

@@ -76,8 +76,8 @@ Act = Callable[[int], None]
 Law = Callable[[Live], Act]
 """An effect with a state, started anew with every trajectory."""
 
-Sensor = Callable[[Signals, int], Signals]
-"""What sensors make of the truth; the second argument numbers the trajectory."""
+Sensor = Callable[[Signals], Signals]
+"""What sensors make of the truth."""
 
 Push = Callable[[Array, int], Array]
 """Force (T, 3) at the tool [N] at the times (T,) of a trajectory since its beginning."""

@@ -104,7 +104,7 @@ def scene_of(
         bandwidth: of the controllers [Hz].
         damping: ratio of the controllers.
     """
-    shapes = _within_effort(arm, nominal, sums(arm, motion))
+    shapes = _shapes(arm, nominal, motion)
     states = [shape.state(np.arange(0, shape.seconds, _GRID)) for shape in shapes]
     all_states = [states[k] for k in motion.shapes]
     q, dq, ddq = (np.concatenate(x) for x in zip(*all_states, strict=True))
@@ -117,7 +117,7 @@ def scene_of(
     typical = inertia.mean(0)
     return Scene(
         arm=arm,
-        shapes=tuple(shapes),
+        shapes=shapes,
         order=motion.shapes,
         starts=_starts(motion),
         noise=noise_share * np.maximum(strength, _FLOOR * strength.max()),
@@ -135,8 +135,8 @@ def scene_of(
     )
 
 
-def _within_effort(arm: Arm, nominal: Nominal, shapes: list[Sum]) -> list[Sum]:
-    """Motions made smaller where they would need more torque than the joints have."""
+def _shapes(arm: Arm, nominal: Nominal, motion: MotionPlan) -> tuple[Sum, ...]:
+    """Motions, made smaller where they would need more torque than the joints have."""
     effort = np.array([joint.effort for joint in arm.joints]) * _HEADROOM
 
     def needed(shape: Sum) -> Array:
@@ -148,7 +148,7 @@ def _within_effort(arm: Arm, nominal: Nominal, shapes: list[Sum]) -> list[Sum]:
         smaller = (shape.scaled(0.85**k) for k in range(6))
         return next((s for s in smaller if (needed(s) < effort).all()), shape.scaled(0.85**6))
 
-    return [within(shape) for shape in shapes]
+    return tuple(within(shape) for shape in sums(arm, motion))
 
 
 def _starts(motion: MotionPlan) -> tuple[float, ...]:
@@ -163,8 +163,8 @@ def _starts(motion: MotionPlan) -> tuple[float, ...]:
 
 def moved_otherwise(scene: Scene, nominal: Nominal, motion: MotionPlan) -> Scene:
     """The scene's arm, noise and controllers on another motion."""
-    shapes = _within_effort(scene.arm, nominal, sums(scene.arm, motion))
-    return replace(scene, shapes=tuple(shapes), order=motion.shapes, starts=_starts(motion))
+    shapes = _shapes(scene.arm, nominal, motion)
+    return replace(scene, shapes=shapes, order=motion.shapes, starts=_starts(motion))
 
 
 def friction_known(arm: Arm, viscous: Array, coulomb: Array) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Effects of what is measured: how each is planted at a scale."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.friction import Planted
-from torchid.withheld.plant.plan import EffectSpec, Plan, Scene, Sensor, Signals, Windows, sign
+from torchid.withheld.plant.plan import EffectSpec, Plan, Scene, Signals, Windows, sign
 
 _KNEE = 0.02  # of the limit: width of the knee where a reading begins to clip
 
@@ -15,25 +16,22 @@ _KNEE = 0.02  # of the limit: width of the knee where a reading begins to clip
 def gain(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """A joint's torque is read with a wrong scale."""
     joint, error = effect.joints[0], s * sign(effect.draws["direction"])
-    return _reading(plan, joint, lambda x, t, k: x[:, joint] * (1 + error)), {"gain": error}
+    return _reading(plan, joint, lambda x, t: x[:, joint] * (1 + error)), {"gain": error}
 
 
 def crosstalk(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """A joint's torque sensor also reads some of another joint's torque."""
     joint, source = effect.joints[0], int(effect.draws["source"])
     share = s * sign(effect.draws["direction"])
-    plan = _reading(plan, joint, lambda x, t, k: x[:, joint] + share * x[:, source])
+    plan = _reading(plan, joint, lambda x, t: x[:, joint] + share * x[:, source])
     return plan, {"C": share, "source_joint": source + 1}
 
 
 def delay(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     """A joint's torque is read late."""
     joint = effect.joints[0]
-
-    def late(tau: Array, t: Array, k: int) -> Array:
-        return np.interp(t - s, t, tau[:, joint])
-
-    return _reading(plan, joint, late), {"delay": s}
+    late = _reading(plan, joint, lambda x, t: np.interp(t - s, t, x[:, joint]))
+    return late, {"delay": s}
 
 
 def saturation(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
@@ -46,7 +44,7 @@ def saturation(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plante
     limit = (1 - s) * float(scene.peak[joint])
     half = _KNEE * limit
 
-    def clipped(tau: Array, t: Array, k: int) -> Array:
+    def clipped(tau: Array, t: Array) -> Array:
         size = np.abs(tau[:, joint])
         over = np.clip(size - limit + half, 0.0, 2 * half)
         # Above limit + half nothing comes through; in the knee the slope falls from 1 to 0.
@@ -60,7 +58,7 @@ def velocity_lag(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plan
     """The controller's velocities come through a causal second-order low-pass that is s late."""
     cutoff = np.sqrt(2) / (2 * np.pi * s)  # group delay of a Butterworth filter at low frequencies
 
-    def lagging(signals: Signals, k: int) -> Signals:
+    def lagging(signals: Signals) -> Signals:
         step = float(signals.t[1] - signals.t[0])
         sections = butter(2, min(cutoff, 0.45 / step), fs=1 / step, output="sos")
         begin = sosfilt_zi(sections)[..., None] * signals.dq[0]
@@ -117,23 +115,24 @@ def contact(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
     return replace(plan, push=push), {**force, "start": start, "stop": start + seconds}
 
 
-def hold(x: Array, t: Array, windows: tuple[tuple[float, float], ...]) -> Array:
-    """A signal (T,) held at its last value before each window; t since the beginning [s]."""
-    out = x.copy()
-    for begin, end in windows:
-        inside = np.flatnonzero((t >= begin) & (t < end))
-        if len(inside):
-            out[inside] = x[inside[0]]
+def hold(tau: Array, t: Array, held: Sequence[Windows], number: int) -> Array:
+    """Torque (T, n) of a trajectory of which joints are held at their last value before each of
+    their windows; t (T,) begins anywhere [s]."""
+    out, since = tau.copy(), t - t[0]
+    for own in held:
+        read = out[:, own.joint].copy()
+        for begin, end in own.windows[number]:
+            inside = np.flatnonzero((since >= begin) & (since < end))
+            out[inside, own.joint] = read[inside[:1]]
     return out
 
 
-def _reading(plan: Plan, joint: int, read: object) -> Plan:
-    """The plan with a joint's torque read as a function of all torques, time, and trajectory."""
+def _reading(plan: Plan, joint: int, read: Callable[[Array, Array], Array]) -> Plan:
+    """The plan with a joint's torque read as a function of all torques and of time."""
 
-    def sensor(signals: Signals, number: int) -> Signals:
+    def sensor(signals: Signals) -> Signals:
         tau = signals.tau.copy()
-        tau[:, joint] = read(signals.tau, signals.t, number)  # type: ignore[operator]
+        tau[:, joint] = read(signals.tau, signals.t)
         return replace(signals, tau=tau)
 
-    made: Sensor = sensor
-    return replace(plan, sensors=(*plan.sensors, made))
+    return replace(plan, sensors=(*plan.sensors, sensor))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -38,13 +39,7 @@ class Sized:
 
 def readings(plan: Plan, traces: Sequence[Trace]) -> list[Signals]:
     """What sensors without noise read, but for held torques, one a trajectory."""
-    out = []
-    for number, trace in enumerate(traces):
-        signals = trace.truth
-        for sensor in plan.sensors:
-            signals = sensor(signals, number)
-        out.append(signals)
-    return out
+    return [reduce(lambda x, sensor: sensor(x), plan.sensors, trace.truth) for trace in traces]
 
 
 def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
@@ -59,10 +54,7 @@ def gaps(plan: Plan, nominal: Nominal, traces: Sequence[Trace]) -> list[Array]:
     for number, (trace, reading) in enumerate(pairs):
         fine = float(reading.t[1] - reading.t[0])
         every = max(1, round(_GRID / fine))
-        tau = reading.tau.copy()
-        for held in plan.held:
-            since = reading.t - reading.t[0]
-            tau[:, held.joint] = hold(tau[:, held.joint], since, held.windows[number])
+        tau = hold(reading.tau, reading.t, plan.held, number)
         # One row of so many, of triangular means, which hold back what would be folded.
         tau, q, dq, ddq, friction, resistance = (
             uniform_filter1d(uniform_filter1d(x, every, axis=0), every, axis=0)[::every]
@@ -102,7 +94,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
     largest = kind.largest(scene, effect)
     scale = min(largest, kind.usual(scene, effect) * level / 5.0)
     still: list[Trace] = []
-    tried: list[tuple[float, Sized]] = []
+    tried: list[Sized] = []
     for _ in range(_TRIES):
         plan, parameters = planted(scene, base, effect, scale)
         if kind.sensing:
@@ -111,23 +103,23 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
         else:
             traces = simulated(scene, plan, nominal, COARSE)
         size = size_of(scene, plan, nominal, traces)
-        tried.append((scale, Sized(scale, parameters, size)))
+        tried.append(Sized(scale, parameters, size))
         if abs(size.max() / level - 1) < _CLOSE:
             break
         following = _next(tried, level, largest)
         if abs(following / scale - 1) < 0.01:
             break
         scale = following
-    return min((s for _, s in tried), key=lambda s: abs(np.log(s.size.max() / level)))
+    return min(tried, key=lambda s: abs(np.log(s.size.max() / level)))
 
 
-def _next(tried: Sequence[tuple[float, Sized]], level: float, largest: float) -> float:
+def _next(tried: Sequence[Sized], level: float, largest: float) -> float:
     """The next scale to try."""
-    scale, last = tried[-1]
-    size = max(float(last.size.max()), 1e-6)
+    scales = [s.scale for s in tried[-2:]]
+    sizes = [max(float(s.size.max()), 1e-6) for s in tried[-2:]]
     slope = 1.0
     if len(tried) > 1:
-        before, first = tried[-2]
-        rise = np.log(size / max(float(first.size.max()), 1e-6))
-        slope = float(np.clip(rise / np.log(scale / before), 0.4, 3.0))
-    return min(largest, scale * float(np.clip((level / size) ** (1 / slope), 0.02, 30.0)))
+        rise = np.log(sizes[1] / sizes[0]) / np.log(scales[1] / scales[0])
+        slope = float(np.clip(rise, 0.4, 3.0))
+    step = float(np.clip((level / sizes[-1]) ** (1 / slope), 0.02, 30.0))
+    return min(largest, scales[-1] * step)
