@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
@@ -59,27 +58,23 @@ def with_body(robot: Robot, link: int, values: Sequence[float], purpose: str) ->
 class Payload(ModelEffect):
     """A body fixed to the last link: ten parameters in that link's frame, about its origin."""
 
-    name: ClassVar[str] = "payload"
-    family: ClassVar[Family] = "inertia"
-    coefficients: ClassVar = _body("of the payload", positive_mass=True)
-    meaning: ClassVar[str] = "The arm carries a tool or load that the model does not know."
-    equation: ClassVar[str] = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
-    signature: ClassVar[str] = (
-        "on all joints that carry the tool; exactly an error of the last link"
-    )
-    experiment: ClassVar[str] = "repeat the motion with and without a known payload"
-    beyond: ClassVar[str | None] = WEIGHED
-    remedy: ClassVar[str] = "Add the body to the last link, or `torchid payload` on logs with it."
-    source: ClassVar[str] = (
+    name = "payload"
+    family = "inertia"
+    coefficients = _body("of the payload", positive_mass=True)
+    meaning = "The arm carries a tool or load that the model does not know."
+    equation = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature = "on all joints that carry the tool; exactly an error of the last link"
+    experiment = "repeat the motion with and without a known payload"
+    beyond = WEIGHED
+    remedy = "Add the body to the last link, or `torchid payload` on logs with it."
+    source = (
         "eq. 2.18; Khalil, Gautier and Lemoine 2007, Identification of the payload inertial "
         "parameters of industrial manipulators, ICRA"
     )
-    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
-    inertial: ClassVar[bool] = True
+    example = Example(_DRAWN, "acceleration")
+    inertial = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """The last link's columns of the regressor (T, n, 10)."""
         arm = needed(robot, self.name)
         return link_columns(motion, arm, arm.n - 1)
@@ -97,24 +92,20 @@ class LinkInertia(OneJointEffect):
         joint: the joint that moves the link, from 0.
     """
 
-    name: ClassVar[str] = "link_inertia"
-    family: ClassVar[Family] = "inertia"
-    coefficients: ClassVar = _body("missing in the link", positive_mass=False)
-    meaning: ClassVar[str] = "The link's mass, centre of mass or inertia is not the model's."
-    equation: ClassVar[str] = "Y_j (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
-    signature: ClassVar[str] = (
-        "on the link's joint and those before it, with gravity and with acceleration"
-    )
-    experiment: ClassVar[str] = "compare the link's parameters with CAD, or weigh it"
-    beyond: ClassVar[str | None] = WEIGHED
-    remedy: ClassVar[str] = "Correct the link's inertial parameters: `torchid identify`, `extract`."
-    source: ClassVar[str] = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
-    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
-    inertial: ClassVar[bool] = True
+    name = "link_inertia"
+    family = "inertia"
+    coefficients = _body("missing in the link", positive_mass=False)
+    meaning = "The link's mass, centre of mass or inertia is not the model's."
+    equation = "Y_j (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature = "on the link's joint and those before it, with gravity and with acceleration"
+    experiment = "compare the link's parameters with CAD, or weigh it"
+    beyond = WEIGHED
+    remedy = "Correct the link's inertial parameters: `torchid identify`, `extract`."
+    source = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
+    example = Example(_DRAWN, "acceleration")
+    inertial = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """The link's columns of the regressor (T, n, 10)."""
         return link_columns(motion, needed(robot, self.name), self.joint)
 

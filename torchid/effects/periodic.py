@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.effects.parameters import Shape, travel
 from torchid.typing import Float
@@ -83,13 +83,13 @@ class Cogging(Wave):
         k: wave number [1/rad; 1/m], periods of the ripple times 2 pi a unit of travel.
     """
 
-    name: ClassVar[str] = "cogging"
-    family: ClassVar[Family] = "periodic"
-    coefficients: ClassVar = (
+    name = "cogging"
+    family = "periodic"
+    coefficients = (
         Coefficient("a_s", "N m", False, "amplitude of the ripple's sine"),
         Coefficient("a_c", "N m", False, "amplitude of the ripple's cosine"),
     )
-    shapes: ClassVar = (
+    shapes = (
         Shape(
             "k",
             "1/rad",
@@ -100,25 +100,25 @@ class Cogging(Wave):
             logarithmic=False,
         ),
     )
-    first: ClassVar[int] = 3
-    most: ClassVar[int] = 120
-    meaning: ClassVar[str] = (
+    first = 3
+    most = 120
+    meaning = (
         "Magnets pull towards slots, and gear teeth mesh unevenly: torque ripples with position."
     )
-    equation: ClassVar[str] = "a_s sin(k q) + a_c cos(k q)"
-    signature: ClassVar[str] = "a line in the residual's spectrum over the angle"
-    experiment: ClassVar[str] = "run the joint at two constant slow speeds"
-    remedy: ClassVar[str] = (
+    equation = "a_s sin(k q) + a_c cos(k q)"
+    signature = "a line in the residual's spectrum over the angle"
+    experiment = "run the joint at two constant slow speeds"
+    remedy = (
         "Add the ripple as a table over position, or cancel it by the drive's cogging compensation."
     )
-    source: ClassVar[str] = (
+    source = (
         "Holtz and Springob 1996, Identification and compensation of torque ripple in "
         "high-precision permanent magnet motor drives (IEEE Trans. Ind. Electron. 43)"
     )
-    example: ClassVar[Example] = Example((0.6, 0.3), "position")
+    example = Example((0.6, 0.3), "position")
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """sin kq and cos kq; shapes: k."""
         (k,) = shapes
         return cls.wave(motion, k)
@@ -145,14 +145,14 @@ class MotorRipple(Wave):
         k: wave number [1/rad; 1/m], gear ratio times harmonic.
     """
 
-    name: ClassVar[str] = "motor_ripple"
-    family: ClassVar[Family] = "periodic"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
-    coefficients: ClassVar = (
+    name = "motor_ripple"
+    family = "periodic"
+    needs = frozenset({"torque"})
+    coefficients = (
         Coefficient("a_s", "1", False, "ripple's sine, as a share of the torque", 0.5),
         Coefficient("a_c", "1", False, "ripple's cosine, as a share of the torque", 0.5),
     )
-    shapes: ClassVar = (
+    shapes = (
         Shape(
             "k",
             "1/rad",
@@ -163,29 +163,27 @@ class MotorRipple(Wave):
             logarithmic=False,
         ),
     )
-    first: ClassVar[int] = 3
-    most: ClassVar[int] = 40
-    meaning: ClassVar[str] = (
+    first = 3
+    most = 40
+    meaning = (
         "The motor's torque constant varies along its turn, so torque ripples in proportion to the "
         "load."
     )
-    equation: ClassVar[str] = "tau (a_s sin(k q) + a_c cos(k q))"
-    signature: ClassVar[str] = (
-        "a line in the residual's spectrum over the angle, as high as the joint's torque"
-    )
-    experiment: ClassVar[str] = "run the joint at a constant slow speed with and without a load"
-    remedy: ClassVar[str] = (
+    equation = "tau (a_s sin(k q) + a_c cos(k q))"
+    signature = "a line in the residual's spectrum over the angle, as high as the joint's torque"
+    experiment = "run the joint at a constant slow speed with and without a load"
+    remedy = (
         "Scale the simulator's torque by 1 plus the ripple over the angle, or calibrate the "
         "drive's current sensors and commutation."
     )
-    source: ClassVar[str] = (
+    source = (
         "Jahns and Soong 1996, Pulsating torque minimization techniques for permanent magnet AC "
         "motor drives: a review (IEEE Trans. Ind. Electron. 43)"
     )
-    example: ClassVar[Example] = Example((0.05, 0.02), "position", {"k": 30.0})
+    example = Example((0.05, 0.02), "position", {"k": 30.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """The model's torque times sin kq and cos kq; shapes: k."""
         (k,) = shapes
         return motion.require("torque", cls.name).unsqueeze(-1) * cls.wave(motion, k)
@@ -210,14 +208,14 @@ class PositionDependentFriction(Wave):
 
     k: float = 1.0
 
-    name: ClassVar[str] = "position_dependent_friction"
-    family: ClassVar[Family] = "sign"
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (
+    name = "position_dependent_friction"
+    family = "sign"
+    jumps = True
+    coefficients = (
         Coefficient("a_s", "N m", False, "unevenness of the friction, sine"),
         Coefficient("a_c", "N m", False, "unevenness of the friction, cosine"),
     )
-    shapes: ClassVar = (
+    shapes = (
         Shape(
             "k",
             "1/rad",
@@ -228,26 +226,26 @@ class PositionDependentFriction(Wave):
             logarithmic=False,
         ),
     )
-    first: ClassVar[int] = 1
-    most: ClassVar[int] = 12
-    meaning: ClassVar[str] = (
+    first = 1
+    most = 12
+    meaning = (
         "Eccentric gears and bent shafts press harder at some angles, so friction is uneven along "
         "the turn."
     )
-    equation: ClassVar[str] = "sgn(dq) (a_s sin(k q) + a_c cos(k q))"
-    signature: ClassVar[str] = "a step at reversals whose height depends on where the joint turns"
-    experiment: ClassVar[str] = "run the joint slowly along its whole travel, there and back"
-    remedy: ClassVar[str] = (
+    equation = "sgn(dq) (a_s sin(k q) + a_c cos(k q))"
+    signature = "a step at reversals whose height depends on where the joint turns"
+    experiment = "run the joint slowly along its whole travel, there and back"
+    remedy = (
         "Make the simulator's dry friction a table over position, or align and regrease the gear."
     )
-    source: ClassVar[str] = (
+    source = (
         "Armstrong-Helouvry 1991, Control of Machines with Friction (position-dependent friction "
         "of the PUMA 560's gears)"
     )
-    example: ClassVar[Example] = Example((0.8, 0.5), "position", {"k": 3.0})
+    example = Example((0.8, 0.5), "position", {"k": 3.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """The direction of motion times sin kq and cos kq; shapes: k."""
         (k,) = shapes
         return motion.sign.unsqueeze(-1) * cls.wave(motion, k)

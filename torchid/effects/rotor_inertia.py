@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion
 from torchid.effects.c_text import add
-from torchid.typing import Float
 
 
 @dataclass(frozen=True)
@@ -20,24 +18,20 @@ class RotorInertia(JointEffect):
     parameters then carry both.
     """
 
-    name: ClassVar[str] = "rotor_inertia"
-    family: ClassVar[Family] = "inertia"
-    coefficients: ClassVar = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
-    meaning: ClassVar[str] = "The motor's rotor, seen through the gear, resists acceleration."
-    equation: ClassVar[str] = "Ia ddq"
-    signature: ClassVar[str] = (
-        "follows the joint's own acceleration; for the first joints exactly as J_zz does"
-    )
-    experiment: ClassVar[str] = (
-        "accelerate the joint hard in postures with a large and a small link inertia"
-    )
-    remedy: ClassVar[str] = "Set the joint's armature to Ia in the simulator."
-    source: ClassVar[str] = "Corke 2017, Robotics, Vision and Control, section 9.1.3"
-    example: ClassVar[Example] = Example((0.5,), "acceleration")
-    on_all: ClassVar[bool] = True
+    name = "rotor_inertia"
+    family = "inertia"
+    coefficients = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
+    meaning = "The motor's rotor, seen through the gear, resists acceleration."
+    equation = "Ia ddq"
+    signature = "follows the joint's own acceleration; for the first joints exactly as J_zz does"
+    experiment = "accelerate the joint hard in postures with a large and a small link inertia"
+    remedy = "Set the joint's armature to Ia in the simulator."
+    source = "Corke 2017, Robotics, Vision and Control, section 9.1.3"
+    example = Example((0.5,), "acceleration")
+    on_all = True
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """ddq."""
         return motion.ddq.unsqueeze(-1)
 
