@@ -74,8 +74,8 @@ class Example(NamedTuple):
 class Effect(ABC):
     """Something that adds torque to the rigid body, linear in its coefficients.
 
-    All that is known of an effect stands in its class, and nowhere else. An effect's class gives its
-    class attributes values without annotating them again: what is annotated there is a field.
+    All that is known of an effect stands in its class, and nowhere else. It gives the class
+    attributes values without annotating them again: what is annotated there is a field.
 
     Class attributes:
         name, family: as in files (see the registry).

@@ -83,12 +83,38 @@ class BaseTilt(ModelEffect):
 
 
 @dataclass(frozen=True)
-class TorqueGain(OneJointEffect):
+class TorqueShare(OneJointEffect):
+    """A joint's torque is measured with a share of a joint's torque in excess."""
+
+    family = "gravity"
+    needs = frozenset({"torque"})
+
+    @property
+    def read(self) -> int:
+        """The joint whose torque is read in excess: its own, unless it says another."""
+        return self.joint
+
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
+        """The torque that is read in excess, on the joint (T, n, 1)."""
+        torque = motion.require("torque", self.name)
+        return on_joint(torque[:, self.read], self.joint, torque.shape[1])
+
+    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+        """The joint's torque with that share in it."""
+        torque = motion.require("torque", self.name)
+        share = values[0] * torque[:, self.read]
+        return motion._replace(torque=with_joint(torque, self.joint, share))
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"{number(values[0])} * loaded[{self.read}]")
+
+
+@dataclass(frozen=True)
+class TorqueGain(TorqueShare):
     """A joint's torque is measured with a wrong scale."""
 
     name = "torque_gain"
-    family = "gravity"
-    needs = frozenset({"torque"})
     coefficients = (Coefficient("gain", "1", False, "relative error of the torque's scale", 0.9),)
     meaning = "The torque sensor's scale, or the drive's torque constant, is off."
     equation = "gain tau_j"
@@ -110,29 +136,12 @@ class TorqueGain(OneJointEffect):
     on_all = True
     shared = True
 
-    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
-        """The joint's own torque (T, n, 1)."""
-        torque = motion.require("torque", self.name)
-        return on_joint(torque[:, self.joint], self.joint, torque.shape[1])
-
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The joint's torque scaled."""
-        torque = motion.require("torque", self.name)
-        gain = values[0] * torque[:, self.joint]
-        return motion._replace(torque=with_joint(torque, self.joint, gain))
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"{number(values[0])} * loaded[{self.joint}]")
-
 
 @dataclass(frozen=True)
-class TorqueCrosstalk(JointPairEffect):
+class TorqueCrosstalk(TorqueShare, JointPairEffect):
     """A joint's torque sensor also reads some of another joint's torque."""
 
     name = "torque_crosstalk"
-    family = "gravity"
-    needs = frozenset({"torque"})
     coefficients = (
         Coefficient("C", "1", False, "share of the source joint's torque that is read", 0.9),
     )
@@ -151,20 +160,10 @@ class TorqueCrosstalk(JointPairEffect):
     )
     example = Example((0.2,), "position", {"source_joint": 3})
 
-    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
-        """The source joint's torque, on the joint (T, n, 1)."""
-        torque = motion.require("torque", self.name)
-        return on_joint(torque[:, self.source_joint], self.joint, torque.shape[1])
-
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The source joint's torque leaks into the joint's."""
-        torque = motion.require("torque", self.name)
-        leak = values[0] * torque[:, self.source_joint]
-        return motion._replace(torque=with_joint(torque, self.joint, leak))
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"{number(values[0])} * loaded[{self.source_joint}]")
+    @property
+    def read(self) -> int:
+        """The source joint."""
+        return self.source_joint
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from torchid.digits import number
 from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.effects.parameters import Shape, travel
-from torchid.typing import Float
+from torchid.typing import Float, Joints
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Wave(JointEffect):
     Class attributes:
         first: wave number the grid begins at, in half periods over the travel.
         most: wave numbers of the grid.
+        c_wave: the torque as C, of the `wave` and the number of the `joint`.
 
     Attributes:
         k: wave number [1/rad; 1/m], periods of the wave times 2 pi a unit of travel.
@@ -36,6 +37,7 @@ class Wave(JointEffect):
 
     first: ClassVar[int]
     most: ClassVar[int]
+    c_wave: ClassVar[str] = "{wave}"
 
     @classmethod
     def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S 1"]:
@@ -59,15 +61,33 @@ class Wave(JointEffect):
         return self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
 
     @classmethod
-    def wave(cls, motion: Motion, k: Tensor) -> Float[Tensor, "*batch n 2"]:
-        """sin kq and cos kq of every joint."""
-        phase = k * motion.q
-        return torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """sin kq and cos kq of every joint, times the carrier; shapes: k."""
+        phase = shapes[0] * motion.q
+        wave = torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+        carrier = cls.carrier(motion)
+        return wave if carrier is None else carrier.unsqueeze(-1) * wave
 
-    def wave_code(self, values: Sequence[float]) -> str:
-        """C expression of its first two coefficients times sine and cosine."""
+    @classmethod
+    def carrier(cls, motion: Motion) -> Joints | None:
+        """What the wave is a share of (..., n); None for a wave that is torque itself."""
+        return None
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
         phase = f"{number(self.k)} * q[{self.joint}]"
-        return f"{number(values[0])} * sin({phase}) + {number(values[1])} * cos({phase})"
+        wave = f"{number(values[0])} * sin({phase}) + {number(values[1])} * cos({phase})"
+        return add(self.joint, self.c_wave.format(wave=wave, joint=self.joint))
+
+
+def _wave_number(
+    low: float,
+    high: float,
+    grid: tuple[float, ...],
+    meaning: str = "wave number along the position",
+) -> tuple[Shape, ...]:
+    """The one shape of a wave, refined in differences."""
+    return (Shape("k", "1/rad", low, high, grid, meaning, logarithmic=False),)
 
 
 @dataclass(frozen=True)
@@ -89,16 +109,8 @@ class Cogging(Wave):
         Coefficient("a_s", "N m", False, "amplitude of the ripple's sine"),
         Coefficient("a_c", "N m", False, "amplitude of the ripple's cosine"),
     )
-    shapes = (
-        Shape(
-            "k",
-            "1/rad",
-            0.5,
-            1000.0,
-            (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0),
-            "wave number along the position",
-            logarithmic=False,
-        ),
+    shapes = _wave_number(
+        0.5, 1000.0, (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0)
     )
     first = 3
     most = 120
@@ -116,16 +128,6 @@ class Cogging(Wave):
         "high-precision permanent magnet motor drives (IEEE Trans. Ind. Electron. 43)"
     )
     example = Example((0.6, 0.3), "position")
-
-    @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
-        """sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, self.wave_code(values))
 
 
 @dataclass(frozen=True)
@@ -152,19 +154,12 @@ class MotorRipple(Wave):
         Coefficient("a_s", "1", False, "ripple's sine, as a share of the torque", 0.5),
         Coefficient("a_c", "1", False, "ripple's cosine, as a share of the torque", 0.5),
     )
-    shapes = (
-        Shape(
-            "k",
-            "1/rad",
-            0.5,
-            1000.0,
-            (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0),
-            "gear ratio times harmonic",
-            logarithmic=False,
-        ),
+    shapes = _wave_number(
+        0.5, 1000.0, (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0), "gear ratio times harmonic"
     )
     first = 3
     most = 40
+    c_wave = "loaded[{joint}] * ({wave})"
     meaning = (
         "The motor's torque constant varies along its turn, so torque ripples in proportion to the "
         "load."
@@ -183,14 +178,9 @@ class MotorRipple(Wave):
     example = Example((0.05, 0.02), "position", {"k": 30.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
-        """The model's torque times sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return motion.require("torque", cls.name).unsqueeze(-1) * cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"loaded[{self.joint}] * ({self.wave_code(values)})")
+    def carrier(cls, motion: Motion) -> Joints:
+        """The model's torque."""
+        return motion.require("torque", cls.name)
 
 
 @dataclass(frozen=True)
@@ -215,19 +205,10 @@ class PositionDependentFriction(Wave):
         Coefficient("a_s", "N m", False, "unevenness of the friction, sine"),
         Coefficient("a_c", "N m", False, "unevenness of the friction, cosine"),
     )
-    shapes = (
-        Shape(
-            "k",
-            "1/rad",
-            0.1,
-            100.0,
-            (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
-            "wave number along the position",
-            logarithmic=False,
-        ),
-    )
+    shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))
     first = 1
     most = 12
+    c_wave = "sign(dq[{joint}]) * ({wave})"
     meaning = (
         "Eccentric gears and bent shafts press harder at some angles, so friction is uneven along "
         "the turn."
@@ -245,11 +226,6 @@ class PositionDependentFriction(Wave):
     example = Example((0.8, 0.5), "position", {"k": 3.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
-        """The direction of motion times sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return motion.sign.unsqueeze(-1) * cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"sign(dq[{self.joint}]) * ({self.wave_code(values)})")
+    def carrier(cls, motion: Motion) -> Joints:
+        """The direction of motion."""
+        return motion.sign

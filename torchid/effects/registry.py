@@ -24,10 +24,9 @@ from torchid.effects.gravity import (
     TorqueGain,
 )
 from torchid.effects.hysteresis import PreslidingHysteresis
-from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.inertia import LinkInertia, Payload, RotorInertia
 from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
-from torchid.effects.rotor_inertia import RotorInertia
 from torchid.effects.spring import JointSpring
 from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.effects.transient import Contact, DroppedSamples, Saturation

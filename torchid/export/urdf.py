@@ -11,7 +11,7 @@ import torch
 from lxml.etree import Element, SubElement, indent
 
 from torchid.digits import number
-from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.exact_text import roll_pitch_yaw_of, text
@@ -145,10 +145,9 @@ def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]
     out: list[Valued] = []
     for effect, values in pairs:
         moved = values
-        if isinstance(effect, Payload | LinkInertia):
-            link = robot.n - 1 if isinstance(effect, Payload) else effect.joint
+        if isinstance(effect, BodyEffect):
             pi = torch.tensor(values, dtype=torch.float64)
-            moved = move(pi, robot.after[link].double()).tolist()
+            moved = move(pi, robot.after[effect.link(robot)].double()).tolist()
         out.append((effect, moved))
     return tuple(out)
 
