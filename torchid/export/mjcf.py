@@ -25,12 +25,12 @@ from torchid.export.xml_tree import (
     comment,
     local,
     new_child,
-    parsed,
     read_xml,
     relocated,
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.robot.xml_numbers import content_of, parsed
 from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
@@ -71,12 +71,9 @@ def edited_mjcf(
     # The content of included files in the place of each <include>.
     while (found := next(file.root.iter("{*}include"), None)) is not None:
         path = original.parent / (found.get("file") or "")
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+        content = parsed(content_of(path), path, strip_cdata=False)
         parent, tail = found.getparent(), found.tail
-        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
+        nodes = [comment(f"content of {found.get('file')}"), *content]
         at = parent.index(found)
         parent.remove(found)
         for k, node in enumerate(nodes):

@@ -28,13 +28,11 @@ from torchid.export.xml_tree import (
     replace,
 )
 from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, free_name
 from torchid.robot.tree import choose_chain
 from torchid.robot.urdf import urdf_tree
-from torchid.robot.xml_numbers import parse_xml
+from torchid.robot.xml_numbers import TENSOR, parse_xml
 from torchid.typing import Tensor
-
-TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def edited_urdf(
@@ -116,7 +114,7 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     """
     root = Element("robot", name=robot.name)
     taken = set(robot.link_names)
-    base = _free("base", taken)
+    base = free_name("base", taken)
     SubElement(root, "link", name=base)
     parent, behind = base, torch.eye(4, dtype=torch.float64)
     pi = robot.require_parameters("an export").pi.double()
@@ -130,10 +128,10 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
         SubElement(inertial, "inertia", **{key: number(value) for key, value in tensor})
         _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
         parent, behind = name, robot.after[i].double()
-    tool = _free("tool", taken)
+    tool = free_name("tool", taken)
     SubElement(root, "link", name=tool)
     fixed = SubElement(
-        root, "joint", name=_free("tool_mount", set(robot.joint_names)), type="fixed"
+        root, "joint", name=free_name("tool_mount", set(robot.joint_names)), type="fixed"
     )
     _mounted(fixed, behind @ robot.tool.double(), parent, tool)
     indent(root)
@@ -150,13 +148,6 @@ def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]
             moved = move(pi, robot.after[effect.link(robot)].double()).tolist()
         out.append((effect, moved))
     return tuple(out)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
 
 
 def _mounted(joint: Any, pose: Tensor, parent: str, link: str) -> None:

@@ -9,22 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.model import JointType
+from torchid.robot.placement import pose
 from torchid.typing import Float
 
 Interval = tuple[float, float]
-
-
-def _identity() -> Tensor:
-    return torch.eye(4, dtype=torch.float64)
-
-
-def _along_x() -> Tensor:
-    return torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -51,10 +43,10 @@ class TreeJoint:
     parent: str
     child: str
     motion: JointType | None = None
-    origin: Float[Tensor, "4 4"] = field(default_factory=_identity)
-    axis: Float[Tensor, "3"] = field(default_factory=_along_x)
+    origin: Float[Tensor, "4 4"] = field(default_factory=pose)
+    axis: Float[Tensor, "3"] = field(default_factory=lambda: pose()[0, :3])
     zero: float = 0.0
-    child_pose: Float[Tensor, "4 4"] = field(default_factory=_identity)
+    child_pose: Float[Tensor, "4 4"] = field(default_factory=pose)
     position: Interval | None = None
     velocity: Interval | None = None
     torque: Interval | None = None
@@ -171,7 +163,7 @@ class Tree:
 
     def group(self, link: str) -> Group:
         """The link and what hangs rigidly from it."""
-        poses = {link: _identity()}
+        poses = {link: pose()}
         waiting = [link]
         while waiting:
             parent = waiting.pop()
