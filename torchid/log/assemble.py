@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import PREFIXES, is_wanted, log_from_columns
+from torchid.log.columns import PREFIXES, is_wanted, log_from_columns, some
 from torchid.log.guess import proposal
 from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.model import Log
@@ -182,9 +182,7 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
         hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
         hints.append(f"this log needs no mapping; {one_for_all('--columns')}")
-    available = table.described
-    more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
-    return with_hint(error, *hints, available=[*available[:60], *more])
+    return with_hint(error, *hints, available=some(table.described, 60))
 
 
 def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:

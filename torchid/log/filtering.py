@@ -115,26 +115,18 @@ def extended(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{be
     """Signals (..., T) extended by odd reflection, and where they are too short for that, further
     by their last value: a filter's tail always has something to settle on."""
     longest = x.shape[-1] - 1
-    inner = reflect(x, min(before, longest), min(after, longest))
+    left, right = min(before, longest), min(after, longest)
+    inner = torch.cat(
+        [
+            2 * x[..., :1] - x[..., 1 : left + 1].flip(-1),
+            x,
+            2 * x[..., -1:] - x[..., longest - right : longest].flip(-1),
+        ],
+        -1,
+    )
     first = inner[..., :1].expand(*x.shape[:-1], max(0, before - longest))
     last = inner[..., -1:].expand(*x.shape[:-1], max(0, after - longest))
     return torch.cat([first, inner, last], -1)
-
-
-def reflect(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{before}+{after}"]:
-    """Signals (..., T) extended by odd reflection about their first and last samples."""
-    if max(before, after) > x.shape[-1] - 1:
-        raise LogError(
-            "a trajectory is too short for the filter.",
-            got=f"{x.shape[-1]} samples",
-            expected=f"more than {max(before, after)}",
-        )
-    pieces = [x]
-    if before:
-        pieces.insert(0, 2 * x[..., :1] - x[..., 1 : before + 1].flip(-1))
-    if after:
-        pieces.append(2 * x[..., -1:] - x[..., -after - 1 : -1].flip(-1))
-    return torch.cat(pieces, -1)
 
 
 def central_difference(x: Signals, rate: float) -> Signals:

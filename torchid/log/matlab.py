@@ -55,10 +55,7 @@ def matlab_table(path: Path, request: Request) -> Table:
             got=", ".join(k for k in content if not k.startswith("__")) or "nothing",
             expected="arrays, or structs of arrays; save timeseries and tables as arrays",
         )
-    shapes = {name: array.shape for name, array in arrays.items()}
-    return Table(
-        path, "MATLAB", shapes, lambda names: {name: arrays[name] for name in names}, arrays=True
-    )
+    return Table.in_memory(path, "MATLAB", arrays)
 
 
 def _arrays(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:

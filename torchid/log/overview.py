@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from torchid.errors import LogError
 from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
-from torchid.log.limits import beyond_limits
+from torchid.log.limits import beyond_limits, finite_range
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
@@ -135,7 +134,7 @@ def look_at(
         sources=_sources(log, tables[0], request),
         timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
         units=_units(None if robot_name is None else prismatic),
-        ranges={name: _range(signal) for name, signal in log.signals.items()},
+        ranges={name: finite_range(signal) for name, signal in log.signals.items()},
         unused=_unused(tables[0], request),
         problem=problem,
         warnings=tuple(dict.fromkeys((*log.warnings, *found))),
@@ -237,10 +236,3 @@ def _timing(log: Log, k: int) -> Timing:
         longest=float(steps.max()),
         backwards=int((steps <= 0).sum()),
     )
-
-
-def _range(signal: Float[Tensor, "T n"]) -> Float[Tensor, "n 2"]:
-    finite = torch.isfinite(signal)
-    low = torch.where(finite, signal, torch.inf).amin(0)
-    high = torch.where(finite, signal, -torch.inf).amax(0)
-    return torch.where(finite.any(0)[:, None], torch.stack([low, high], -1), torch.nan)

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import sample_of, some
+from torchid.log.columns import numbers_of, some
 from torchid.log.mapping import Source
 from torchid.log.table import Table, natural
 
@@ -152,7 +152,7 @@ def time_of(
     if raw.dtype.kind in "mMO":
         return _seconds(raw, label)
     # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
-    stamps = _numbers(raw, label)
+    stamps = numbers_of(raw, label)
     if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
         stamps = stamps - stamps[0]
     return stamps.astype(np.float64) * source.factors[0]
@@ -164,7 +164,7 @@ def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
         try:
             raw = np.array(raw, dtype="datetime64[ns]")
         except ValueError:
-            _numbers(raw, label)
+            numbers_of(raw, label)
     if raw.dtype.kind == "M":
         raw = raw - raw[:1]
     return raw / np.timedelta64(1, "ns") * 1e-9
@@ -188,7 +188,7 @@ def signal_of(
     parts = []
     for piece in pieces:
         label = f"'{table.path}': column {piece.name}"
-        part = _numbers(piece.of(arrays[piece.name], label), label)
+        part = numbers_of(piece.of(arrays[piece.name], label), label)
         parts.append(oriented(part, samples, label))
     if len({len(part) for part in parts}) > 1 or len(parts[0]) != samples:
         lengths = [f"{piece.name}: {len(part)}" for piece, part in zip(pieces, parts, strict=True)]
@@ -232,9 +232,3 @@ def _one_column(
             got=", ".join(f"{p.name} {arrays[p.name].shape}" for p in pieces[:5]),
         )
     return array.ravel(), label
-
-
-def _numbers(array: np.ndarray, label: str) -> np.ndarray:
-    if array.dtype.kind not in "iuf":
-        raise LogError(f"{label} is not numeric.", got=sample_of(array), expected="numbers")
-    return array

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,16 @@ class Table:
     topic: str | None = None
     origins: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def in_memory(
+        cls, path: Path, kind: str, arrays: Mapping[str, np.ndarray], **known: Any
+    ) -> "Table":
+        """Of arrays that are read already; what else is known are fields by name."""
+        shapes = {name: array.shape for name, array in arrays.items()}
+        return cls(
+            path, kind, shapes, lambda names: {n: arrays[n] for n in names}, arrays=True, **known
+        )
 
     @property
     def described(self) -> list[str]:
