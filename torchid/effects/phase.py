@@ -170,7 +170,8 @@ class JointElasticity(OneJointEffect):
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
         change = self._change(arm, motion, t, at * load)[:, self.joint]
-        load = load + _low_passed(change, t, self.band)
+        # Two instants are needed for a rate to filter at.
+        load = load + (low_passed(change, 1 / interval(t), self.band) if len(t) > 1 else change)
         return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
 
     def _change(
@@ -191,8 +192,3 @@ class JointElasticity(OneJointEffect):
             dq=with_joint(motion.dq, self.joint, rate),
             ddq=with_joint(motion.ddq, self.joint, derivative(rate, t)),
         )
-
-
-def _low_passed(x: Float[Tensor, " T"], t: Float[Tensor, " T"], cutoff: float) -> Tensor:
-    """The signal below a cut-off, without a phase; all of it where the grid is coarser."""
-    return x if x.shape[0] < 2 else low_passed(x, 1 / interval(t), cutoff)

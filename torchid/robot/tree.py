@@ -6,7 +6,7 @@ joints, from the root's group (the base) to the group that holds the tip.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from torch import Tensor
@@ -192,30 +192,28 @@ def choose_chain(tree: Tree, tip: str | None) -> Chain:
     root = tree.root()
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
-    chain = _only_chain(tree, root) if tip is None else _chain_to(tree, root, tip)
+    tip, warnings = _only_tip(tree, root) if tip is None else (tip, ())
+    chain = _chain_to(tree, root, tip)
     for joint in chain.joints:
         if joint.refused is not None:
             raise RobotError(f"{tree.source}: {joint.refused}")
-    return chain
+    return replace(chain, warnings=(*warnings, *chain.warnings))
 
 
-def _only_chain(tree: Tree, root: str) -> Chain:
-    groups = [tree.group(root)]
-    joints: list[TreeJoint] = []
-    while leaving := tree.leaving(groups[-1]):
+def _only_tip(tree: Tree, root: str) -> tuple[str, tuple[str, ...]]:
+    """The end of the only chain there is, and what its choice leaves open."""
+    group, has_chain = tree.group(root), False
+    while leaving := tree.leaving(group):
         if len(leaving) > 1:
-            raise _branching(tree, leaving, bool(joints))
-        joints.append(leaving[0])
-        groups.append(tree.group(leaving[0].child))
-    last = groups[-1]
-    ends = tree.ends(last)
+            raise _branching(tree, leaving, has_chain)
+        group, has_chain = tree.group(leaving[0].child), True
+    ends = tree.ends(group)
     if len(ends) == 1:
-        return Chain(tuple(groups), tuple(joints), ends[0], ())
-    warning = (
-        f"several links are fixed to the last moving link '{last.link}' ({', '.join(ends)}): "
-        f"the tool is '{last.link}' itself; choose another with --tip"
+        return ends[0], ()
+    return group.link, (
+        f"several links are fixed to the last moving link '{group.link}' ({', '.join(ends)}): "
+        f"the tool is '{group.link}' itself; choose another with --tip",
     )
-    return Chain(tuple(groups), tuple(joints), last.link, (warning,))
 
 
 def _branching(tree: Tree, leaving: list[TreeJoint], has_chain: bool) -> RobotError:
