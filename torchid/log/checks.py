@@ -4,7 +4,7 @@ What cannot be used raises LogError; what is merely odd comes back as warnings.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -279,12 +279,8 @@ def _no_torque(log: Log) -> list[str]:
 
 def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
-
-    def joints(odd: Callable[[Agreement], bool]) -> list[Agreement]:
-        return [a for a in agreement if odd(a)]
-
     warnings = []
-    scaled = joints(lambda a: a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0)
+    scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:
         low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)
         size = f"{low:.3g}" if high < 1.01 * low else f"{low:.3g} to {high:.3g}"
@@ -300,7 +296,7 @@ def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
             f"{_list(scaled)} {size} times the derivative of q: "
             "the time stamps, or the units of dq, are wrong by that factor."
         )
-    other = joints(lambda a: abs(a.correlation) < FOLLOWS)
+    other = [a for a in agreement if abs(a.correlation) < FOLLOWS]
     if other:
         worst = min(a.correlation for a in other)
         warnings.append(

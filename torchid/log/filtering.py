@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from torchid.errors import LogError
@@ -72,7 +73,8 @@ class ZeroPhaseFilter:
         The spectrum is cut above the new Nyquist frequency, where the filter has left nothing:
         `step` must not exceed `largest_step`.
         """
-        length = _smooth_multiple(x.shape[-1], step)
+        # An even multiple of the step whose factors the FFT likes.
+        length = 2 * step * next_fast_len(math.ceil(x.shape[-1] / (2 * step)), real=True)
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
         bins = kept // 2 + 1
@@ -139,16 +141,3 @@ def central_difference(x: Signals, rate: float) -> Signals:
     first = (x[..., 1:2] - x[..., :1]) * rate
     last = (x[..., -1:] - x[..., -2:-1]) * rate
     return torch.cat([first, inner, last], -1)
-
-
-def _smooth_multiple(length: int, step: int) -> int:
-    """Smallest even multiple of `step`, at least `length`, whose factors the FFT likes."""
-    k = math.ceil(length / step)
-    while True:
-        rest = k
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1 and k % 2 == 0:
-            return k * step
-        k += 1

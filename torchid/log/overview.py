@@ -135,7 +135,10 @@ def look_at(
         timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
         units=_units(None if robot_name is None else prismatic),
         ranges={name: finite_range(signal) for name, signal in log.signals.items()},
-        unused=_unused(tables[0], request),
+        # A bag and a dataset list every joint on its own again.
+        unused=()
+        if tables[0] is None or tables[0].origins
+        else tuple(unused_columns(tables[0], request.columns)),
         problem=problem,
         warnings=tuple(dict.fromkeys((*log.warnings, *found))),
     )
@@ -177,13 +180,6 @@ def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:
         return _UNITS
     which = -1 if any(prismatic) else 0
     return {name: unit.split(" or ")[which] for name, unit in _UNITS.items()}
-
-
-def _unused(table: Table | None, request: Request) -> tuple[str, ...]:
-    # A bag and a dataset list every joint on its own again.
-    if table is None or table.origins:
-        return ()
-    return tuple(unused_columns(table, request.columns))
 
 
 def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:

@@ -9,6 +9,7 @@ split there.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -171,17 +172,17 @@ def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:
     # The last grid point may lie on the last sample, but for rounding.
     count = int((t[-1] - t[0]) / step + 1e-6) + 1
     grid = np.minimum(t[0] + step * np.arange(count), t[-1])
-    signals = {
+    device = log.t.device
+    signals: dict[str, Any] = {
         name: torch.from_numpy(
             _interpolate(t, values.detach().cpu().numpy(), grid, name in _SMOOTH)
-        )
+        ).to(device)
         for name, values in log.signals.items()
     }
-    device = log.t.device
     warnings.append(f"{log.names[0]}: time {_steps(t)}; resampled to {1e3 * step:.4g} ms.")
     return log.replace(
         t=torch.from_numpy(t[0] + step * np.arange(count)).to(device),
-        **{name: values.to(device) for name, values in signals.items()},
+        **signals,
         trajectory=torch.zeros(count, dtype=torch.int64, device=device),
     )
 

@@ -149,25 +149,20 @@ def time_of(
 ) -> np.ndarray:
     """(T,) seconds from a column of numbers, of time stamps or of their text."""
     raw, label = _one_column("t", pieces, arrays, table)
-    if raw.dtype.kind in "mMO":
-        return _seconds(raw, label)
-    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
-    stamps = numbers_of(raw, label)
-    if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
-        stamps = stamps - stamps[0]
-    return stamps.astype(np.float64) * source.factors[0]
-
-
-def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
-    """Seconds of time stamps or durations, from the first stamp on."""
     if raw.dtype.kind == "O":
         try:
             raw = np.array(raw, dtype="datetime64[ns]")
         except ValueError:
             numbers_of(raw, label)
-    if raw.dtype.kind == "M":
-        raw = raw - raw[:1]
-    return raw / np.timedelta64(1, "ns") * 1e-9
+    if raw.dtype.kind in "mM":
+        # From the first stamp on; durations as they are.
+        since = raw - raw[:1] if raw.dtype.kind == "M" else raw
+        return since / np.timedelta64(1, "ns") * 1e-9
+    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
+    stamps = numbers_of(raw, label)
+    if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
+        stamps = stamps - stamps[0]
+    return stamps.astype(np.float64) * source.factors[0]
 
 
 def labels_of(

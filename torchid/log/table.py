@@ -74,13 +74,12 @@ class Table:
     @property
     def described(self) -> list[str]:
         """The columns for an error message, with the size of those that are arrays."""
-        return [_described(name, shape) for name, shape in self.columns.items()]
-
-
-def _described(name: str, shape: Shape | None) -> str:
-    if shape is None or len(shape) < 2:
-        return name
-    return f"{name} ({' x '.join('?' if k < 0 else str(k) for k in shape)})"
+        sizes = {
+            name: " x ".join("?" if k < 0 else str(k) for k in shape)
+            for name, shape in self.columns.items()
+            if shape is not None and len(shape) > 1
+        }
+        return [f"{name} ({sizes[name]})" if name in sizes else name for name in self.columns]
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
