@@ -80,6 +80,12 @@ class Wave(JointEffect):
         return add(self.joint, self.c_wave.format(wave=wave, joint=self.joint))
 
 
+def _amplitudes(unit: str, meaning: str, largest: float = math.inf) -> tuple[Coefficient, ...]:
+    """The coefficients of a wave's sine and cosine."""
+    waves = {"a_s": "sine", "a_c": "cosine"}.items()
+    return tuple(Coefficient(a, unit, False, meaning.format(w), largest) for a, w in waves)
+
+
 def _wave_number(
     low: float,
     high: float,
@@ -105,10 +111,7 @@ class Cogging(Wave):
 
     name = "cogging"
     family = "periodic"
-    coefficients = (
-        Coefficient("a_s", "N m", False, "amplitude of the ripple's sine"),
-        Coefficient("a_c", "N m", False, "amplitude of the ripple's cosine"),
-    )
+    coefficients = _amplitudes("N m", "amplitude of the ripple's {}")
     shapes = _wave_number(
         0.5, 1000.0, (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0)
     )
@@ -150,10 +153,7 @@ class MotorRipple(Wave):
     name = "motor_ripple"
     family = "periodic"
     needs = frozenset({"torque"})
-    coefficients = (
-        Coefficient("a_s", "1", False, "ripple's sine, as a share of the torque", 0.5),
-        Coefficient("a_c", "1", False, "ripple's cosine, as a share of the torque", 0.5),
-    )
+    coefficients = _amplitudes("1", "ripple's {}, as a share of the torque", 0.5)
     shapes = _wave_number(
         0.5, 1000.0, (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0), "gear ratio times harmonic"
     )
@@ -201,10 +201,7 @@ class PositionDependentFriction(Wave):
     name = "position_dependent_friction"
     family = "sign"
     jumps = True
-    coefficients = (
-        Coefficient("a_s", "N m", False, "unevenness of the friction, sine"),
-        Coefficient("a_c", "N m", False, "unevenness of the friction, cosine"),
-    )
+    coefficients = _amplitudes("N m", "unevenness of the friction, {}")
     shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))
     first = 1
     most = 12

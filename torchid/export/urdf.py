@@ -64,7 +64,11 @@ def edited_urdf(
                 had = "" if mass is None else f" ({mass.get('value', '').strip()} kg)"
                 said = comment(f"inertial{had} is part of that of link '{group.link}'")
                 replace(inertial, said)
-        _write_inertial(links[group.link], parameters, i, group.link)
+        written = child_or_new(links[group.link], "inertial", first=True)
+        for tag, attributes in _inertial(parameters, i, group.link).items():
+            node = child_or_new(written, tag, first=tag == "origin")
+            node.attrib.pop("quat_xyzw", None)
+            node.attrib.update(attributes)
         # <dynamics>, where it is there or needed.
         values, element = joints[i], by_name[joint.name]
         if child(element, "dynamics") is not None or values.damping or values.friction:
@@ -78,18 +82,16 @@ def edited_urdf(
     return file
 
 
-def _write_inertial(link: Any, parameters: InertialParameters, i: int, name: str) -> None:
-    """About the centre of mass, in axes parallel to the link frame's."""
+def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, dict[str, str]]:
+    """Children of a link's <inertial> and their attributes, about its centre of mass in axes
+    parallel to the link frame's."""
     refuse_moment_without_mass(parameters, i, name)
-    inertial = child_or_new(link, "inertial", first=True)
-    place = child_or_new(inertial, "origin", first=True)
-    place.attrib.pop("quat_xyzw", None)
-    place.set("xyz", text(parameters.com[i]))
-    place.set("rpy", "0 0 0")
-    child_or_new(inertial, "mass").set("value", number(parameters.mass[i]))
-    tensor = child_or_new(inertial, "inertia")
-    for key, value in zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True):
-        tensor.set(key, number(value))
+    tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
+    return {
+        "origin": {"xyz": text(parameters.com[i]), "rpy": "0 0 0"},
+        "mass": {"value": number(parameters.mass[i])},
+        "inertia": {key: number(value) for key, value in tensor},
+    }
 
 
 def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str) -> None:
@@ -120,12 +122,9 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     pi = robot.require_parameters("an export").pi.double()
     parameters = InertialParameters(move(pi, robot.after.double()))
     for i, name in enumerate(robot.link_names):
-        refuse_moment_without_mass(parameters, i, name)
         inertial = SubElement(SubElement(root, "link", name=name), "inertial")
-        SubElement(inertial, "origin", xyz=text(parameters.com[i]), rpy="0 0 0")
-        SubElement(inertial, "mass", value=number(parameters.mass[i]))
-        tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
-        SubElement(inertial, "inertia", **{key: number(value) for key, value in tensor})
+        for tag, attributes in _inertial(parameters, i, name).items():
+            SubElement(inertial, tag, **attributes)
         _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
         parent, behind = name, robot.after[i].double()
     tool = free_name("tool", taken)

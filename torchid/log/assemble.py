@@ -11,7 +11,6 @@ from torchid.log.guess import proposal
 from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.model import Log
 from torchid.log.sources import (
-    AbsentColumnError,
     Piece,
     labels_of,
     oriented,
@@ -19,7 +18,7 @@ from torchid.log.sources import (
     signal_of,
     time_of,
 )
-from torchid.log.table import Table, natural
+from torchid.log.table import AbsentColumnError, Table, natural
 
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 

@@ -20,7 +20,7 @@ makes up the time where none is recorded; `none` leaves out what would be taken 
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +54,7 @@ class Source:
 
     def at(self, value: str) -> "Source":
         """The source with `*` replaced."""
-        columns = tuple(column.replace("*", value) for column in self.columns)
-        return Source(columns, self.factors, self.unit, self.rate)
+        return replace(self, columns=tuple(c.replace("*", value) for c in self.columns))
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
 from torchid.log.model import Log
 from torchid.log.ros import bag_table, is_bag_folder
-from torchid.log.sources import AbsentColumnError
-from torchid.log.table import Request, Table
+from torchid.log.table import AbsentColumnError, Request, Table
 
 Reader = Callable[[Path], Log]
 Opener = Callable[[Path, Request], Table]

@@ -10,17 +10,13 @@ import numpy as np
 from torchid.errors import LogError
 from torchid.log.columns import numbers_of, some
 from torchid.log.mapping import Source
-from torchid.log.table import Table, natural
+from torchid.log.table import AbsentColumnError, Table, natural
 
 _NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+|\d+(?:\s*,\s*\d+)+)\}")
 _INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
 _EXACT = 2**53  # larger whole numbers are not all floats
 
 Index = slice | list[int]
-
-
-class AbsentColumnError(LogError):
-    """A mapping names what the table does not have."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from torchid.errors import LogError
 from torchid.log.mapping import ColumnMapping
 
 Shape = tuple[int, ...]
+
+
+class AbsentColumnError(LogError):
+    """A mapping names what the table does not have."""
 
 
 @dataclass(frozen=True)
