@@ -6,7 +6,6 @@ The steps are those of CONTRIBUTING.md, followed here with an effect that exists
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import pytest
 import torch
@@ -19,7 +18,7 @@ from tests.simulation.bodies import bare, reference
 from torchid.digits import number
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects import registry
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.base import Coefficient, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.effects.registry import KINDS, effect_from_record, model_torque, on_every_joint
 from torchid.export.checks import compiler
@@ -32,17 +31,17 @@ from torchid.simulation.open_loop import rollout
 class AirDrag(JointEffect):
     """Torque of the air on a paddle: c |dq| dq."""
 
-    name: ClassVar[str] = "air_drag"
-    family: ClassVar[Family] = "speed"
-    coefficients: ClassVar = (Coefficient("c", "N m", True, "drag of the paddle"),)
-    meaning: ClassVar[str] = "A sail on the joint is slowed down by the air."
-    equation: ClassVar[str] = "c |dq| dq"
-    signature: ClassVar[str] = "grows with the square of the speed"
-    experiment: ClassVar[str] = "run the joint at full speed, with and without the sail"
-    beyond: ClassVar[str | None] = "take the sail off"
-    remedy: ClassVar[str] = "Take the sail off, or add its drag to the simulator."
-    source: ClassVar[str] = "Newton 1687, Principia, book II, section VII"
-    example: ClassVar[Example] = Example((0.5,), "speed")
+    name = "air_drag"
+    family = "speed"
+    coefficients = (Coefficient("c", "N m", True, "drag of the paddle"),)
+    meaning = "A sail on the joint is slowed down by the air."
+    equation = "c |dq| dq"
+    signature = "grows with the square of the speed"
+    experiment = "run the joint at full speed, with and without the sail"
+    beyond = "take the sail off"
+    remedy = "Take the sail off, or add its drag to the simulator."
+    source = "Newton 1687, Principia, book II, section VII"
+    example = Example((0.5,), "speed")
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Tensor:

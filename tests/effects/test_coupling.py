@@ -7,7 +7,7 @@ from tests.arms import arm, states
 from torchid.effects.base import Motion
 from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.effects.rotor_inertia import RotorInertia
+from torchid.effects.inertia import RotorInertia
 
 VALUES = [0.7, 0.2, 1.3]
 """Fvm, Iam, Fcm."""

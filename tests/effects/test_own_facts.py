@@ -11,9 +11,9 @@ from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueCrosstalk
+from torchid.effects.inertia import RotorInertia
 from torchid.effects.phase import TimeDelay
 from torchid.effects.registry import EVENTS, KINDS, experiment
-from torchid.effects.rotor_inertia import RotorInertia
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 

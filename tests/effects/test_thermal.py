@@ -7,7 +7,7 @@ import torch
 
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.effects.thermal import ThermalFrictionDrift
+from torchid.effects.friction_laws import ThermalFrictionDrift
 
 
 def motion(t: torch.Tensor, *batch: int) -> Motion:

@@ -12,8 +12,7 @@ from tests.export.arms import FRICTION, exported, with_other
 from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS, nominal_effects, on_every_joint
 from torchid.errors import TorchidError
-from torchid.export.c_code import c_file, identifier
-from torchid.export.c_effects import effect_code
+from torchid.export.c_code import c_file, effect_code, identifier
 from torchid.export.checks import check_c, compiler
 from torchid.export.dynamics import Dynamics, of_base, robot_torque, states
 from torchid.identification.base_parameters import base_parameters, nominal_values

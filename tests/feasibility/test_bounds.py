@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.effects.rotor_inertia import RotorInertia
+from torchid.effects.inertia import RotorInertia
 from torchid.errors import RobotError
 from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.sets import nominal_set

@@ -48,3 +48,15 @@ def snapshot(log: Log) -> list[torch.Tensor]:
 def same(log: Log, copies: list[torch.Tensor]) -> bool:
     now = (log.t, log.trajectory, *log.signals.values())
     return all(torch.equal(a, b) for a, b in zip(now, copies, strict=True))
+
+
+def is_uniform(log: Log) -> bool:
+    """Whether the stamps of every trajectory are within 1e-3 of a step of a uniform grid."""
+    for rows in log.slices():
+        t = log.t[rows].numpy()
+        if len(t) < 2 or not t[-1] > t[0]:
+            return False
+        step = (t[-1] - t[0]) / (len(t) - 1)
+        if not np.abs((t - t[0]) / step - np.arange(len(t))).max() <= 1e-3:
+            return False
+    return True

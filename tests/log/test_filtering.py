@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from torchid.errors import LogError
-from torchid.log.filtering import ORDER, ZeroPhaseFilter, central_difference, extended, reflect
+from torchid.log.filtering import ORDER, ZeroPhaseFilter, central_difference, extended
 
 
 def noise(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -134,14 +134,11 @@ def test_a_cutoff_out_of_band_is_refused(cutoff):
         ZeroPhaseFilter(100.0, cutoff)
 
 
-def test_reflection_is_odd_and_refuses_short_signals():
+def test_reflection_is_odd_and_goes_on_by_the_last_value_of_short_signals():
     x = torch.tensor([[1.0, 2.0, 4.0, 8.0]], dtype=torch.float64)
-    assert reflect(x, 2, 3).tolist() == [[-2.0, 0.0, 1.0, 2.0, 4.0, 8.0, 12.0, 14.0, 15.0]]
-    assert torch.equal(reflect(x, 0, 0), x)
-    with pytest.raises(LogError, match="too short"):
-        reflect(x, 4, 0)
-    with pytest.raises(LogError, match="too short"):
-        reflect(x, 0, 4)
+    assert extended(x, 2, 3).tolist() == [[-2.0, 0.0, 1.0, 2.0, 4.0, 8.0, 12.0, 14.0, 15.0]]
+    assert torch.equal(extended(x, 0, 0), x)
+    assert extended(x, 0, 4).tolist() == [[1.0, 2.0, 4.0, 8.0, 12.0, 14.0, 15.0, 15.0]]
     assert extended(x, 5, 1).tolist() == [[-6.0, -6.0, -6.0, -2.0, 0.0, 1.0, 2.0, 4.0, 8.0, 12.0]]
 
 

@@ -8,12 +8,13 @@ import pytest
 import torch
 from scipy.io import savemat
 
+from tests.log.examples import is_uniform
 from tests.log.recordings import BAGS, messages_of, write_bag
 from tests.real_logs import FOLDER, NO_LOGS, SOUND
 from torchid.errors import LogError
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log
-from torchid.log.sampling import is_uniform, resample, sampling_rate
+from torchid.log.sampling import resample, sampling_rate
 from torchid.robot.library import load_robot
 
 JOINTS = {

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import is_uniform, resample, sampling_rate, time_steps
+from torchid.log.sampling import resample, sampling_rate, time_steps
 
-from .examples import log_at, motion, same, snapshot, uniform
+from .examples import is_uniform, log_at, motion, same, snapshot, uniform
 
 
 def stamps(seed: int, samples: int = 3000, low: float = 0.7, high: float = 1.3) -> np.ndarray:
@@ -181,11 +181,11 @@ def test_nan_stays_where_it_is() -> None:
 def test_time_must_increase(function: object) -> None:
     t = uniform().t.clone()
     t[10] = t[9]
-    with pytest.raises(LogError, match="does not increase at sample 11") as info:
+    with pytest.raises(LogError, match="does not increase in row 11") as info:
         function(uniform(t=t))  # type: ignore[operator]
     assert "0.09 s, then 0.09 s" in str(info.value)
     t[10] = math.nan
-    with pytest.raises(LogError, match="does not increase at sample 11"):
+    with pytest.raises(LogError, match="does not increase in row 11"):
         function(uniform(t=t))  # type: ignore[operator]
     with pytest.raises(LogError, match="one sample only"):
         function(uniform(samples=1))  # type: ignore[operator]

@@ -17,7 +17,6 @@ from torchid.robot.placement import pose, roll_pitch_yaw
 from torchid.robot.shapes import (
     SHORTEST,
     joint_points,
-    link_boxes,
     link_lengths,
     link_shapes,
     own_inertials,
@@ -130,7 +129,7 @@ def test_collision_goes_before_visual(tmp_path):
     drawn = '<visual><geometry><sphere radius="9"/></geometry></visual>'
     solid = link("a", at('<sphere radius="0.1"/>')).replace("</link>", drawn + "</link>")
     robot = robot_of(tmp_path, solid, REVOLUTE.format("j", "base", "a", "0 0 1"))
-    assert float(link_boxes(robot).max()) == pytest.approx(0.1)
+    assert float(link_shapes(robot).boxes.max()) == pytest.approx(0.1)
     robot = one(tmp_path, at('<sphere radius="0.2"/>'), tag="visual")
     shapes = link_shapes(robot)
     assert shapes.kinds == ("visual",)
@@ -166,7 +165,7 @@ def test_a_base_and_branches_off_the_chain_do_not_count(tmp_path):
     )
     path = tmp_path / "arm.urdf"
     path.write_text(f'<robot name="arm"><link name="base"/>{"".join(parts)}</robot>')
-    assert float(link_boxes(load_robot(path, tip="a")).max()) == pytest.approx(0.1)
+    assert float(link_shapes(load_robot(path, tip="a")).boxes.max()) == pytest.approx(0.1)
 
 
 CUBE = [(x, y, z) for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)]
@@ -287,8 +286,6 @@ def test_a_urdf_without_shapes_says_nothing(tmp_path):
 def test_robots_of_dh_tables_have_no_shapes():
     robot = load_robot("3r")
     assert link_shapes(robot) is None
-    assert link_boxes(robot).shape == (3, 3, 2)
-    assert link_boxes(robot).isnan().all()
     assert own_inertials(robot) == ()
 
 
@@ -361,7 +358,7 @@ def test_mjcf_meshes_are_their_corners(tmp_path):
         '<worldbody><body name="a"><joint axis="0 0 1"/>'
         '<geom type="mesh" mesh="m" pos="0 0 1" euler="0 0 90"/></body></worldbody></mujoco>'
     )
-    found = link_boxes(load_robot(path))[0]
+    found = link_shapes(load_robot(path)).boxes[0]
     torch.testing.assert_close(found, box_of([-0.2, 0], [0, 0.1], [1, 1.3]), atol=1e-6, rtol=0)
 
 

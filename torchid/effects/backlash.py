@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Example, Family, Motion
+from torchid.effects.base import Coefficient, Columns, Example, Motion
 from torchid.effects.instants import derivative, interval
 from torchid.effects.variation import (
     OneJointEffect,
@@ -45,34 +44,28 @@ class Backlash(OneJointEffect):
     band: float = 0.02
     crossing: float = 0.03
 
-    name: ClassVar[str] = "backlash"
-    family: ClassVar[Family] = "hysteresis"
-    needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
-    meaning: ClassVar[str] = "Gear teeth lose contact and cross the play when the torque reverses."
-    equation: ClassVar[str] = (
-        "tau(q - width/2 s e_j, ..) - tau(q, ..), s = 1 or -1 the flank in contact"
-    )
-    signature: ClassVar[str] = "pulses where the joint's torque, not its speed, changes sign"
-    experiment: ClassVar[str] = (
-        "bias the joint with a gravity load so that its torque does not change sign"
-    )
-    remedy: ClassVar[str] = (
+    name = "backlash"
+    family = "hysteresis"
+    needs = frozenset({"robot", "torque", "t"})
+    jumps = True
+    coefficients = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
+    meaning = "Gear teeth lose contact and cross the play when the torque reverses."
+    equation = "tau(q - width/2 s e_j, ..) - tau(q, ..), s = 1 or -1 the flank in contact"
+    signature = "pulses where the joint's torque, not its speed, changes sign"
+    experiment = "bias the joint with a gravity load so that its torque does not change sign"
+    remedy = (
         "Preload or adjust the gear; in the simulator, a joint of range `width` between motor and "
         "link."
     )
-    source: ClassVar[str] = (
+    source = (
         "Nordin and Gutman 2002, Controlling mechanical systems with backlash: a survey, "
         "Automatica 38(10), section 2"
     )
-    example: ClassVar[Example] = Example((2e-3,), "time")
-    smooth: ClassVar[bool] = True
-    linearised: ClassVar[bool] = True
+    example = Example((2e-3,), "time")
+    smooth = True
+    linearised = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
         arm = needed(robot, self.name)
         at = secant_at(self.at, 1e-7)

@@ -52,6 +52,9 @@ PLACES = ("joint", "source_joint")
 
 Abscissa = Literal["speed", "position", "acceleration", "time"]
 
+Columns = Float[Tensor, "*batch n C"]
+"""Torque of n joints per unit of each of C coefficients."""
+
 
 class Example(NamedTuple):
     """An effect of a size to be seen, on the shoulder of an arm that weighs tens of newton metres.
@@ -71,7 +74,8 @@ class Example(NamedTuple):
 class Effect(ABC):
     """Something that adds torque to the rigid body, linear in its coefficients.
 
-    All that is known of an effect stands in its class, and nowhere else.
+    All that is known of an effect stands in its class, and nowhere else. It gives the class
+    attributes values without annotating them again: what is annotated there is a field.
 
     Class attributes:
         name, family: as in files (see the registry).
@@ -139,9 +143,7 @@ class Effect(ABC):
         """Joints it is located at, from 0; empty where it belongs to the whole arm."""
 
     @abstractmethod
-    def torque_columns(
-        self, motion: Motion, robot: "Robot | None" = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: "Robot | None" = None) -> Columns:
         """Torque of all joints per unit coefficient (..., n, C).
 
         Time is the axis before the joints for effects with a memory (see `memory`).
@@ -225,7 +227,7 @@ class JointEffect(Effect):
 
     @classmethod
     @abstractmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """Torque per unit coefficient, of every joint as if the effect were on it.
 
         Args:
@@ -285,7 +287,7 @@ class JointEffect(Effect):
     @classmethod
     def advance(
         cls, motion: Motion, dt: float, state: Tensor | None, *shapes: Tensor
-    ) -> tuple[Float[Tensor, "*batch n C"], Tensor | None]:
+    ) -> tuple[Columns, Tensor | None]:
         """For simulation: columns at one instant (..., n, C), and the state after it.
 
         Args:
@@ -309,9 +311,7 @@ class JointEffect(Effect):
         )
         return self.formula(motion, *shapes)[..., self.joint, :]
 
-    def torque_columns(
-        self, motion: Motion, robot: "Robot | None" = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: "Robot | None" = None) -> Columns:
         """Torque of all joints per unit coefficient (..., n, C): zero but for the own joint."""
         own = self.columns(motion)
         out = own.new_zeros(*motion.dq.shape, own.shape[-1])

@@ -2,17 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
-from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion, Shape
 from torchid.effects.c_text import add
 from torchid.effects.variation import JointPairEffect
 from torchid.robot.model import Robot
-from torchid.typing import Float
 
 
 @dataclass(frozen=True)
@@ -34,16 +31,16 @@ class GearCoupling(JointPairEffect):
 
     ratio: float = 1.0
 
-    name: ClassVar[str] = "gear_coupling"
-    family: ClassVar[Family] = "speed"
-    needs: ClassVar[frozenset[str]] = frozenset()
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (
+    name = "gear_coupling"
+    family = "speed"
+    needs = frozenset()
+    jumps = True
+    coefficients = (
         Coefficient("Fvm", "N m s/rad", True, "viscous friction of the coupled motor"),
         Coefficient("Iam", "kg m^2", True, "inertia of the coupled motor, seen at the joint"),
         Coefficient("Fcm", "N m", True, "Coulomb friction of the coupled motor"),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (
+    shapes = (
         Shape(
             "ratio",
             "1",
@@ -54,25 +51,23 @@ class GearCoupling(JointPairEffect):
             logarithmic=False,
         ),
     )
-    meaning: ClassVar[str] = (
-        "A wrist motor drives its joint through another, so it turns with both."
-    )
-    equation: ClassVar[str] = (
+    meaning = "A wrist motor drives its joint through another, so it turns with both."
+    equation = (
         "on j: Iam ratio ddq_i + Fvm ratio dq_i + Fcm (sgn(w) - sgn(dq_j));  "
         "on i: Iam ratio ddq_j + Fvm ratio dq_j + Fcm ratio sgn(w);  w = dq_j + ratio dq_i"
     )
-    signature: ClassVar[str] = "friction of one joint that follows another joint's speed"
-    experiment: ClassVar[str] = "move the joint alone, then its neighbour alone"
-    remedy: ClassVar[str] = (
+    signature = "friction of one joint that follows another joint's speed"
+    experiment = "move the joint alone, then its neighbour alone"
+    remedy = (
         "Put friction and rotor inertia on the motor's speed dq_j + ratio dq_i in the simulator "
         "(a joint equality or a tendon), not on the joint's."
     )
-    source: ClassVar[str] = (
+    source = (
         "Gautier, Janot and Vandanjon 2013, A new closed-loop output error method for parameter "
         "identification of robot dynamics, IEEE Trans. Control Systems Technology 21(2): joints 5 "
         "and 6 of the TX40"
     )
-    example: ClassVar[Example] = Example((1.0, 0.0, 0.6), "speed", {"source_joint": 2})
+    example = Example((1.0, 0.0, 0.6), "speed", {"source_joint": 2})
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -91,9 +86,7 @@ class GearCoupling(JointPairEffect):
             for ratio in cls.shapes[0].grid
         ]
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Torque on both joints per unit of Fvm, Iam, Fcm (..., n, 3)."""
         j, i = self.joint, self.source_joint
         dq, ddq, r = motion.dq, motion.ddq, self.ratio

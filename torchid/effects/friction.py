@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.typing import Float
 
@@ -17,22 +16,20 @@ from torchid.typing import Float
 class ViscousFriction(JointEffect):
     """Torque in proportion to the joint's own speed."""
 
-    name: ClassVar[str] = "viscous_friction"
-    family: ClassVar[Family] = "speed"
-    coefficients: ClassVar = (Coefficient("Fv", "N m s/rad", True, "viscous friction"),)
-    meaning: ClassVar[str] = (
-        "Lubricant shear, or a drive's back-EMF, resists in proportion to speed."
-    )
-    equation: ClassVar[str] = "Fv dq"
-    signature: ClassVar[str] = "odd in the joint's speed, and grows with it"
-    experiment: ClassVar[str] = "run one joint at three or more constant speeds"
-    remedy: ClassVar[str] = "Set the joint's damping to Fv in the simulator."
-    source: ClassVar[str] = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
-    example: ClassVar[Example] = Example((2.0,), "speed")
-    on_all: ClassVar[bool] = True
+    name = "viscous_friction"
+    family = "speed"
+    coefficients = (Coefficient("Fv", "N m s/rad", True, "viscous friction"),)
+    meaning = "Lubricant shear, or a drive's back-EMF, resists in proportion to speed."
+    equation = "Fv dq"
+    signature = "odd in the joint's speed, and grows with it"
+    experiment = "run one joint at three or more constant speeds"
+    remedy = "Set the joint's damping to Fv in the simulator."
+    source = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
+    example = Example((2.0,), "speed")
+    on_all = True
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """dq."""
         return motion.dq.unsqueeze(-1)
 
@@ -55,21 +52,21 @@ class CoulombFriction(JointEffect):
 
     smoothing: float = 0.0
 
-    name: ClassVar[str] = "coulomb_friction"
-    family: ClassVar[Family] = "sign"
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
-    meaning: ClassVar[str] = "Dry contact in gears and bearings resists with a constant torque."
-    equation: ClassVar[str] = "Fc sgn(dq)"
-    signature: ClassVar[str] = "a step where the joint reverses, of the same height everywhere"
-    experiment: ClassVar[str] = "reverse slowly and fast, in postures with different loads"
-    remedy: ClassVar[str] = "Set the joint's dry friction (frictionloss) to Fc in the simulator."
-    source: ClassVar[str] = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
-    example: ClassVar[Example] = Example((1.0,), "speed")
-    on_all: ClassVar[bool] = True
+    name = "coulomb_friction"
+    family = "sign"
+    jumps = True
+    coefficients = (Coefficient("Fc", "N m", True, "Coulomb friction"),)
+    meaning = "Dry contact in gears and bearings resists with a constant torque."
+    equation = "Fc sgn(dq)"
+    signature = "a step where the joint reverses, of the same height everywhere"
+    experiment = "reverse slowly and fast, in postures with different loads"
+    remedy = "Set the joint's dry friction (frictionloss) to Fc in the simulator."
+    source = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
+    example = Example((1.0,), "speed")
+    on_all = True
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """Direction of motion."""
         return motion.sign.unsqueeze(-1)
 
@@ -96,20 +93,20 @@ class CoulombFriction(JointEffect):
 class TorqueOffset(JointEffect):
     """Constant torque: the report's Coulomb offset, equally a bias of the torque sensor."""
 
-    name: ClassVar[str] = "torque_offset"
-    family: ClassVar[Family] = "constant"
-    coefficients: ClassVar = (Coefficient("F0", "N m", False, "offset"),)
-    meaning: ClassVar[str] = "A torque sensor or current sensor reads a constant too much."
-    equation: ClassVar[str] = "F0"
-    signature: ClassVar[str] = "the same torque everywhere, at rest too"
-    experiment: ClassVar[str] = "let the joint dwell, and approach the dwell from both sides"
-    remedy: ClassVar[str] = "Subtract F0 from the measured torque, or calibrate the sensor's zero."
-    source: ClassVar[str] = "eq. 2.16 of the report"
-    example: ClassVar[Example] = Example((1.0,), "speed")
-    on_all: ClassVar[bool] = True
+    name = "torque_offset"
+    family = "constant"
+    coefficients = (Coefficient("F0", "N m", False, "offset"),)
+    meaning = "A torque sensor or current sensor reads a constant too much."
+    equation = "F0"
+    signature = "the same torque everywhere, at rest too"
+    experiment = "let the joint dwell, and approach the dwell from both sides"
+    remedy = "Subtract F0 from the measured torque, or calibrate the sensor's zero."
+    source = "eq. 2.16 of the report"
+    example = Example((1.0,), "speed")
+    on_all = True
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """One."""
         return torch.ones_like(motion.dq).unsqueeze(-1)
 

@@ -3,14 +3,12 @@ off."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import torch
-from torch import Tensor
 
 from torchid.digits import number
 from torchid.dynamics.forward import gravity_torque
-from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
 from torchid.effects.c_text import JOINTS, RIGID, add
 from torchid.effects.variation import (
     ArmCoefficient,
@@ -25,7 +23,6 @@ from torchid.effects.variation import (
 )
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, rotation_x, rotation_y
-from torchid.typing import Float
 
 CALIBRATED = "measure the pose with an external instrument (tracker, gauge, level): calibration"
 """What settles errors of geometry."""
@@ -39,9 +36,9 @@ class BaseTilt(ModelEffect):
     The columns are exact derivatives, because torque is linear in gravity.
     """
 
-    name: ClassVar[str] = "base_tilt"
-    family: ClassVar[Family] = "gravity"
-    coefficients: ClassVar = (
+    name = "base_tilt"
+    family = "gravity"
+    coefficients = (
         ArmCoefficient(
             "tilt_x", "rad", False, "gravity turned about the first horizontal axis", 0.35
         ),
@@ -49,27 +46,23 @@ class BaseTilt(ModelEffect):
             "tilt_y", "rad", False, "gravity turned about the second horizontal axis", 0.35
         ),
     )
-    meaning: ClassVar[str] = "The base is not level, so gravity pulls in another direction."
-    equation: ClassVar[str] = (
+    meaning = "The base is not level, so gravity pulls in another direction."
+    equation = (
         "tau(q; turned gravity) - tau(q; gravity) at rest, turned by tilt_x and tilt_y, linearised"
     )
-    signature: ClassVar[str] = "gravity-shaped on all joints at once, from one vector"
-    experiment: ClassVar[str] = "repeat the motion with joint 1 turned by 90 degrees"
-    beyond: ClassVar[str | None] = CALIBRATED
-    remedy: ClassVar[str] = "Turn the simulator's gravity vector by the tilt, or level the base."
-    source: ClassVar[str] = (
-        "eq. 2.11, linear in gravity; Featherstone 2008, Rigid Body Dynamics Algorithms, 5.3"
-    )
-    example: ClassVar[Example] = Example((0.03, 0.03), "position")
+    signature = "gravity-shaped on all joints at once, from one vector"
+    experiment = "repeat the motion with joint 1 turned by 90 degrees"
+    beyond = CALIBRATED
+    remedy = "Turn the simulator's gravity vector by the tilt, or level the base."
+    source = "eq. 2.11, linear in gravity; Featherstone 2008, Rigid Body Dynamics Algorithms, 5.3"
+    example = Example((0.03, 0.03), "position")
 
     @classmethod
     def candidates(cls, robot: Robot) -> list[ModelEffect]:
         """One, where there is gravity."""
         return [cls()] if bool(robot.gravity.norm() > 0) else []
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Torque against gravity's derivative, axis x gravity, at rest (..., n, 2)."""
         arm = needed(robot, self.name)
         if not arm.gravity.norm() > 0:
@@ -90,94 +83,87 @@ class BaseTilt(ModelEffect):
 
 
 @dataclass(frozen=True)
-class TorqueGain(OneJointEffect):
-    """A joint's torque is measured with a wrong scale."""
+class TorqueShare(OneJointEffect):
+    """A joint's torque is measured with a share of a joint's torque in excess."""
 
-    name: ClassVar[str] = "torque_gain"
-    family: ClassVar[Family] = "gravity"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
-    coefficients: ClassVar = (
-        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7),
-    )
-    meaning: ClassVar[str] = "The torque sensor's scale, or the drive's torque constant, is off."
-    equation: ClassVar[str] = "gain tau_j"
-    signature: ClassVar[str] = (
-        "grows with the joint's own torque; a gain that all joints share is invisible without a "
-        "known payload"
-    )
-    experiment: ClassVar[str] = "repeat the motion with a known payload"
-    beyond: ClassVar[str | None] = experiment
-    remedy: ClassVar[str] = (
-        "Divide the measured torque (or the torque constant) by 1 + gain; a known payload tells a "
-        "gain that all joints share."
-    )
-    source: ClassVar[str] = (
-        "Gautier and Briot 2014, Global identification of joint drive gains and dynamic "
-        "parameters of robots, J. Dyn. Sys. Meas. Control 136(5)"
-    )
-    example: ClassVar[Example] = Example((0.05,), "position")
-    on_all: ClassVar[bool] = True
-    shared: ClassVar[bool] = True
+    family = "gravity"
+    needs = frozenset({"torque"})
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
-        """The joint's own torque (T, n, 1)."""
+    @property
+    def read(self) -> int:
+        """The joint whose torque is read in excess: its own, unless it says another."""
+        return self.joint
+
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
+        """The torque that is read in excess, on the joint (T, n, 1)."""
         torque = motion.require("torque", self.name)
-        return on_joint(torque[:, self.joint], self.joint, torque.shape[1])
+        return on_joint(torque[:, self.read], self.joint, torque.shape[1])
 
     def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The joint's torque scaled."""
+        """The joint's torque with that share in it."""
         torque = motion.require("torque", self.name)
-        gain = values[0] * torque[:, self.joint]
-        return motion._replace(torque=with_joint(torque, self.joint, gain))
+        share = values[0] * torque[:, self.read]
+        return motion._replace(torque=with_joint(torque, self.joint, share))
 
     def c_code(self, values: Sequence[float]) -> list[str]:
         """The equation as C."""
-        return add(self.joint, f"{number(values[0])} * loaded[{self.joint}]")
+        return add(self.joint, f"{number(values[0])} * loaded[{self.read}]")
 
 
 @dataclass(frozen=True)
-class TorqueCrosstalk(JointPairEffect):
+class TorqueGain(TorqueShare):
+    """A joint's torque is measured with a wrong scale."""
+
+    name = "torque_gain"
+    coefficients = (Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7),)
+    meaning = "The torque sensor's scale, or the drive's torque constant, is off."
+    equation = "gain tau_j"
+    signature = (
+        "grows with the joint's own torque; a gain that all joints share is invisible without a "
+        "known payload"
+    )
+    experiment = "repeat the motion with a known payload"
+    beyond = experiment
+    remedy = (
+        "Divide the measured torque (or the torque constant) by 1 + gain; a known payload tells a "
+        "gain that all joints share."
+    )
+    source = (
+        "Gautier and Briot 2014, Global identification of joint drive gains and dynamic "
+        "parameters of robots, J. Dyn. Sys. Meas. Control 136(5)"
+    )
+    example = Example((0.05,), "position")
+    on_all = True
+    shared = True
+
+
+@dataclass(frozen=True)
+class TorqueCrosstalk(TorqueShare, JointPairEffect):
     """A joint's torque sensor also reads some of another joint's torque."""
 
-    name: ClassVar[str] = "torque_crosstalk"
-    family: ClassVar[Family] = "gravity"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
-    coefficients: ClassVar = (
+    name = "torque_crosstalk"
+    coefficients = (
         Coefficient("C", "1", False, "share of the source joint's torque that is read", 0.9),
     )
-    meaning: ClassVar[str] = "Load on one joint deforms the torque sensor of another."
-    equation: ClassVar[str] = "C tau_i with i the source_joint"
-    signature: ClassVar[str] = "follows another joint's torque"
-    experiment: ClassVar[str] = "move one joint at a time"
-    beyond: ClassVar[str | None] = "load one joint alone with a known weight"
-    remedy: ClassVar[str] = (
+    meaning = "Load on one joint deforms the torque sensor of another."
+    equation = "C tau_i with i the source_joint"
+    signature = "follows another joint's torque"
+    experiment = "move one joint at a time"
+    beyond = "load one joint alone with a known weight"
+    remedy = (
         "Subtract C times the source joint's torque from the measured one, or calibrate the "
         "sensors together."
     )
-    source: ClassVar[str] = (
+    source = (
         "off-diagonal terms of a calibration matrix: Siciliano et al. 2009, Robotics: Modelling, "
         "Planning and Control, section 5.4.1"
     )
-    example: ClassVar[Example] = Example((0.2,), "position", {"source_joint": 3})
+    example = Example((0.2,), "position", {"source_joint": 3})
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
-        """The source joint's torque, on the joint (T, n, 1)."""
-        torque = motion.require("torque", self.name)
-        return on_joint(torque[:, self.source_joint], self.joint, torque.shape[1])
-
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The source joint's torque leaks into the joint's."""
-        torque = motion.require("torque", self.name)
-        leak = values[0] * torque[:, self.source_joint]
-        return motion._replace(torque=with_joint(torque, self.joint, leak))
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"{number(values[0])} * loaded[{self.source_joint}]")
+    @property
+    def read(self) -> int:
+        """The source joint."""
+        return self.source_joint
 
 
 @dataclass(frozen=True)
@@ -193,29 +179,25 @@ class EncoderOffset(OneJointEffect):
 
     at: float = 0.03
 
-    name: ClassVar[str] = "encoder_offset"
-    family: ClassVar[Family] = "gravity"
-    coefficients: ClassVar = (
+    name = "encoder_offset"
+    family = "gravity"
+    coefficients = (
         Coefficient("offset", "rad", False, "true position minus the measured one", 0.35),
     )
-    meaning: ClassVar[str] = "The joint's zero is not where the encoder says it is."
-    equation: ClassVar[str] = "tau(q + offset e_j, dq, ddq) - tau(q, dq, ddq)"
-    signature: ClassVar[str] = (
-        "gravity-shaped and on several joints; unobservable on a vertical first joint"
-    )
-    experiment: ClassVar[str] = "move all joints through postures with different gravity loads"
-    beyond: ClassVar[str | None] = CALIBRATED
-    remedy: ClassVar[str] = "Add the offset to the joint's position, or calibrate its zero."
-    source: ClassVar[str] = (
+    meaning = "The joint's zero is not where the encoder says it is."
+    equation = "tau(q + offset e_j, dq, ddq) - tau(q, dq, ddq)"
+    signature = "gravity-shaped and on several joints; unobservable on a vertical first joint"
+    experiment = "move all joints through postures with different gravity loads"
+    beyond = CALIBRATED
+    remedy = "Add the offset to the joint's position, or calibrate its zero."
+    source = (
         "first variation of eq. 2.15 in q; Mooring, Roth and Driels 1991, Fundamentals of "
         "Manipulator Calibration, chapter 2"
     )
-    example: ClassVar[Example] = Example((0.03,), "position")
-    linearised: ClassVar[bool] = True
+    example = Example((0.03,), "position")
+    linearised = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the joint's position (T, n, 1)."""
         arm = needed(robot, self.name)
         at = secant_at(self.at, 1e-6)
@@ -254,9 +236,9 @@ class KinematicError(OneJointEffect):
 
     step: float = 1e-4
 
-    name: ClassVar[str] = "kinematic_error"
-    family: ClassVar[Family] = "gravity"
-    coefficients: ClassVar = (
+    name = "kinematic_error"
+    family = "gravity"
+    coefficients = (
         ArmCoefficient("dx", "m", False, "joint frame displaced along its x", 0.05),
         ArmCoefficient("dy", "m", False, "joint frame displaced along its y", 0.05),
         ArmCoefficient(
@@ -265,24 +247,22 @@ class KinematicError(OneJointEffect):
         ArmCoefficient("rx", "rad", False, "joint frame turned about its x", 0.1),
         ArmCoefficient("ry", "rad", False, "joint frame turned about its y", 0.1),
     )
-    meaning: ClassVar[str] = "Link lengths or the joint axes' directions differ from the model's."
-    equation: ClassVar[str] = (
+    meaning = "Link lengths or the joint axes' directions differ from the model's."
+    equation = (
         "the change of tau(q, dq, ddq) with joint j's frame moved by dx, dy, dz and turned by rx, "
         "ry, linearised"
     )
-    signature: ClassVar[str] = "follows the posture, on the joint and those before it"
-    experiment: ClassVar[str] = "cover many postures, also stretched out and folded"
-    beyond: ClassVar[str | None] = CALIBRATED
-    remedy: ClassVar[str] = "Calibrate the kinematics, and move the joint's frame in the model."
-    source: ClassVar[str] = (
+    signature = "follows the posture, on the joint and those before it"
+    experiment = "cover many postures, also stretched out and folded"
+    beyond = CALIBRATED
+    remedy = "Calibrate the kinematics, and move the joint's frame in the model."
+    source = (
         "first variation of eq. 2.15 in the pose of a joint; Hayati and Mirmirani 1985, Improving "
         "the absolute positioning accuracy of robot manipulators, J. Robotic Systems 2(4)"
     )
-    example: ClassVar[Example] = Example((0.02, 0.0, 0.0, 0.0, 0.0), "position")
+    example = Example((0.02, 0.0, 0.0, 0.0, 0.0), "position")
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Central secants of the torque of all joints (T, n, 5)."""
         arm = needed(robot, self.name)
         columns = []

@@ -1,14 +1,12 @@
 """Friction before sliding: contacts deflect like bristles, so torque depends on the path."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.scan import affine_scan
-from torchid.typing import Float
 
 
 @dataclass(frozen=True)
@@ -30,32 +28,32 @@ class PreslidingHysteresis(JointEffect):
 
     length: float = 0.05
 
-    name: ClassVar[str] = "presliding_hysteresis"
-    family: ClassVar[Family] = "hysteresis"
-    memory: ClassVar[bool] = True
-    coefficients: ClassVar = (
+    name = "presliding_hysteresis"
+    family = "hysteresis"
+    memory = True
+    coefficients = (
         Coefficient("Fh", "N m", True, "friction that the bristles reach when they slide"),
     )
-    shapes: ClassVar = (
+    shapes = (
         Shape(
             "length", "rad", 0.001, 1.0, (0.01, 0.02, 0.045, 0.1, 0.2, 0.4), "presliding distance"
         ),
     )
-    meaning: ClassVar[str] = (
+    meaning = (
         "Contacts in gear and bearings, and cables, deflect before they slide: a loop in the "
         "torque over position after each reversal."
     )
-    equation: ClassVar[str] = "Fh z with dz/dt = (dq - |dq| z)/length"
-    signature: ClassVar[str] = "a loop over position after each reversal"
-    experiment: ClassVar[str] = "make many small reversals, smaller than the bristle's length"
-    remedy: ClassVar[str] = (
+    equation = "Fh z with dz/dt = (dq - |dq| z)/length"
+    signature = "a loop over position after each reversal"
+    experiment = "make many small reversals, smaller than the bristle's length"
+    remedy = (
         "Replace dry friction by a Dahl or LuGre model with stiffness Fh/length in the simulator."
     )
-    source: ClassVar[str] = (
+    source = (
         "Dahl 1968, A Solid Friction Model (TOR-0158); Canudas de Wit, Olsson, Astrom and "
         "Lischinsky 1995, A New Model for Control of Systems with Friction (IEEE TAC 40), eq. 1"
     )
-    example: ClassVar[Example] = Example((1.0,), "position", {"length": 0.1})
+    example = Example((1.0,), "position", {"length": 0.1})
 
     def __post_init__(self) -> None:
         if not self.length > 0:
@@ -67,7 +65,7 @@ class PreslidingHysteresis(JointEffect):
         return "coulomb_friction" if self.length < 0.5 * self.shapes[0].grid[0] else None
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """z along the trajectory (..., T, n, 1), 0 at its first instant; shapes: length."""
         step = torch.diff(motion.q, dim=-2, prepend=motion.q[..., :1, :])
         kept, gained = cls._step(step, *shapes)
@@ -81,7 +79,7 @@ class PreslidingHysteresis(JointEffect):
     @classmethod
     def advance(
         cls, motion: Motion, dt: float, state: Tensor | None, *shapes: Tensor
-    ) -> tuple[Float[Tensor, "*batch n C"], Tensor | None]:
+    ) -> tuple[Columns, Tensor | None]:
         """z after the displacement dq dt, which is exactly that of a semi-implicit integrator."""
         assert state is not None, "a state from `initial`"
         kept, gained = cls._step(motion.dq * dt, *shapes)

@@ -1,18 +1,18 @@
-"""Effects of bodies: a payload, and links whose inertial parameters are off."""
+"""Effects of bodies: a payload, links whose inertial parameters are off, and the drives' rotors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from torchid.digits import number
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, ModelEffect, Motion
+from torchid.effects.c_text import add
 from torchid.effects.variation import ArmCoefficient, OneJointEffect, needed
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import Float
 
 WEIGHED = "weigh the load, or compare the link's parameters with CAD"
 """What settles errors of bodies."""
@@ -34,90 +34,108 @@ def _body(what: str, positive_mass: bool) -> tuple[Coefficient, ...]:
     return (mass, *moments, *inertia)
 
 
-def link_columns(motion: Motion, robot: Robot, link: int) -> Float[Tensor, "T n 10"]:
-    """Torque of all joints per unit of a link's ten parameters: its columns of the regressor."""
-    q = motion.q
-    out = q.new_zeros(*q.shape, PARAMETERS_PER_LINK)
-    start = 0
-    for chunk in regressor_chunks(robot, *motion.state):
-        stop = start + chunk.like.shape[0]
-        for i in range(link + 1):
-            row = chunk.row(i, [(link, k) for k in range(PARAMETERS_PER_LINK)])
-            out[start:stop, i] = row.T
-        start = stop
-    return out
+@dataclass(frozen=True)
+class BodyEffect(ModelEffect):
+    """Ten parameters added to those of a link, in that link's frame, about its origin."""
 
+    family = "inertia"
+    beyond = WEIGHED
+    example = Example(_DRAWN, "acceleration")
+    inertial = True
 
-def with_body(robot: Robot, link: int, values: Sequence[float], purpose: str) -> Robot:
-    """The arm with ten parameters added to a link's."""
-    pi = robot.require_parameters(purpose).pi.clone()
-    pi[link] += torch.tensor(values, dtype=pi.dtype, device=pi.device)
-    return robot.with_parameters(InertialParameters(pi))
+    def link(self, robot: Robot) -> int:
+        """Index of the link, from 0."""
+        return robot.n - 1
+
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
+        """The link's columns of the regressor (T, n, 10)."""
+        arm = needed(robot, self.name)
+        link, q = self.link(arm), motion.q
+        out = q.new_zeros(*q.shape, PARAMETERS_PER_LINK)
+        start = 0
+        for chunk in regressor_chunks(arm, *motion.state):
+            stop = start + chunk.like.shape[0]
+            for i in range(link + 1):
+                row = chunk.row(i, [(link, k) for k in range(PARAMETERS_PER_LINK)])
+                out[start:stop, i] = row.T
+            start = stop
+        return out
+
+    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+        """The arm with the parameters added to its link's."""
+        pi = robot.require_parameters(f"the effect {self.name}").pi.clone()
+        pi[self.link(robot)] += torch.tensor(values, dtype=pi.dtype, device=pi.device)
+        return robot.with_parameters(InertialParameters(pi))
 
 
 @dataclass(frozen=True)
-class Payload(ModelEffect):
+class Payload(BodyEffect):
     """A body fixed to the last link: ten parameters in that link's frame, about its origin."""
 
-    name: ClassVar[str] = "payload"
-    family: ClassVar[Family] = "inertia"
-    coefficients: ClassVar = _body("of the payload", positive_mass=True)
-    meaning: ClassVar[str] = "The arm carries a tool or load that the model does not know."
-    equation: ClassVar[str] = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
-    signature: ClassVar[str] = (
-        "on all joints that carry the tool; exactly an error of the last link"
-    )
-    experiment: ClassVar[str] = "repeat the motion with and without a known payload"
-    beyond: ClassVar[str | None] = WEIGHED
-    remedy: ClassVar[str] = "Add the body to the last link, or `torchid payload` on logs with it."
-    source: ClassVar[str] = (
+    name = "payload"
+    coefficients = _body("of the payload", positive_mass=True)
+    meaning = "The arm carries a tool or load that the model does not know."
+    equation = "Y_n (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature = "on all joints that carry the tool; exactly an error of the last link"
+    experiment = "repeat the motion with and without a known payload"
+    remedy = "Add the body to the last link, or `torchid payload` on logs with it."
+    source = (
         "eq. 2.18; Khalil, Gautier and Lemoine 2007, Identification of the payload inertial "
         "parameters of industrial manipulators, ICRA"
     )
-    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
-    inertial: ClassVar[bool] = True
-
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
-        """The last link's columns of the regressor (T, n, 10)."""
-        arm = needed(robot, self.name)
-        return link_columns(motion, arm, arm.n - 1)
-
-    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
-        """The arm with the payload on its last link."""
-        return with_body(robot, robot.n - 1, values, "a payload")
 
 
 @dataclass(frozen=True)
-class LinkInertia(OneJointEffect):
+class LinkInertia(BodyEffect, OneJointEffect):
     """The inertial parameters of one link differ from the model's.
 
     Attributes:
         joint: the joint that moves the link, from 0.
     """
 
-    name: ClassVar[str] = "link_inertia"
-    family: ClassVar[Family] = "inertia"
-    coefficients: ClassVar = _body("missing in the link", positive_mass=False)
-    meaning: ClassVar[str] = "The link's mass, centre of mass or inertia is not the model's."
-    equation: ClassVar[str] = "Y_j (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
-    signature: ClassVar[str] = (
-        "on the link's joint and those before it, with gravity and with acceleration"
-    )
-    experiment: ClassVar[str] = "compare the link's parameters with CAD, or weigh it"
-    beyond: ClassVar[str | None] = WEIGHED
-    remedy: ClassVar[str] = "Correct the link's inertial parameters: `torchid identify`, `extract`."
-    source: ClassVar[str] = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
-    example: ClassVar[Example] = Example(_DRAWN, "acceleration")
-    inertial: ClassVar[bool] = True
+    name = "link_inertia"
+    coefficients = _body("missing in the link", positive_mass=False)
+    meaning = "The link's mass, centre of mass or inertia is not the model's."
+    equation = "Y_j (m, mx, my, mz, Jxx, Jxy, Jxz, Jyy, Jyz, Jzz)"
+    signature = "on the link's joint and those before it, with gravity and with acceleration"
+    experiment = "compare the link's parameters with CAD, or weigh it"
+    remedy = "Correct the link's inertial parameters: `torchid identify`, `extract`."
+    source = "eq. 2.18; Atkeson, An and Hollerbach 1986, IJRR 5(3)"
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
-        """The link's columns of the regressor (T, n, 10)."""
-        return link_columns(motion, needed(robot, self.name), self.joint)
+    def link(self, robot: Robot) -> int:
+        """Index of the link, which is its joint's."""
+        return self.joint
 
-    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
-        """The arm with the link's parameters changed."""
-        return with_body(robot, self.joint, values, "a change of a link")
+
+@dataclass(frozen=True)
+class RotorInertia(JointEffect):
+    """Torque in proportion to the joint's own acceleration: gear ratio squared times rotor inertia.
+
+    On the first joints it cannot be told from the links' own inertia about the axis; the base
+    parameters then carry both.
+    """
+
+    name = "rotor_inertia"
+    family = "inertia"
+    coefficients = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
+    meaning = "The motor's rotor, seen through the gear, resists acceleration."
+    equation = "Ia ddq"
+    signature = "follows the joint's own acceleration; for the first joints exactly as J_zz does"
+    experiment = "accelerate the joint hard in postures with a large and a small link inertia"
+    remedy = "Set the joint's armature to Ia in the simulator."
+    source = "Corke 2017, Robotics, Vision and Control, section 9.1.3"
+    example = Example((0.5,), "acceleration")
+    on_all = True
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """ddq."""
+        return motion.ddq.unsqueeze(-1)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        return add(self.joint, f"{number(values[0])} * ddq[{self.joint}]")
+
+    def attributes(self, values: Sequence[float], mjcf: bool) -> dict[str, float] | None:
+        """Armature, of an MJCF."""
+        return {"armature": values[0]} if mjcf and values[0] >= 0 else None

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.effects.parameters import Shape, travel
-from torchid.typing import Float
+from torchid.typing import Float, Joints
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Wave(JointEffect):
     Class attributes:
         first: wave number the grid begins at, in half periods over the travel.
         most: wave numbers of the grid.
+        c_wave: the torque as C, of the `wave` and the number of the `joint`.
 
     Attributes:
         k: wave number [1/rad; 1/m], periods of the wave times 2 pi a unit of travel.
@@ -36,6 +37,7 @@ class Wave(JointEffect):
 
     first: ClassVar[int]
     most: ClassVar[int]
+    c_wave: ClassVar[str] = "{wave}"
 
     @classmethod
     def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S 1"]:
@@ -59,15 +61,39 @@ class Wave(JointEffect):
         return self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
 
     @classmethod
-    def wave(cls, motion: Motion, k: Tensor) -> Float[Tensor, "*batch n 2"]:
-        """sin kq and cos kq of every joint."""
-        phase = k * motion.q
-        return torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """sin kq and cos kq of every joint, times the carrier; shapes: k."""
+        phase = shapes[0] * motion.q
+        wave = torch.stack((torch.sin(phase), torch.cos(phase)), -1)
+        carrier = cls.carrier(motion)
+        return wave if carrier is None else carrier.unsqueeze(-1) * wave
 
-    def wave_code(self, values: Sequence[float]) -> str:
-        """C expression of its first two coefficients times sine and cosine."""
+    @classmethod
+    def carrier(cls, motion: Motion) -> Joints | None:
+        """What the wave is a share of (..., n); None for a wave that is torque itself."""
+        return None
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
         phase = f"{number(self.k)} * q[{self.joint}]"
-        return f"{number(values[0])} * sin({phase}) + {number(values[1])} * cos({phase})"
+        wave = f"{number(values[0])} * sin({phase}) + {number(values[1])} * cos({phase})"
+        return add(self.joint, self.c_wave.format(wave=wave, joint=self.joint))
+
+
+def _amplitudes(unit: str, meaning: str, largest: float = math.inf) -> tuple[Coefficient, ...]:
+    """The coefficients of a wave's sine and cosine."""
+    waves = {"a_s": "sine", "a_c": "cosine"}.items()
+    return tuple(Coefficient(a, unit, False, meaning.format(w), largest) for a, w in waves)
+
+
+def _wave_number(
+    low: float,
+    high: float,
+    grid: tuple[float, ...],
+    meaning: str = "wave number along the position",
+) -> tuple[Shape, ...]:
+    """The one shape of a wave, refined in differences."""
+    return (Shape("k", "1/rad", low, high, grid, meaning, logarithmic=False),)
 
 
 @dataclass(frozen=True)
@@ -83,49 +109,28 @@ class Cogging(Wave):
         k: wave number [1/rad; 1/m], periods of the ripple times 2 pi a unit of travel.
     """
 
-    name: ClassVar[str] = "cogging"
-    family: ClassVar[Family] = "periodic"
-    coefficients: ClassVar = (
-        Coefficient("a_s", "N m", False, "amplitude of the ripple's sine"),
-        Coefficient("a_c", "N m", False, "amplitude of the ripple's cosine"),
+    name = "cogging"
+    family = "periodic"
+    coefficients = _amplitudes("N m", "amplitude of the ripple's {}")
+    shapes = _wave_number(
+        0.5, 1000.0, (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0)
     )
-    shapes: ClassVar = (
-        Shape(
-            "k",
-            "1/rad",
-            0.5,
-            1000.0,
-            (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0),
-            "wave number along the position",
-            logarithmic=False,
-        ),
-    )
-    first: ClassVar[int] = 3
-    most: ClassVar[int] = 120
-    meaning: ClassVar[str] = (
+    first = 3
+    most = 120
+    meaning = (
         "Magnets pull towards slots, and gear teeth mesh unevenly: torque ripples with position."
     )
-    equation: ClassVar[str] = "a_s sin(k q) + a_c cos(k q)"
-    signature: ClassVar[str] = "a line in the residual's spectrum over the angle"
-    experiment: ClassVar[str] = "run the joint at two constant slow speeds"
-    remedy: ClassVar[str] = (
+    equation = "a_s sin(k q) + a_c cos(k q)"
+    signature = "a line in the residual's spectrum over the angle"
+    experiment = "run the joint at two constant slow speeds"
+    remedy = (
         "Add the ripple as a table over position, or cancel it by the drive's cogging compensation."
     )
-    source: ClassVar[str] = (
+    source = (
         "Holtz and Springob 1996, Identification and compensation of torque ripple in "
         "high-precision permanent magnet motor drives (IEEE Trans. Ind. Electron. 43)"
     )
-    example: ClassVar[Example] = Example((0.6, 0.3), "position")
-
-    @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
-        """sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, self.wave_code(values))
+    example = Example((0.6, 0.3), "position")
 
 
 @dataclass(frozen=True)
@@ -145,54 +150,37 @@ class MotorRipple(Wave):
         k: wave number [1/rad; 1/m], gear ratio times harmonic.
     """
 
-    name: ClassVar[str] = "motor_ripple"
-    family: ClassVar[Family] = "periodic"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
-    coefficients: ClassVar = (
-        Coefficient("a_s", "1", False, "ripple's sine, as a share of the torque", 0.5),
-        Coefficient("a_c", "1", False, "ripple's cosine, as a share of the torque", 0.5),
+    name = "motor_ripple"
+    family = "periodic"
+    needs = frozenset({"torque"})
+    coefficients = _amplitudes("1", "ripple's {}, as a share of the torque", 0.5)
+    shapes = _wave_number(
+        0.5, 1000.0, (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0), "gear ratio times harmonic"
     )
-    shapes: ClassVar = (
-        Shape(
-            "k",
-            "1/rad",
-            0.5,
-            1000.0,
-            (4.0, 8.0, 16.0, 30.0, 50.0, 80.0, 100.0),
-            "gear ratio times harmonic",
-            logarithmic=False,
-        ),
-    )
-    first: ClassVar[int] = 3
-    most: ClassVar[int] = 40
-    meaning: ClassVar[str] = (
+    first = 3
+    most = 40
+    c_wave = "loaded[{joint}] * ({wave})"
+    meaning = (
         "The motor's torque constant varies along its turn, so torque ripples in proportion to the "
         "load."
     )
-    equation: ClassVar[str] = "tau (a_s sin(k q) + a_c cos(k q))"
-    signature: ClassVar[str] = (
-        "a line in the residual's spectrum over the angle, as high as the joint's torque"
-    )
-    experiment: ClassVar[str] = "run the joint at a constant slow speed with and without a load"
-    remedy: ClassVar[str] = (
+    equation = "tau (a_s sin(k q) + a_c cos(k q))"
+    signature = "a line in the residual's spectrum over the angle, as high as the joint's torque"
+    experiment = "run the joint at a constant slow speed with and without a load"
+    remedy = (
         "Scale the simulator's torque by 1 plus the ripple over the angle, or calibrate the "
         "drive's current sensors and commutation."
     )
-    source: ClassVar[str] = (
+    source = (
         "Jahns and Soong 1996, Pulsating torque minimization techniques for permanent magnet AC "
         "motor drives: a review (IEEE Trans. Ind. Electron. 43)"
     )
-    example: ClassVar[Example] = Example((0.05, 0.02), "position", {"k": 30.0})
+    example = Example((0.05, 0.02), "position", {"k": 30.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
-        """The model's torque times sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return motion.require("torque", cls.name).unsqueeze(-1) * cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"loaded[{self.joint}] * ({self.wave_code(values)})")
+    def carrier(cls, motion: Motion) -> Joints:
+        """The model's torque."""
+        return motion.require("torque", cls.name)
 
 
 @dataclass(frozen=True)
@@ -210,48 +198,31 @@ class PositionDependentFriction(Wave):
 
     k: float = 1.0
 
-    name: ClassVar[str] = "position_dependent_friction"
-    family: ClassVar[Family] = "sign"
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (
-        Coefficient("a_s", "N m", False, "unevenness of the friction, sine"),
-        Coefficient("a_c", "N m", False, "unevenness of the friction, cosine"),
-    )
-    shapes: ClassVar = (
-        Shape(
-            "k",
-            "1/rad",
-            0.1,
-            100.0,
-            (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
-            "wave number along the position",
-            logarithmic=False,
-        ),
-    )
-    first: ClassVar[int] = 1
-    most: ClassVar[int] = 12
-    meaning: ClassVar[str] = (
+    name = "position_dependent_friction"
+    family = "sign"
+    jumps = True
+    coefficients = _amplitudes("N m", "unevenness of the friction, {}")
+    shapes = _wave_number(0.1, 100.0, (0.5, 1.0, 2.0, 3.0, 4.0, 6.0))
+    first = 1
+    most = 12
+    c_wave = "sign(dq[{joint}]) * ({wave})"
+    meaning = (
         "Eccentric gears and bent shafts press harder at some angles, so friction is uneven along "
         "the turn."
     )
-    equation: ClassVar[str] = "sgn(dq) (a_s sin(k q) + a_c cos(k q))"
-    signature: ClassVar[str] = "a step at reversals whose height depends on where the joint turns"
-    experiment: ClassVar[str] = "run the joint slowly along its whole travel, there and back"
-    remedy: ClassVar[str] = (
+    equation = "sgn(dq) (a_s sin(k q) + a_c cos(k q))"
+    signature = "a step at reversals whose height depends on where the joint turns"
+    experiment = "run the joint slowly along its whole travel, there and back"
+    remedy = (
         "Make the simulator's dry friction a table over position, or align and regrease the gear."
     )
-    source: ClassVar[str] = (
+    source = (
         "Armstrong-Helouvry 1991, Control of Machines with Friction (position-dependent friction "
         "of the PUMA 560's gears)"
     )
-    example: ClassVar[Example] = Example((0.8, 0.5), "position", {"k": 3.0})
+    example = Example((0.8, 0.5), "position", {"k": 3.0})
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
-        """The direction of motion times sin kq and cos kq; shapes: k."""
-        (k,) = shapes
-        return motion.sign.unsqueeze(-1) * cls.wave(motion, k)
-
-    def c_code(self, values: Sequence[float]) -> list[str]:
-        """The equation as C."""
-        return add(self.joint, f"sign(dq[{self.joint}]) * ({self.wave_code(values)})")
+    def carrier(cls, motion: Motion) -> Joints:
+        """The direction of motion."""
+        return motion.sign

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
-from torchid.effects.base import Coefficient, Example, Family, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
 from torchid.effects.instants import derivative, interval, shifted
 from torchid.effects.variation import (
     OneJointEffect,
@@ -35,28 +34,26 @@ class TimeDelay(OneJointEffect):
 
     at: float = 0.0
 
-    name: ClassVar[str] = "time_delay"
-    family: ClassVar[Family] = "phase"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque", "t"})
-    coefficients: ClassVar = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
-    meaning: ClassVar[str] = "The torque is filtered or stamped later than the position."
-    equation: ClassVar[str] = "tau_j(t - delay) - tau_j(t)"
-    signature: ClassVar[str] = "a phase that grows with frequency"
-    experiment: ClassVar[str] = "repeat the motion at half the speed"
-    beyond: ClassVar[str | None] = "stamp both signals with one clock"
-    remedy: ClassVar[str] = "Shift the torque's stamps back by the delay, or filter both alike."
-    source: ClassVar[str] = (
+    name = "time_delay"
+    family = "phase"
+    needs = frozenset({"torque", "t"})
+    coefficients = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
+    meaning = "The torque is filtered or stamped later than the position."
+    equation = "tau_j(t - delay) - tau_j(t)"
+    signature = "a phase that grows with frequency"
+    experiment = "repeat the motion at half the speed"
+    beyond = "stamp both signals with one clock"
+    remedy = "Shift the torque's stamps back by the delay, or filter both alike."
+    source = (
         "Taylor series of tau(t - d); Swevers, Verdonck and De Schutter 2007, Dynamic model "
         "identification for industrial robots, IEEE Control Systems Magazine 27(5)"
     )
-    example: ClassVar[Example] = Example((0.01,), "time")
-    shared: ClassVar[bool] = True
-    smooth: ClassVar[bool] = True
-    linearised: ClassVar[bool] = True
+    example = Example((0.01,), "time")
+    shared = True
+    smooth = True
+    linearised = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """-d tau/dt of the joint's own torque (T, n, 1), or its secant."""
         torque, t = motion.require("torque", self.name), motion.require("t", self.name)
         own = torque[:, self.joint, None]
@@ -84,31 +81,27 @@ class FilterLag(ModelEffect):
 
     at: float = 1e-3
 
-    name: ClassVar[str] = "filter_lag"
-    family: ClassVar[Family] = "phase"
-    needs: ClassVar[frozenset[str]] = frozenset({"robot", "t", "velocity"})
-    coefficients: ClassVar = (
+    name = "filter_lag"
+    family = "phase"
+    needs = frozenset({"robot", "t", "velocity"})
+    coefficients = (
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
     )
-    meaning: ClassVar[str] = "The controller's velocity filter delays dq and what follows from it."
-    equation: ClassVar[str] = "tau(q, dq(t + lag), ddq(t + lag)) - tau(q, dq, ddq)"
-    signature: ClassVar[str] = (
-        "a phase of velocity and acceleration alone, on all joints; moves with the cut-off"
-    )
-    experiment: ClassVar[str] = "repeat the diagnosis at two cut-offs, and the motion at two speeds"
-    beyond: ClassVar[str | None] = "record the unfiltered signals"
-    remedy: ClassVar[str] = "Differentiate q with a zero-phase filter, or advance dq by the lag."
-    source: ClassVar[str] = (
+    meaning = "The controller's velocity filter delays dq and what follows from it."
+    equation = "tau(q, dq(t + lag), ddq(t + lag)) - tau(q, dq, ddq)"
+    signature = "a phase of velocity and acceleration alone, on all joints; moves with the cut-off"
+    experiment = "repeat the diagnosis at two cut-offs, and the motion at two speeds"
+    beyond = "record the unfiltered signals"
+    remedy = "Differentiate q with a zero-phase filter, or advance dq by the lag."
+    source = (
         "group delay of a causal low-pass; Gautier 1997, Dynamic identification of robots with "
         "power model, ICRA, on zero-phase filtering of dq and ddq"
     )
-    example: ClassVar[Example] = Example((0.01,), "time")
-    smooth: ClassVar[bool] = True
-    linearised: ClassVar[bool] = True
+    example = Example((0.01,), "time")
+    smooth = True
+    linearised = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque over the advance of velocity and acceleration (T, n, 1)."""
         arm, t = needed(robot, self.name), motion.require("t", self.name)
         at = secant_at(self.at, 1e-6)
@@ -144,46 +137,41 @@ class JointElasticity(OneJointEffect):
     at: float = 1e-5
     band: float = 20.0
 
-    name: ClassVar[str] = "joint_elasticity"
-    family: ClassVar[Family] = "phase"
-    needs: ClassVar[frozenset[str]] = frozenset({"robot", "torque", "t"})
-    coefficients: ClassVar = (
+    name = "joint_elasticity"
+    family = "phase"
+    needs = frozenset({"robot", "torque", "t"})
+    coefficients = (
         Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.2),
     )
-    meaning: ClassVar[str] = (
-        "Gears and torque sensors twist under load, so the link lags the motor."
-    )
-    equation: ClassVar[str] = (
+    meaning = "Gears and torque sensors twist under load, so the link lags the motor."
+    equation = (
         "tau(q - compliance tau_j e_j, ..) - tau(q, ..), likewise dq and ddq with the derivatives "
         "of tau_j"
     )
-    signature: ClassVar[str] = (
-        "gravity-shaped like an offset that follows the load, and strong at high frequency"
-    )
-    experiment: ClassVar[str] = "excite the joint with a chirp, or measure on the link's side"
-    beyond: ClassVar[str | None] = "measure on the link's side, or excite the joint with a chirp"
-    remedy: ClassVar[str] = (
+    signature = "gravity-shaped like an offset that follows the load, and strong at high frequency"
+    experiment = "excite the joint with a chirp, or measure on the link's side"
+    beyond = "measure on the link's side, or excite the joint with a chirp"
+    remedy = (
         "Give the joint a spring of stiffness 1/compliance between motor and link in the "
         "simulator, or measure the link's position."
     )
-    source: ClassVar[str] = (
+    source = (
         "Spong 1987, Modeling and control of elastic joint robots, J. Dyn. Sys. Meas. Control "
         "109(4)"
     )
-    example: ClassVar[Example] = Example((1e-4,), "time")
-    smooth: ClassVar[bool] = True
-    linearised: ClassVar[bool] = True
+    example = Example((1e-4,), "time")
+    smooth = True
+    linearised = True
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the joint's compliance (T, n, 1)."""
         arm, t = needed(robot, self.name), motion.require("t", self.name)
         at = secant_at(self.at, 1e-10)
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
         change = self._change(arm, motion, t, at * load)[:, self.joint]
-        load = load + _low_passed(change, t, self.band)
+        # Two instants are needed for a rate to filter at.
+        load = load + (low_passed(change, 1 / interval(t), self.band) if len(t) > 1 else change)
         return (self._change(arm, motion, t, at * load) / at).to(motion.q).unsqueeze(-1)
 
     def _change(
@@ -204,8 +192,3 @@ class JointElasticity(OneJointEffect):
             dq=with_joint(motion.dq, self.joint, rate),
             ddq=with_joint(motion.ddq, self.joint, derivative(rate, t)),
         )
-
-
-def _low_passed(x: Float[Tensor, " T"], t: Float[Tensor, " T"], cutoff: float) -> Tensor:
-    """The signal below a cut-off, without a phase; all of it where the grid is coarser."""
-    return x if x.shape[0] < 2 else low_passed(x, 1 / interval(t), cutoff)

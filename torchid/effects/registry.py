@@ -1,6 +1,5 @@
 """The library of effects: one line a kind."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
@@ -15,6 +14,7 @@ from torchid.effects.friction_laws import (
     LoadDependentFriction,
     PowerLawFriction,
     StribeckFriction,
+    ThermalFrictionDrift,
 )
 from torchid.effects.gravity import (
     BaseTilt,
@@ -24,15 +24,14 @@ from torchid.effects.gravity import (
     TorqueGain,
 )
 from torchid.effects.hysteresis import PreslidingHysteresis
-from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.inertia import LinkInertia, Payload, RotorInertia
 from torchid.effects.periodic import Cogging, MotorRipple, PositionDependentFriction
 from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
-from torchid.effects.rotor_inertia import RotorInertia
 from torchid.effects.spring import JointSpring
-from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.effects.transient import Contact, DroppedSamples, Saturation
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
+from torchid.robot.yaml_values import number
 from torchid.typing import Joints
 
 KINDS: dict[str, type[Effect]] = {
@@ -247,13 +246,7 @@ def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
             )
     numbers = [*names, *(s.name for s in kind.shapes if s.name in record)]
     for name in numbers:
-        value = record[name]
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
-            raise RobotError(f"{where} has a value that is not a number.", got=dict(record))
+        number(record[name], f"{where}, {kind.name}: {name}")
     given = {name: record[name] for name in optional if name in record}
     try:
         effect = kind(**{place: record[place] - 1 for place in places}, **given)

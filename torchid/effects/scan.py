@@ -26,11 +26,7 @@ def affine_scan(a: Tensor, b: Tensor, initial: Tensor) -> Float[Tensor, "*batch 
         initial: (..., n), or () for the same state everywhere.
     """
     slope, constant = _scan(torch.broadcast_tensors(a, b))
-    return slope * _over_time(initial) + constant
-
-
-def _over_time(initial: Tensor) -> Tensor:
-    return initial.unsqueeze(-2) if initial.ndim else initial
+    return slope * (initial.unsqueeze(-2) if initial.ndim else initial) + constant
 
 
 def _after(first: Maps, second: Maps) -> Maps:
@@ -44,12 +40,12 @@ def _scan(maps: Maps) -> Maps:
     length = maps[0].shape[-2]
     if length < 2:
         return maps
-    even, odd = (_every_other(maps, start) for start in (0, 1))
+    even, odd = (_part(maps, slice(start, None, 2)) for start in (0, 1))
     pairs = odd[0].shape[-2]
-    to_odd = _scan(_after(_instants(even, 0, pairs), odd))
+    to_odd = _scan(_after(_part(even, slice(pairs)), odd))
     # Instants 2, 4, ..: all before them, and their own map.
     later = even[0].shape[-2] - 1
-    to_even = _after(_instants(to_odd, 0, later), _instants(even, 1, later + 1))
+    to_even = _after(_part(to_odd, slice(later)), _part(even, slice(1, later + 1)))
     out = tuple(torch.empty_like(x, memory_format=torch.contiguous_format) for x in maps)
     for whole, own, at_odd, at_even in zip(out, maps, to_odd, to_even, strict=True):
         whole[..., :1, :] = own[..., :1, :]
@@ -58,9 +54,5 @@ def _scan(maps: Maps) -> Maps:
     return out[0], out[1]
 
 
-def _every_other(maps: Maps, start: int) -> Maps:
-    return maps[0][..., start::2, :], maps[1][..., start::2, :]
-
-
-def _instants(maps: Maps, first: int, last: int) -> Maps:
-    return maps[0][..., first:last, :], maps[1][..., first:last, :]
+def _part(maps: Maps, instants: slice) -> Maps:
+    return maps[0][..., instants, :], maps[1][..., instants, :]

@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Example, Family, JointEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.c_text import add
-from torchid.typing import Float
 
 _SERIES = 1e-3
 """|curvature q^2| below which the series of C and S is exact to rounding."""
@@ -42,14 +40,14 @@ class JointSpring(JointEffect):
 
     curvature: float = 0.0
 
-    name: ClassVar[str] = "joint_spring"
-    family: ClassVar[Family] = "gravity"
-    essential: ClassVar[tuple[int, ...]] = (0,)  # a rest torque alone is an offset
-    coefficients: ClassVar = (
+    name = "joint_spring"
+    family = "gravity"
+    essential = (0,)  # a rest torque alone is an offset
+    coefficients = (
         Coefficient("k", "N m/rad", False, "stiffness at q = 0"),
         Coefficient("c0", "N m", False, "torque at q = 0; -k q0 for a straight spring"),
     )
-    shapes: ClassVar = (
+    shapes = (
         Shape(
             "curvature",
             "1/rad^2",
@@ -60,29 +58,25 @@ class JointSpring(JointEffect):
             logarithmic=False,
         ),
     )
-    meaning: ClassVar[str] = (
-        "A spring, cable, hose or counterbalance pulls the joint towards a position."
-    )
-    equation: ClassVar[str] = (
+    meaning = "A spring, cable, hose or counterbalance pulls the joint towards a position."
+    equation = (
         "k sin(w q)/w + c0 cos(w q) with w^2 = curvature; sinh and cosh where it is negative, "
         "k q + c0 where it is 0"
     )
-    signature: ClassVar[str] = "torque over the joint's own position, whatever the others do"
-    experiment: ClassVar[str] = (
-        "cover the joint's full range, also with the arm's gravity load reversed"
-    )
-    remedy: ClassVar[str] = (
+    signature = "torque over the joint's own position, whatever the others do"
+    experiment = "cover the joint's full range, also with the arm's gravity load reversed"
+    remedy = (
         "Set the joint's stiffness to k and its rest position to q0 = -c0/k in the simulator, or "
         "reroute the cable; model a counterbalance as a torque over position."
     )
-    source: ClassVar[str] = (
+    source = (
         "Arakelian 2016, Gravity compensation in robotics (Advanced Robotics 30), for "
         "counterbalances; Duffing's equation for k3"
     )
-    example: ClassVar[Example] = Example((2.0, 0.0), "position")
+    example = Example((2.0, 0.0), "position")
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """q S and C of curvature q^2 (`stumpff`); shapes: curvature."""
         (curvature,) = shapes
         c, s = stumpff(curvature * motion.q**2)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -11,8 +10,8 @@ from torch import Tensor
 from torchid.digits import number
 from torchid.effects.base import (
     Coefficient,
+    Columns,
     Example,
-    Family,
     JointEffect,
     ModelEffect,
     Motion,
@@ -38,15 +37,15 @@ class Saturation(JointEffect):
 
     limit: float
 
-    name: ClassVar[str] = "saturation"
-    family: ClassVar[Family] = "transient"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque"})
-    coefficients: ClassVar = (
+    name = "saturation"
+    family = "transient"
+    needs = frozenset({"torque"})
+    coefficients = (
         Coefficient(
             "clip", "1", True, "share of the torque beyond the limit that is lost, 0 to 1", 1.2
         ),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (
+    shapes = (
         Shape(
             "limit",
             "N m",
@@ -57,18 +56,18 @@ class Saturation(JointEffect):
             scale="torque",
         ),
     )
-    meaning: ClassVar[str] = "The torque sensor, or the drive's current reading, ends at a limit."
-    equation: ClassVar[str] = "-clip max(|tau| - limit, 0) sgn(tau)"
-    signature: ClassVar[str] = "peaks of the torque are missing"
-    experiment: ClassVar[str] = "repeat the motion at half the torque"
-    beyond: ClassVar[str | None] = experiment
-    remedy: ClassVar[str] = "Leave out samples at the limit, or keep the torque below it."
-    source: ClassVar[str] = "Khalil 2002, Nonlinear Systems, section 1.2.7 (saturation)"
-    example: ClassVar[Example] = Example((1.0,), "time", {"limit": 40.0})
-    by_motion: ClassVar[bool] = False
+    meaning = "The torque sensor, or the drive's current reading, ends at a limit."
+    equation = "-clip max(|tau| - limit, 0) sgn(tau)"
+    signature = "peaks of the torque are missing"
+    experiment = "repeat the motion at half the torque"
+    beyond = experiment
+    remedy = "Leave out samples at the limit, or keep the torque below it."
+    source = "Khalil 2002, Nonlinear Systems, section 1.2.7 (saturation)"
+    example = Example((1.0,), "time", {"limit": 40.0})
+    by_motion = False
 
     @classmethod
-    def formula(cls, motion: Motion, *shapes: Tensor) -> Float[Tensor, "*batch n C"]:
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
         """Minus the excess over the limit, -(|tau| - limit)+ sign(tau)."""
         (limit,) = shapes
         torque = motion.require("torque", cls.name)
@@ -101,35 +100,31 @@ class Contact(ModelEffect):
     start: float | None = None
     stop: float | None = None
 
-    name: ClassVar[str] = "contact"
-    family: ClassVar[Family] = "transient"
-    needs: ClassVar[frozenset[str]] = frozenset({"robot", "t"})
-    coefficients: ClassVar = tuple(
+    name = "contact"
+    family = "transient"
+    needs = frozenset({"robot", "t"})
+    coefficients = tuple(
         ArmCoefficient(
             f"f{a}", "N", False, f"force of the tool on its surroundings, base {a}", 2000.0
         )
         for a in "xyz"
     )
-    meaning: ClassVar[str] = "The tool touches or drags something, or a cable pulls at it."
-    equation: ClassVar[str] = "J(q)' (fx, fy, fz) between start and stop"
-    signature: ClassVar[str] = (
-        "on all joints at once, in a window of time, in proportion to the tool's lever arms"
-    )
-    experiment: ClassVar[str] = "repeat the motion away from obstacles"
-    beyond: ClassVar[str | None] = experiment
-    remedy: ClassVar[str] = "Leave the window out of the identification, and clear the path."
-    source: ClassVar[str] = (
+    meaning = "The tool touches or drags something, or a cable pulls at it."
+    equation = "J(q)' (fx, fy, fz) between start and stop"
+    signature = "on all joints at once, in a window of time, in proportion to the tool's lever arms"
+    experiment = "repeat the motion away from obstacles"
+    beyond = experiment
+    remedy = "Leave the window out of the identification, and clear the path."
+    source = (
         "Haddadin, De Luca and Albu-Schaeffer 2017, Robot collisions: a survey on detection, "
         "isolation, and identification, IEEE Trans. Robotics 33(6), eq. 5"
     )
-    example: ClassVar[Example] = Example((0.0, 0.0, -30.0), "time", {"start": 4.0, "stop": 5.0})
-    event: ClassVar[bool] = True
-    windowed: ClassVar[bool] = True
-    by_motion: ClassVar[bool] = False
+    example = Example((0.0, 0.0, -30.0), "time", {"start": 4.0, "stop": 5.0})
+    event = True
+    windowed = True
+    by_motion = False
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """J' of the tool's position, in the window (T, n, 3)."""
         # Loading pytorch-kinematics takes a second, so it waits for the first contact.
         from torchid.robot.chain import tool_jacobian
@@ -187,30 +182,28 @@ class DroppedSamples(OneJointEffect):
     length: float = 0.05
     seed: int = 0
 
-    name: ClassVar[str] = "dropped_samples"
-    family: ClassVar[Family] = "transient"
-    needs: ClassVar[frozenset[str]] = frozenset({"torque", "t", "age"})
-    jumps: ClassVar[bool] = True
-    coefficients: ClassVar = (
+    name = "dropped_samples"
+    family = "transient"
+    needs = frozenset({"torque", "t", "age"})
+    jumps = True
+    coefficients = (
         Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1", 1.2),
     )
-    meaning: ClassVar[str] = "The logger repeats old torques while new ones are lost."
-    equation: ClassVar[str] = "hold (tau_j(t - age) - tau_j(t))"
-    signature: ClassVar[str] = "short windows in which the torque stands still"
-    experiment: ClassVar[str] = "repeat the motion and compare the two logs"
-    beyond: ClassVar[str | None] = experiment
-    remedy: ClassVar[str] = "Leave the repeated samples out, and repair the logger's link."
-    source: ClassVar[str] = (
+    meaning = "The logger repeats old torques while new ones are lost."
+    equation = "hold (tau_j(t - age) - tau_j(t))"
+    signature = "short windows in which the torque stands still"
+    experiment = "repeat the motion and compare the two logs"
+    beyond = experiment
+    remedy = "Leave the repeated samples out, and repair the logger's link."
+    source = (
         "Schenato 2009, To zero or to hold control inputs with lossy links?, IEEE Trans. Automatic "
         "Control 54(5)"
     )
-    example: ClassVar[Example] = Example((1.0,), "time", {"rate": 2.0, "length": 0.3})
-    event: ClassVar[bool] = True
-    by_motion: ClassVar[bool] = False
+    example = Example((1.0,), "time", {"rate": 2.0, "length": 0.3})
+    event = True
+    by_motion = False
 
-    def torque_columns(
-        self, motion: Motion, robot: Robot | None = None
-    ) -> Float[Tensor, "*batch n C"]:
+    def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """tau(t - age) - tau(t) of the joint's own torque (T, n, 1)."""
         torque, t = motion.require("torque", self.name), motion.require("t", self.name)
         if motion.age is None:  # nothing was held

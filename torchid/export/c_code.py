@@ -8,10 +8,10 @@ from torch import Tensor
 
 from torchid import __version__
 from torchid.digits import number
-from torchid.effects.registry import nominal_effects
-from torchid.export.c_effects import effect_code
+from torchid.effects.c_text import JOINTS, RIGID
+from torchid.effects.registry import Valued, in_rounds, nominal_effects
 from torchid.export.c_rigid import HELPERS, RECURSION
-from torchid.export.dynamics import Dynamics
+from torchid.export.dynamics import Dynamics, described
 from torchid.robot.model import JointType, Robot
 
 _SIGN = """\
@@ -34,11 +34,49 @@ one of many sets with the same torque.
 
 
 class CFile(NamedTuple):
-    """C source, its header, and the effects that are not in it (in words)."""
+    """C source, its header, and the effects that are not in it."""
 
     source: str
     header: str
-    left_out: tuple[str, ...]
+    left_out: tuple[Valued, ...]
+
+
+class EffectCode(NamedTuple):
+    """Statements of all effects, and what could not be written.
+
+    Attributes:
+        first: effects of the motion alone.
+        later: effects of the torque, `loaded`, that those and the rigid body need.
+        left_out: those that depend on the past, on time or on an arm that is otherwise.
+    """
+
+    first: list[str]
+    later: list[str]
+    left_out: tuple[Valued, ...]
+
+
+def effect_code(robot: Robot, effects: Sequence[Valued], rigid: str) -> EffectCode:
+    """C statements that add to tau[] the torques of the effects that are a closed form of the
+    present motion.
+
+    Args:
+        robot: for units.
+        effects: with coefficients.
+        rigid: name of the C function of the rigid body's torque.
+    """
+    rounds: list[list[str]] = []
+    left_out: list[Valued] = []
+    for pairs in in_rounds(effects):
+        lines: list[str] = []
+        for effect, values in pairs:
+            code = effect.c_code(values)
+            if code is None:
+                left_out.append((effect, values))
+                continue
+            named = (line.replace(RIGID, rigid).replace(JOINTS, str(robot.n)) for line in code)
+            lines += [f"/* {described(effect, values, robot)} */", *named]
+        rounds.append(lines)
+    return EffectCode(rounds[0], rounds[1], tuple(left_out))
 
 
 def identifier(name: str) -> str:
@@ -60,15 +98,14 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
     """
     robot, name = dynamics.robot, identifier(file_name)
     code = effect_code(robot, nominal_effects(robot), f"{name}_rigid")
-    left_out = tuple(words for _, words in code.left_out)
-    about = _about(dynamics, file_name, left_out).replace("*/", "* /").replace("/*", "/ *")
+    about = _about(dynamics, file_name, code.left_out).replace("*/", "* /").replace("/*", "/ *")
     # A line that ends in a backslash would continue in the next.
     words = [f" * {line}".rstrip().rstrip("\\").rstrip() for line in about.splitlines()]
     body, local = [f"{name}_rigid(q, dq, ddq, tau);", *code.first], []
     if code.later:
         body += [f"for (i = 0; i < {robot.n}; i++) loaded[i] = tau[i];", *code.later]
         local.append("double loaded[{n}];")
-    if code.uses_rigid:
+    if any(f"{name}_rigid(" in line for line in code.first + code.later):
         local.append("double moved[{n}], here[{n}], there[{n}];")
     local += ["int i;"] if local else []
     torque = "".join(f"    {line}\n" for line in [*(x.format(n=robot.n) for x in local), *body])
@@ -81,10 +118,10 @@ def c_file(dynamics: Dynamics, file_name: str) -> CFile:
         *([_SIGN] if any("sign(" in line for line in code.first + code.later) else []),
         f"{_signature(name, robot.n)}\n{{\n{torque}}}\n",
     ]
-    return CFile("\n".join(parts), _header(name, dynamics), left_out)
+    return CFile("\n".join(parts), _header(name, dynamics), code.left_out)
 
 
-def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[str]) -> str:
+def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[Valued]) -> str:
     robot = dynamics.robot
     units = [
         f"q[{i}] {'[m], torque [N]' if kind is JointType.PRISMATIC else '[rad], torque [N m]'}: "
@@ -112,7 +149,7 @@ def _about(dynamics: Dynamics, file_name: str, left_out: Sequence[str]) -> str:
         lines += [f"  {number(value)} {unit}: {name}" for name, value, unit in rows]
     if left_out:
         lines += ["", "LEFT OUT, since they depend on the past, on time or on more than this arm:"]
-        lines += [f"  {words}" for words in left_out]
+        lines += [f"  {described(*pair, robot)}" for pair in left_out]
     return "\n".join(lines)
 
 

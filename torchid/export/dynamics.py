@@ -7,7 +7,7 @@ from typing import Any, Literal
 import torch
 
 from torchid.effects.base import Effect, Motion
-from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.identification.values import BaseValues
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
@@ -83,8 +83,8 @@ def folded(robot: Robot) -> Robot:
     """The robot with effects that are bodies (a payload, links' missing inertia) put into its
     parameters, where no other effect is taken from the model's own."""
     pairs = nominal_effects(robot)
-    bodies = [(e, values) for e, values in pairs if isinstance(e, Payload | LinkInertia)]
-    others = [(e, values) for e, values in pairs if not isinstance(e, Payload | LinkInertia)]
+    bodies = [(e, values) for e, values in pairs if isinstance(e, BodyEffect)]
+    others = [(e, values) for e, values in pairs if not isinstance(e, BodyEffect)]
     if not bodies or any("robot" in effect.needs for effect, _ in others):
         return robot
     for effect, values in bodies:

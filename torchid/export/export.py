@@ -8,13 +8,12 @@ from typing import Literal
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
-from torchid.export.results import dynamics_of
+from torchid.export.results import Exportable, dynamics_of
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.findings import by_percent
 from torchid.feasibility.record import Check, check_sets
-from torchid.feasibility.sets import ParameterSets, nominal_set
-from torchid.identification.result import Identification
+from torchid.feasibility.sets import nominal_set
 from torchid.robot.model import Robot
 
 Format = Literal["urdf", "mjcf", "yaml", "csv", "c"]
@@ -50,7 +49,7 @@ class Export:
 
 
 def export_dynamics(
-    result: Dynamics | Identification | ParameterSets | Robot,
+    result: Exportable,
     to: Format,
     folder: Path | str,
     name: str | None = None,

@@ -25,12 +25,12 @@ from torchid.export.xml_tree import (
     comment,
     local,
     new_child,
-    parsed,
     read_xml,
     relocated,
 )
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
+from torchid.robot.xml_numbers import content_of, parsed
 from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
@@ -71,12 +71,9 @@ def edited_mjcf(
     # The content of included files in the place of each <include>.
     while (found := next(file.root.iter("{*}include"), None)) is not None:
         path = original.parent / (found.get("file") or "")
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+        content = parsed(content_of(path), path, strip_cdata=False)
         parent, tail = found.getparent(), found.tail
-        nodes = [comment(f"content of {found.get('file')}"), *parsed(data, path)]
+        nodes = [comment(f"content of {found.get('file')}"), *content]
         at = parent.index(found)
         parent.remove(found)
         for k, node in enumerate(nodes):
@@ -185,14 +182,23 @@ def _fixed_below(body: Any) -> list[Any]:
 
 
 def _write_inertial(body: Any, parameters: InertialParameters, i: int, name: str) -> None:
+    node = _inertial_of(body)
+    for key, value in _inertial(parameters, i, name).items():
+        # Axes parallel to the body's are what MuJoCo takes without being told.
+        if key != "quat" or not value.startswith("1.0 "):
+            node.set(key, value)
+
+
+def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, str]:
+    """Attributes of a link's <inertial>, about its centre of mass in its principal axes."""
     refuse_moment_without_mass(parameters, i, name)
     moments, turn = principal(parameters, i)
-    node = _inertial_of(body)
-    node.set("pos", text(parameters.com[i]))
-    node.set("mass", number(parameters.mass[i]))
-    if turn[0] != 1:
-        node.set("quat", text(turn))
-    node.set("diaginertia", text(moments))
+    return {
+        "pos": text(parameters.com[i]),
+        "mass": number(parameters.mass[i]),
+        "quat": text(turn),
+        "diaginertia": text(moments),
+    }
 
 
 def _write_massless(body: Any, moved_by: str) -> None:
@@ -248,19 +254,10 @@ def new_mjcf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     body = etree.SubElement(root, "worldbody")
     parameters = robot.require_parameters("an export")
     for i, name in enumerate(robot.link_names):
-        refuse_moment_without_mass(parameters, i, name)
         # Pose of the link in the previous one at q = 0.
         pose = robot.before[i].double() @ robot.after[i].double()
         body = etree.SubElement(body, "body", name=name, **_placed(pose))
-        moments, turn = principal(parameters, i)
-        etree.SubElement(
-            body,
-            "inertial",
-            pos=text(parameters.com[i]),
-            mass=number(parameters.mass[i]),
-            quat=text(turn),
-            diaginertia=text(moments),
-        )
+        etree.SubElement(body, "inertial", **_inertial(parameters, i, name))
         etree.SubElement(body, "joint", **_joint(robot, i, joints[i]))
     etree.SubElement(body, "site", name="tool", **_placed(robot.tool.double()))
     actuators = etree.SubElement(root, "actuator")

@@ -45,9 +45,7 @@ def load(path: Path) -> Mapping[str, Any]:
     return data
 
 
-def dynamics_of(
-    result: Dynamics | Identification | ParameterSets | Robot, robot: Robot
-) -> Dynamics:
+def dynamics_of(result: Exportable, robot: Robot) -> Dynamics:
     """What is exported of a result in memory.
 
     Args:

@@ -11,7 +11,7 @@ import torch
 from lxml.etree import Element, SubElement, indent
 
 from torchid.digits import number
-from torchid.effects.inertia import LinkInertia, Payload
+from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.exact_text import roll_pitch_yaw_of, text
@@ -28,13 +28,11 @@ from torchid.export.xml_tree import (
     replace,
 )
 from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, free_name
 from torchid.robot.tree import choose_chain
 from torchid.robot.urdf import urdf_tree
-from torchid.robot.xml_numbers import parse_xml
+from torchid.robot.xml_numbers import TENSOR, parse_xml
 from torchid.typing import Tensor
-
-TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def edited_urdf(
@@ -66,7 +64,11 @@ def edited_urdf(
                 had = "" if mass is None else f" ({mass.get('value', '').strip()} kg)"
                 said = comment(f"inertial{had} is part of that of link '{group.link}'")
                 replace(inertial, said)
-        _write_inertial(links[group.link], parameters, i, group.link)
+        written = child_or_new(links[group.link], "inertial", first=True)
+        for tag, attributes in _inertial(parameters, i, group.link).items():
+            node = child_or_new(written, tag, first=tag == "origin")
+            node.attrib.pop("quat_xyzw", None)
+            node.attrib.update(attributes)
         # <dynamics>, where it is there or needed.
         values, element = joints[i], by_name[joint.name]
         if child(element, "dynamics") is not None or values.damping or values.friction:
@@ -80,18 +82,16 @@ def edited_urdf(
     return file
 
 
-def _write_inertial(link: Any, parameters: InertialParameters, i: int, name: str) -> None:
-    """About the centre of mass, in axes parallel to the link frame's."""
+def _inertial(parameters: InertialParameters, i: int, name: str) -> dict[str, dict[str, str]]:
+    """Children of a link's <inertial> and their attributes, about its centre of mass in axes
+    parallel to the link frame's."""
     refuse_moment_without_mass(parameters, i, name)
-    inertial = child_or_new(link, "inertial", first=True)
-    place = child_or_new(inertial, "origin", first=True)
-    place.attrib.pop("quat_xyzw", None)
-    place.set("xyz", text(parameters.com[i]))
-    place.set("rpy", "0 0 0")
-    child_or_new(inertial, "mass").set("value", number(parameters.mass[i]))
-    tensor = child_or_new(inertial, "inertia")
-    for key, value in zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True):
-        tensor.set(key, number(value))
+    tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
+    return {
+        "origin": {"xyz": text(parameters.com[i]), "rpy": "0 0 0"},
+        "mass": {"value": number(parameters.mass[i])},
+        "inertia": {key: number(value) for key, value in tensor},
+    }
 
 
 def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str) -> None:
@@ -116,24 +116,21 @@ def new_urdf(robot: Robot, joints: Sequence[JointDynamics]) -> XmlFile:
     """
     root = Element("robot", name=robot.name)
     taken = set(robot.link_names)
-    base = _free("base", taken)
+    base = free_name("base", taken)
     SubElement(root, "link", name=base)
     parent, behind = base, torch.eye(4, dtype=torch.float64)
     pi = robot.require_parameters("an export").pi.double()
     parameters = InertialParameters(move(pi, robot.after.double()))
     for i, name in enumerate(robot.link_names):
-        refuse_moment_without_mass(parameters, i, name)
         inertial = SubElement(SubElement(root, "link", name=name), "inertial")
-        SubElement(inertial, "origin", xyz=text(parameters.com[i]), rpy="0 0 0")
-        SubElement(inertial, "mass", value=number(parameters.mass[i]))
-        tensor = zip(TENSOR, parameters.inertia_about_com[i].tolist(), strict=True)
-        SubElement(inertial, "inertia", **{key: number(value) for key, value in tensor})
+        for tag, attributes in _inertial(parameters, i, name).items():
+            SubElement(inertial, tag, **attributes)
         _joint(root, robot, i, (parent, name), behind @ robot.before[i].double(), joints[i])
         parent, behind = name, robot.after[i].double()
-    tool = _free("tool", taken)
+    tool = free_name("tool", taken)
     SubElement(root, "link", name=tool)
     fixed = SubElement(
-        root, "joint", name=_free("tool_mount", set(robot.joint_names)), type="fixed"
+        root, "joint", name=free_name("tool_mount", set(robot.joint_names)), type="fixed"
     )
     _mounted(fixed, behind @ robot.tool.double(), parent, tool)
     indent(root)
@@ -145,19 +142,11 @@ def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]
     out: list[Valued] = []
     for effect, values in pairs:
         moved = values
-        if isinstance(effect, Payload | LinkInertia):
-            link = robot.n - 1 if isinstance(effect, Payload) else effect.joint
+        if isinstance(effect, BodyEffect):
             pi = torch.tensor(values, dtype=torch.float64)
-            moved = move(pi, robot.after[link].double()).tolist()
+            moved = move(pi, robot.after[effect.link(robot)].double()).tolist()
         out.append((effect, moved))
     return tuple(out)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
 
 
 def _mounted(joint: Any, pose: Tensor, parent: str, link: str) -> None:

@@ -10,7 +10,7 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_effects
 from torchid.export.c_code import c_file
 from torchid.export.checks import Comparison, check_c, compared
-from torchid.export.dynamics import Dynamics, described, records, robot_torque
+from torchid.export.dynamics import Dynamics, records, robot_torque
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.tables import physical, read_values, table
 from torchid.identification.validation import model_torque
@@ -57,11 +57,9 @@ def write_c(dynamics: Dynamics, path: Path, motion: Motion) -> Written:
     """C source and header; compiled, run and compared, without the effects left out."""
     robot = dynamics.robot
     code = c_file(dynamics, path.stem)
-    pairs = nominal_effects(robot)
-    left = tuple(pair for pair in pairs if described(*pair, robot) in code.left_out)
-    rest = tuple(pair for pair in pairs if pair not in left)
+    rest = tuple(pair for pair in nominal_effects(robot) if pair not in code.left_out)
     files = {path.name: code.source.encode(), f"{path.stem}.h": code.header.encode()}
     expected = robot_torque(replace(robot, effects=records(rest)), motion)
     with staged(path.parent, files):
         found = kept([check_c(code, path.stem, motion, expected)])
-    return Draft(files, in_file=rest, left_out=left), found
+    return Draft(files, in_file=rest, left_out=code.left_out), found

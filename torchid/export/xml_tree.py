@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
-from torchid.errors import TorchidError
+from torchid.robot.xml_numbers import content_of, parsed
 
 DECLARATION = b'<?xml version="1.0" encoding="utf-8"?>\n'
 HEAD = "torchid export:"
@@ -85,11 +85,8 @@ def _start_tags(data: bytes) -> list[bytes]:
 
 def read_xml(path: Path) -> XmlFile:
     """A file with its comments; the robot readers have already refused what is not XML."""
-    try:
-        data = path.read_bytes().lstrip()
-    except OSError as error:
-        raise TorchidError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    root = parsed(data, path)
+    data = content_of(path)
+    root = parsed(data, path, strip_cdata=False)
     found = _PROLOG.match(data)
     before = b"" if found is None else found.group()
     name = f"{root.prefix}:{local(root)}" if root.prefix else local(root)
@@ -102,17 +99,6 @@ def read_xml(path: Path) -> XmlFile:
         written = {element: _Written(tag, dict(element.attrib)) for element, tag in pairs}
     encoding = root.getroottree().docinfo.encoding or "utf-8"
     return XmlFile(root, before, after, encoding, b"\r\n" in data, written)
-
-
-def parsed(data: bytes, path: Path) -> Any:
-    """The root element of an XML text."""
-    parser = etree.XMLParser(
-        remove_blank_text=False, strip_cdata=False, resolve_entities=False, no_network=True
-    )
-    try:
-        return etree.fromstring(data.lstrip(), parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise TorchidError(f"'{path}' is not valid XML: {error.args[0]}.") from error
 
 
 def local(node: Any) -> str:

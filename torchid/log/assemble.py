@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import PREFIXES, is_wanted, log_from_columns
+from torchid.log.columns import PREFIXES, is_wanted, log_from_columns, some
 from torchid.log.guess import proposal
 from torchid.log.mapping import ColumnMapping, Source
 from torchid.log.model import Log
 from torchid.log.sources import (
-    AbsentColumnError,
     Piece,
     labels_of,
     oriented,
@@ -19,7 +18,7 @@ from torchid.log.sources import (
     signal_of,
     time_of,
 )
-from torchid.log.table import Table, natural
+from torchid.log.table import AbsentColumnError, Table, natural
 
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 
@@ -64,7 +63,8 @@ def _read(table: Table, mapping: ColumnMapping) -> Log:
         columns["t"] = time_of(sources["t"], pieces["t"], arrays, table)
     elif "t" in own:
         columns |= _own_columns(table, {"t": arrays["t"]}, -1)
-    samples = len(columns["t"]) if "t" in columns else _longest(arrays)
+    lengths = [max(array.shape) for array in arrays.values() if array.ndim]
+    samples = len(columns["t"]) if "t" in columns else max(lengths, default=0)
     if "t" in sources and sources["t"].rate is not None:
         columns["t"] = np.arange(samples) / sources["t"].rate
     if "traj" in sources:
@@ -89,26 +89,23 @@ def unused_columns(table: Table, mapping: ColumnMapping | None = None) -> list[s
 def _plan(
     table: Table, mapping: ColumnMapping
 ) -> tuple[dict[str, Source], dict[str, tuple[Piece, ...]], list[str]]:
-    """The sources of a mapping, what they name, and the columns that have our names."""
+    """The sources of a mapping, what they name, and the columns that have our names and that the
+    mapping does not replace."""
     sources = {key: source for key, source in mapping.sources.items() if source is not None}
     pieces = {key: resolve(key, source, table) for key, source in sources.items()}
-    return sources, pieces, _own_names(table, mapping)
-
-
-def _needed(pieces: Mapping[str, tuple[Piece, ...]], own: list[str]) -> list[str]:
-    named = [piece.name for group in pieces.values() for piece in group]
-    return list(dict.fromkeys([*own, *named]))
-
-
-def _own_names(table: Table, mapping: ColumnMapping) -> list[str]:
-    """The columns that have our names and that the mapping does not replace."""
     arrays = _ARRAYS if table.arrays else {}
-    return [
+    own = [
         name
         for name in table.columns
         if (is_wanted(name) or name in arrays)
         and _ARRAYS.get(name, re.sub(r"\d+$", "", name)) not in mapping.sources
     ]
+    return sources, pieces, own
+
+
+def _needed(pieces: Mapping[str, tuple[Piece, ...]], own: list[str]) -> list[str]:
+    named = [piece.name for group in pieces.values() for piece in group]
+    return list(dict.fromkeys([*own, *named]))
 
 
 def _own_columns(
@@ -132,11 +129,6 @@ def _own_columns(
                 raise LogError(f"'{table.path}' gives {own} twice, as an array and alone.")
             columns[own] = whole[:, k]
     return columns
-
-
-def _longest(arrays: Mapping[str, np.ndarray]) -> int:
-    """The number of samples where no column tells the time."""
-    return max((max(array.shape) for array in arrays.values() if array.ndim), default=0)
 
 
 def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
@@ -182,9 +174,7 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
         hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
         hints.append(f"this log needs no mapping; {one_for_all('--columns')}")
-    available = table.described
-    more = [f"and {len(available) - 60} more"] if len(available) > 60 else []
-    return with_hint(error, *hints, available=[*available[:60], *more])
+    return with_hint(error, *hints, available=some(table.described, 60))
 
 
 def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:

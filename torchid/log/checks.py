@@ -4,12 +4,14 @@ What cannot be used raises LogError; what is merely odd comes back as warnings.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from torchid.errors import LogError
+from torchid.log.columns import columns_of
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
@@ -20,7 +22,6 @@ JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
 DEGREES = 180.0 / math.pi
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-_COLUMN = {"q": "q", "dq": "dq", "ddq": "ddq", "tau": "tau", "current": "i"}
 
 
 def check_log(
@@ -53,12 +54,12 @@ def check_log(
         raise ValueError(f"prismatic and position_limits must have {n} entries")
     if log.n != n:
         raise LogError(
-            f"{_label(log)} has another number of joints than robot '{robot_name}'.",
+            f"{log.label} has another number of joints than robot '{robot_name}'.",
             got=f"{log.n} (q1..q{log.n})",
             expected=f"{n} (q1..q{n})",
         )
     _check_finite(log)
-    _check_increasing(log)
+    check_increasing(log)
     _check_positions_in_radians(log, position_limits, slides)
     agreement = velocity_agreement(log)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
@@ -87,18 +88,6 @@ def check_log(
     )
 
 
-def _label(log: Log) -> str:
-    return f"log '{log.source}'" if log.source else "log"
-
-
-def _columns(log: Log) -> Iterator[tuple[str, Float[Tensor, " T"]]]:
-    """Every column of a log under the name it has in a file."""
-    yield "t", log.t
-    for name, signal in log.signals.items():
-        for k in range(log.n):
-            yield f"{_COLUMN[name]}{k + 1}", signal[:, k]
-
-
 def _where(log: Log, row: int) -> str:
     """Which sample of which trajectory, counted from 1."""
     rows = log.slices()[int(log.trajectory[row])]
@@ -107,15 +96,15 @@ def _where(log: Log, row: int) -> str:
 
 
 def _check_finite(log: Log) -> None:
-    bad = {name: ~torch.isfinite(column) for name, column in _columns(log)}
+    bad = {name: ~np.isfinite(column) for name, column in columns_of(log).items()}
     wrong = {name: mask for name, mask in bad.items() if mask.any()}
     if not wrong:
         return
     name, mask = next(iter(wrong.items()))
-    first = int(mask.nonzero()[0])
+    first = int(mask.argmax())
     more = f", and {len(wrong) - 1} more columns have some" if len(wrong) > 1 else ""
     raise LogError(
-        f"{_label(log)}: column {name} has {int(mask.sum())} values that are empty, NaN or "
+        f"{log.label}: column {name} has {int(mask.sum())} values that are empty, NaN or "
         f"infinite, the first in {_where(log, first)}{more}.",
         got=", ".join(f"{key}: {int(m.sum())}" for key, m in list(wrong.items())[:10]),
         expected="a number in every row",
@@ -123,11 +112,13 @@ def _check_finite(log: Log) -> None:
     )
 
 
-def _check_increasing(log: Log) -> None:
+def check_increasing(log: Log) -> None:
+    """Refuse a log whose time does not increase within each trajectory, or has one sample there."""
     for name, rows in zip(log.names, log.slices(), strict=True):
         t = log.t[rows]
         steps = t.diff()
-        wrong = (steps <= 0).nonzero().flatten()
+        # Not `<= 0`: this way NaN is refused too.
+        wrong = (~(steps > 0)).nonzero().flatten()
         if len(t) < 2:
             raise LogError(f"trajectory '{name}' has one sample only.", got=1, expected="many")
         if len(wrong) == 0:
@@ -135,7 +126,7 @@ def _check_increasing(log: Log) -> None:
         k = int(wrong[0])
         repeated, back = int((steps == 0).sum()), int((steps < 0).sum())
         raise LogError(
-            f"{_label(log)}: time does not increase in {_where(log, rows.start + k + 1)}.",
+            f"{log.label}: time does not increase in {_where(log, rows.start + k + 1)}.",
             got=f"{float(t[k]):.9g} s, then {float(t[k + 1]):.9g} s; in all {repeated} repeated "
             f"and {back} decreasing time stamps",
             expected="increasing time within a trajectory",
@@ -151,7 +142,7 @@ def _check_positions_in_radians(log: Log, limits: Tensor | None, slides: Sequenc
         limit = largest_angle(None if limits is None else limits[k])
         if max(-low, high) > limit:
             raise LogError(
-                f"{_label(log)}: q{k + 1} looks like degrees.",
+                f"{log.label}: q{k + 1} looks like degrees.",
                 got=f"{low:.4g} to {high:.4g}",
                 expected=f"radians, at most {limit:.3g} for this joint",
                 hint=f"multiply q{k + 1} by pi/180; if the joint does turn that far, "
@@ -209,7 +200,7 @@ def velocity_agreement(log: Log) -> list[Agreement]:
 
 def _refuse_time(log: Log, why: str, step: float) -> None:
     raise LogError(
-        f"{_label(log)}: t {why}.",
+        f"{log.label}: t {why}.",
         got=f"a median step of {step:g}, t from {float(log.t[0]):g} to {float(log.t[-1]):g}",
         expected="seconds",
         hint="convert t to seconds, or dq to the unit of q per second",
@@ -221,7 +212,7 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
         column = f"dq{a.joint + 1}"
         if a.correlation < -FOLLOWS:
             raise LogError(
-                f"{_label(log)}: {column} has the opposite sign of the change of q{a.joint + 1}.",
+                f"{log.label}: {column} has the opposite sign of the change of q{a.joint + 1}.",
                 got=f"correlation {a.correlation:.3f}",
                 expected="velocities in the direction of the positions",
             )
@@ -229,14 +220,14 @@ def _check_velocity_unit(log: Log, agreement: Sequence[Agreement], slides: Seque
             continue
         if near(a.ratio, DEGREES):
             raise LogError(
-                f"{_label(log)}: the units of {column} look like degrees per second.",
+                f"{log.label}: the units of {column} look like degrees per second.",
                 got=f"{a.ratio:.1f} times the derivative of q{a.joint + 1}",
                 expected="rad/s",
                 hint=f"multiply {column} by pi/180",
             )
         if near(a.ratio, 1.0 / DEGREES):
             raise LogError(
-                f"{_label(log)}: the units of q{a.joint + 1} look like degrees.",
+                f"{log.label}: the units of q{a.joint + 1} look like degrees.",
                 got=f"{column} is 1/{1.0 / a.ratio:.1f} of its derivative",
                 expected="rad",
                 hint=f"multiply q{a.joint + 1} by pi/180",
@@ -275,7 +266,7 @@ def _no_torque(log: Log) -> list[str]:
     zero = (signal == 0).all(0)
     if zero.all():
         raise LogError(
-            f"{_label(log)}: all torques are zero.",
+            f"{log.label}: all torques are zero.",
             got=f"0 in {name}1..{name}{log.n}" if log.n > 1 else f"0 in {name}1",
             expected="measured torques or currents",
         )
@@ -288,18 +279,14 @@ def _no_torque(log: Log) -> list[str]:
 
 def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
-
-    def joints(odd: Callable[[Agreement], bool]) -> list[Agreement]:
-        return [a for a in agreement if odd(a)]
-
     warnings = []
-    scaled = joints(lambda a: a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0)
+    scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:
         low, high = min(a.ratio for a in scaled), max(a.ratio for a in scaled)
         size = f"{low:.3g}" if high < 1.01 * low else f"{low:.3g} to {high:.3g}"
         if len(scaled) == len(agreement) and high < 1.05 * low:
             raise LogError(
-                f"{_label(log)}: every measured velocity is {size} times the derivative of its "
+                f"{log.label}: every measured velocity is {size} times the derivative of its "
                 "position: the time stamps, or the units of dq, are wrong by that factor.",
                 got=f"dq = {size} x d(q)/dt",
                 expected="dq = d(q)/dt",
@@ -309,14 +296,14 @@ def _velocity_warnings(log: Log, agreement: Sequence[Agreement]) -> list[str]:
             f"{_list(scaled)} {size} times the derivative of q: "
             "the time stamps, or the units of dq, are wrong by that factor."
         )
-    other = joints(lambda a: abs(a.correlation) < FOLLOWS)
+    other = [a for a in agreement if abs(a.correlation) < FOLLOWS]
     if other:
         worst = min(a.correlation for a in other)
         warnings.append(
             f"{_list(other)} not the derivative of q (the correlation of its integral with q is "
             f"down to {worst:.2f})."
         )
-    return [f"{_label(log)}: {warning}" for warning in warnings]
+    return [f"{log.label}: {warning}" for warning in warnings]
 
 
 def _list(records: Sequence[Agreement]) -> str:

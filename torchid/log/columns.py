@@ -127,14 +127,18 @@ def some(names: Sequence[str], most: int = 40) -> list[str]:
 
 
 def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+    # A copy: arrow's buffers are read-only.
+    return np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
+
+
+def numbers_of(values: np.ndarray, label: str) -> np.ndarray:
+    """A column as it is, or a LogError where it does not hold numbers."""
     if values.dtype.kind not in "iuf":
-        raise LogError(
-            f"'{path}': column {name} is not numeric.", got=sample_of(values), expected="numbers"
-        )
-    return np.array(values, dtype=np.float64)  # a copy: arrow's buffers are read-only
+        raise LogError(f"{label} is not numeric.", got=_sample_of(values), expected="numbers")
+    return values
 
 
-def sample_of(values: np.ndarray) -> str:
+def _sample_of(values: np.ndarray) -> str:
     """The type of a column and one of its values that is not a number."""
     for value in values.ravel().tolist():
         try:

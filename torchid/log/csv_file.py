@@ -89,7 +89,8 @@ def _dialect(path: Path) -> _Dialect:
     delimiter = max(",;\t", key=first.count)
     if delimiter not in first and len(first.split()) > 1:
         delimiter = " "
-    decimal = "," if delimiter != "," and _comma(lines[comments + 1 :]) else "."
+    decimal_comma = delimiter != "," and re.search(r"\d,\d", "".join(lines[comments + 1 :][:1]))
+    decimal = "," if decimal_comma else "."
     names, skipped = _names(first, delimiter), comments + 1
     if all(_is_number(name, decimal) for name in names):
         # The names may stand in the last comment.
@@ -97,10 +98,6 @@ def _dialect(path: Path) -> _Dialect:
         names, skipped = above if len(above) == len(names) else [], comments
     width = len(_names(first, delimiter))
     return _Dialect(tuple(names), width, delimiter, decimal, skipped, first)
-
-
-def _comma(lines: Sequence[str]) -> bool:
-    return bool(lines) and re.search(r"\d,\d", lines[0]) is not None
 
 
 def _names(line: str, delimiter: str) -> list[str]:
@@ -136,8 +133,9 @@ def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) 
     source: Path | io.BytesIO = path
     delimiter = dialect.delimiter
     if delimiter == " ":
-        text = path.read_text(encoding="utf-8-sig")
-        source, delimiter = io.BytesIO(re.sub(r"[ \t]+", "\t", _trimmed(text)).encode()), "\t"
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
+        text, delimiter = "\n".join("\t".join(line.split()) for line in lines), "\t"
+        source = io.BytesIO(text.encode())
     return pa.csv.read_csv(
         source,
         read_options=pa.csv.ReadOptions(
@@ -153,10 +151,6 @@ def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) 
             decimal_point=dialect.decimal,
         ),
     )
-
-
-def _trimmed(text: str) -> str:
-    return re.sub(r"[ \t]+$|^[ \t]+", "", text, flags=re.MULTILINE)
 
 
 def _parsed(column: pa.ChunkedArray) -> pa.ChunkedArray:

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from torchid.errors import LogError
@@ -72,7 +73,8 @@ class ZeroPhaseFilter:
         The spectrum is cut above the new Nyquist frequency, where the filter has left nothing:
         `step` must not exceed `largest_step`.
         """
-        length = _smooth_multiple(x.shape[-1], step)
+        # An even multiple of the step whose factors the FFT likes.
+        length = 2 * step * next_fast_len(math.ceil(x.shape[-1] / (2 * step)), real=True)
         spectrum = torch.fft.rfft(x, n=length)
         kept = length // step
         bins = kept // 2 + 1
@@ -115,26 +117,18 @@ def extended(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{be
     """Signals (..., T) extended by odd reflection, and where they are too short for that, further
     by their last value: a filter's tail always has something to settle on."""
     longest = x.shape[-1] - 1
-    inner = reflect(x, min(before, longest), min(after, longest))
+    left, right = min(before, longest), min(after, longest)
+    inner = torch.cat(
+        [
+            2 * x[..., :1] - x[..., 1 : left + 1].flip(-1),
+            x,
+            2 * x[..., -1:] - x[..., longest - right : longest].flip(-1),
+        ],
+        -1,
+    )
     first = inner[..., :1].expand(*x.shape[:-1], max(0, before - longest))
     last = inner[..., -1:].expand(*x.shape[:-1], max(0, after - longest))
     return torch.cat([first, inner, last], -1)
-
-
-def reflect(x: Signals, before: int, after: int) -> Float[Tensor, "*batch T+{before}+{after}"]:
-    """Signals (..., T) extended by odd reflection about their first and last samples."""
-    if max(before, after) > x.shape[-1] - 1:
-        raise LogError(
-            "a trajectory is too short for the filter.",
-            got=f"{x.shape[-1]} samples",
-            expected=f"more than {max(before, after)}",
-        )
-    pieces = [x]
-    if before:
-        pieces.insert(0, 2 * x[..., :1] - x[..., 1 : before + 1].flip(-1))
-    if after:
-        pieces.append(2 * x[..., -1:] - x[..., -after - 1 : -1].flip(-1))
-    return torch.cat(pieces, -1)
 
 
 def central_difference(x: Signals, rate: float) -> Signals:
@@ -147,16 +141,3 @@ def central_difference(x: Signals, rate: float) -> Signals:
     first = (x[..., 1:2] - x[..., :1]) * rate
     last = (x[..., -1:] - x[..., -2:-1]) * rate
     return torch.cat([first, inner, last], -1)
-
-
-def _smooth_multiple(length: int, step: int) -> int:
-    """Smallest even multiple of `step`, at least `length`, whose factors the FFT likes."""
-    k = math.ceil(length / step)
-    while True:
-        rest = k
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1 and k % 2 == 0:
-            return k * step
-        k += 1

@@ -116,8 +116,6 @@ def damaged(path: Path, kind: str, *problems: type[BaseException]) -> Iterator[N
     """Turn a library's complaint about the content into a LogError."""
     try:
         yield
-    except LogError:
-        raise
     except problems as error:
         raise LogError(
             f"'{path}' is not a {kind} file, though its name says so, or is damaged.",

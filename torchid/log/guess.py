@@ -10,8 +10,8 @@ from torchid.log.guess_units import guessed_units
 from torchid.log.joint_names import in_robot_order
 from torchid.log.mapping import read_mapping
 from torchid.log.table import Table
+from torchid.log.units import unit_factor
 from torchid.log.words import (
-    is_ours,
     is_unit_word,
     looks_measured,
     quantity_of,
@@ -49,8 +49,8 @@ class _Group:
 
     @property
     def written_unit(self) -> str:
-        """That a mapping must say."""
-        return self.unit if self.unit and not is_ours(self.key, self.unit) else ""
+        """That a mapping must say: not the one that is taken anyway."""
+        return self.unit if self.unit and unit_factor(self.key, self.unit) != 1.0 else ""
 
     def in_order(self, labels: Sequence[str]) -> "_Group":
         """With these joints only, in this order, where all of them are there."""

@@ -11,24 +11,33 @@ from torchid.log.formats import damaged
 from torchid.log.table import Request, Shape, Table
 
 
-def hdf5_table(path: Path, request: Request) -> Table:
+def hdf5_table(
+    path: Path,
+    request: Request,
+    kind: str = "HDF5",
+    purpose: str | None = None,
+    *,
+    matlab: bool = False,
+) -> Table:
     """The table of an HDF5 file.
 
     A dataset in a group has the name `group/dataset`, a field of a compound one `dataset/field`.
+
+    Args:
+        path: of the file.
+        request: how it is to be read.
+        kind: of the file, for people.
+        purpose: what h5py is needed for, where it is missing.
+        matlab: whether arrays are transposed, rows being columns.
 
     Raises:
         MissingExtraError: h5py is not installed.
         LogError: no HDF5 file, or there is nothing to read in it.
     """
-    return open_hdf5(path, "HDF5", f"reading '{path}'")
-
-
-def open_hdf5(path: Path, kind: str, purpose: str, *, matlab: bool = False) -> Table:
-    """The table of an HDF5 file; MATLAB's (matlab) has arrays transposed, rows being columns."""
     try:
         import h5py
     except ImportError as error:
-        raise MissingExtraError("h5py", "hdf5", purpose) from error
+        raise MissingExtraError("h5py", "hdf5", purpose or f"reading '{path}'") from error
     with damaged(path, kind, OSError, RuntimeError, ValueError), h5py.File(path, "r") as file:
         columns: dict[str, Shape | None] = {}
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 from torchid.errors import LogError
+from torchid.log.columns import some
 from torchid.log.table import natural
 
 _HAND = re.compile(r"finger|gripper|hand|knuckle|jaw|thumb")
@@ -89,4 +90,4 @@ def _plain(name: str) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:20]) + (f", and {len(names) - 20} more" if len(names) > 20 else "")
+    return ", ".join(some(names, 20))

@@ -4,7 +4,7 @@ Publishers differ: some list grippers with the arm, some send the arm in parts, 
 or effort empty or NaN, some forget the stamp.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,15 +19,13 @@ _SIGNALS = {"q": "position", "dq": "velocity", "tau": "effort"}
 
 
 class JointState(NamedTuple):
-    """One message: when it was received and stamped [ns], joints, and their numbers; empty arrays
-    where it has none."""
+    """One message: when it was received and stamped [ns], joints, and their numbers by signal
+    (position, velocity, effort); empty arrays where it has none."""
 
     received: int
     stamp: int
     names: tuple[str, ...]
-    position: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
+    signals: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -118,18 +116,18 @@ def _groups(
         warnings.append(f"{label}: messages are not stamped; the time of receipt is taken.")
     byname: dict[tuple[str, ...], list[JointState]] = {}
     for message in messages:
-        if len(message.names) == len(message.position) > 0:
+        if len(message.names) == len(message.signals["position"]) > 0:
             # The message with its joints in the order of their names.
             order = sorted(range(len(message.names)), key=message.names.__getitem__)
             if order == list(range(len(order))):
                 ordered = message
             else:
+                names = tuple(message.names[k] for k in order)
                 signals = {
                     s: values[order] if len(values) == len(order) else values
-                    for s in ("position", "velocity", "effort")
-                    for values in [getattr(message, s)]
+                    for s, values in message.signals.items()
                 }
-                ordered = message._replace(names=tuple(message.names[k] for k in order), **signals)
+                ordered = message._replace(names=names, signals=signals)
             byname.setdefault(ordered.names, []).append(ordered)
     if not byname:
         raise LogError(
@@ -153,8 +151,8 @@ def _group(
     """Messages that lack a signal that most have are left out; a signal that most lack is."""
     present: dict[str, list[bool]] = {}
     for signal in ("velocity", "effort"):
-        there = [len(getattr(m, signal)) == len(names) for m in messages]
-        partial = sum(0 < len(getattr(m, signal)) < len(names) for m in messages)
+        there = [len(m.signals[signal]) == len(names) for m in messages]
+        partial = sum(0 < len(m.signals[signal]) < len(names) for m in messages)
         if partial:
             warnings.append(
                 f"{label}: {partial} messages have {signal} for some of their joints only, and do "
@@ -166,12 +164,12 @@ def _group(
             warnings.append(
                 f"{label}: {signal} is in {sum(there)} of {len(there)} messages: left out."
             )
-    keep = _having(present, len(messages))
+    keep = np.all([[True] * len(messages), *present.values()], axis=0)
     if not keep.any():
         # Half of the messages have one and half have the other: torque is what cannot be computed.
         warnings.append(f"{label}: no message has velocity and effort: velocity is left out.")
         del present["velocity"]
-        keep = _having(present, len(messages))
+        keep = np.array(present["effort"])
     if not keep.all():
         warnings.append(
             f"{label}: {int((~keep).sum())} of {len(keep)} messages have no "
@@ -179,16 +177,8 @@ def _group(
         )
     kept = [m for m, k in zip(messages, keep, strict=True) if k]
     time = np.array([m.stamp if stamped else m.received for m in kept], dtype=np.int64)
-    signals = {s: np.stack([getattr(m, s) for m in kept]) for s in ("position", *present)}
+    signals = {s: np.stack([m.signals[s] for m in kept]) for s in ("position", *present)}
     return _Group(names, time, signals)
-
-
-def _having(present: Mapping[str, Sequence[bool]], count: int) -> np.ndarray:
-    """(count,) whether a message has all the signals."""
-    having = np.ones(count, dtype=bool)
-    for there in present.values():
-        having &= np.array(there)
-    return having
 
 
 def _covering(groups: Sequence[_Group], joints: Sequence[str]) -> list[_Group]:

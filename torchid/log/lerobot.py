@@ -188,8 +188,6 @@ def _sorted(
     for file in files:
         try:
             parts.append(read_parquet_columns(file, [*dict.fromkeys([*_COUNTED, *names])]))
-        except LogError:
-            raise
         except OSError as error:
             raise LogError(f"'{file}' cannot be read: {error.strerror or error}") from error
         missing = [name for name in (*_COUNTED, *names) if name not in parts[-1]]
@@ -207,6 +205,4 @@ def _part(table: dict[str, np.ndarray], feature: str, index: list[int] | None) -
     array = table[feature]
     if index is None:
         return array
-    if array.ndim == 1:
-        return array[:, None][:, index]
-    return array[:, index[0]] if len(index) == 1 else array[:, index]
+    return array.reshape(len(array), -1)[:, index]

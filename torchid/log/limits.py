@@ -35,10 +35,17 @@ def beyond_limits(
     return tuple(found)
 
 
+def finite_range(signal: Float[Tensor, "T n"]) -> Float[Tensor, "n 2"]:
+    """Smallest and largest finite value of each joint (n, 2); nan where there is none."""
+    finite = torch.isfinite(signal)
+    low = signal.where(finite, torch.inf).amin(0)
+    high = signal.where(finite, -torch.inf).amax(0)
+    return torch.where(finite.any(0)[:, None], torch.stack([low, high], -1), torch.nan)
+
+
 def _positions(q: Float[Tensor, "T n"], limits: Float[Tensor, "n 2"]) -> Iterator[str]:
     low, high = limits.unbind(-1)
-    finite = torch.isfinite(q)
-    least, most = q.where(finite, torch.inf).amin(0), q.where(finite, -torch.inf).amax(0)
+    least, most = finite_range(q).unbind(-1)
     margin = FAR_POSITION * (high - low)
     said = [
         f"q{j + 1} {float(least[j]):.3g} .. {float(most[j]):.3g}, "

@@ -20,7 +20,7 @@ makes up the time where none is recorded; `none` leaves out what would be taken 
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +54,7 @@ class Source:
 
     def at(self, value: str) -> "Source":
         """The source with `*` replaced."""
-        columns = tuple(column.replace("*", value) for column in self.columns)
-        return Source(columns, self.factors, self.unit, self.rate)
+        return replace(self, columns=tuple(c.replace("*", value) for c in self.columns))
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,9 @@ def _source(key: str, text: str) -> Source | None:
         rest = rest[: found.start()]
     if rest.startswith("-"):
         factors, rest = tuple(-f for f in factors), rest[1:].lstrip()
-    name, unit = _name_and_unit(rest)
+    # The unit is behind the first space outside quotes and brackets.
+    name, *words = _split(rest, " ", most=1)
+    unit = words[0].strip() if words else ""
     if name.startswith("[") and name.endswith("]"):
         columns = tuple(_unquoted(c.strip()) for c in _split(name[1:-1], ","))
     else:
@@ -203,12 +204,6 @@ def _built(key: str, columns: tuple[str, ...], unit: str, factors: tuple[float, 
             hint="quote names that have spaces: q='Joint {j} pos' deg; a factor: *0.001",
         )
     return Source(columns, tuple(scale * f for f in factors), unit)
-
-
-def _name_and_unit(text: str) -> tuple[str, str]:
-    """Split at the first space outside quotes and brackets."""
-    name, *unit = _split(text, " ", most=1)
-    return name, unit[0].strip() if unit else ""
 
 
 def _unquoted(text: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from torchid.errors import LogError
 from torchid.log.formats import damaged
-from torchid.log.hdf5 import open_hdf5
+from torchid.log.hdf5 import hdf5_table
 from torchid.log.table import Request, Table
 
 _PROBLEMS = (
@@ -33,7 +33,7 @@ def matlab_table(path: Path, request: Request) -> Table:
         purpose = (
             f"reading '{path}' (MATLAB v7.3; `save -v7` writes a file that needs nothing more)"
         )
-        table = open_hdf5(path, "MATLAB v7.3", purpose, matlab=True)
+        table = hdf5_table(path, request, "MATLAB v7.3", purpose, matlab=True)
         dotted = {name.replace("/", "."): name for name in table.columns if name[0] != "#"}
 
         def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
@@ -55,10 +55,7 @@ def matlab_table(path: Path, request: Request) -> Table:
             got=", ".join(k for k in content if not k.startswith("__")) or "nothing",
             expected="arrays, or structs of arrays; save timeseries and tables as arrays",
         )
-    shapes = {name: array.shape for name, array in arrays.items()}
-    return Table(
-        path, "MATLAB", shapes, lambda names: {name: arrays[name] for name in names}, arrays=True
-    )
+    return Table.in_memory(path, "MATLAB", arrays)
 
 
 def _arrays(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:

@@ -61,7 +61,7 @@ class Log:
     def __post_init__(self) -> None:
         for name in ("t", *JOINT_SIGNALS):
             if getattr(self, name) is not None:
-                what = f"{self._label}: {name}"
+                what = f"{self.label}: {name}"
                 signal = as_tensor(getattr(self, name), what, LogError)
                 self._set(name, signal.to(torch.float64))
         if self.trajectory is None:
@@ -72,7 +72,7 @@ class Log:
         steps = self.trajectory.diff()
         if self.trajectory[0] != 0 or ((steps != 0) & (steps != 1)).any():
             raise LogError(
-                f"{self._label}: trajectories must be consecutive runs of samples.",
+                f"{self.label}: trajectories must be consecutive runs of samples.",
                 got=torch.unique_consecutive(self.trajectory).tolist()[:20],
                 expected="0, 1, 2, ...",
             )
@@ -84,7 +84,7 @@ class Log:
             )
         if len(self.names) != count:
             raise LogError(
-                f"{self._label}: one name a trajectory is needed.",
+                f"{self.label}: one name a trajectory is needed.",
                 got=len(self.names),
                 expected=count,
             )
@@ -96,24 +96,25 @@ class Log:
         """The trajectories' numbers as they are, or of an array or a list."""
         if isinstance(self.trajectory, Tensor):
             return self.trajectory
-        numbers = as_tensor(self.trajectory, f"{self._label}: trajectory", LogError)
+        numbers = as_tensor(self.trajectory, f"{self.label}: trajectory", LogError)
         if (numbers != numbers.round()).any():
-            raise LogError(f"{self._label}: trajectories are numbered 0, 1, 2, ...")
+            raise LogError(f"{self.label}: trajectories are numbered 0, 1, 2, ...")
         return numbers.to(torch.int64)
 
     @property
-    def _label(self) -> str:
+    def label(self) -> str:
+        """What to call it in a message."""
         return f"log '{self.source}'" if self.source else "log"
 
     def _check_sizes(self) -> None:
         if self.t.ndim != 1 or len(self.t) == 0:
             raise LogError(
-                f"{self._label}: t must be a list of at least one time stamp.",
+                f"{self.label}: t must be a list of at least one time stamp.",
                 got=f"shape {tuple(self.t.shape)}",
             )
         if self.q.ndim != 2 or self.q.shape[1] == 0:
             raise LogError(
-                f"{self._label}: q must have one column a joint.",
+                f"{self.label}: q must have one column a joint.",
                 got=f"shape {tuple(self.q.shape)}",
                 expected="(samples, joints)",
             )
@@ -122,13 +123,13 @@ class Log:
             signal = getattr(self, name)
             if signal is not None and tuple(signal.shape) != size:
                 raise LogError(
-                    f"{self._label}: {name} has another size than t and q.",
+                    f"{self.label}: {name} has another size than t and q.",
                     got=tuple(signal.shape),
                     expected=size,
                 )
         if tuple(self.trajectory.shape) != size[:1]:
             raise LogError(
-                f"{self._label}: one trajectory number a sample is needed.",
+                f"{self.label}: one trajectory number a sample is needed.",
                 got=tuple(self.trajectory.shape),
                 expected=size[:1],
             )
@@ -190,7 +191,7 @@ class Log:
             rows.dtype != torch.bool or rows.shape != self.trajectory.shape
         ):
             raise LogError(
-                f"{self._label}: a selection is a mask with one value a sample.",
+                f"{self.label}: a selection is a mask with one value a sample.",
                 got=f"{rows.dtype} of shape {tuple(rows.shape)}",
                 expected=f"torch.bool of shape ({self.samples},)",
             )
@@ -198,7 +199,7 @@ class Log:
         signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
         if len(ids) == 0:
             raise LogError(
-                f"{self._label}: the selection leaves no sample.",
+                f"{self.label}: the selection leaves no sample.",
                 got=str(rows) if isinstance(rows, slice) else "a mask that is false everywhere",
             )
         kept, renumbered = torch.unique_consecutive(ids, return_inverse=True)
@@ -251,14 +252,14 @@ class Log:
         """
         if self.current is None:
             raise LogError(
-                f"{self._label} has no motor currents to turn into torque.",
+                f"{self.label} has no motor currents to turn into torque.",
                 expected=f"columns i1..i{self.n}",
                 available=list(self.signals),
             )
         gain = as_tensor(gain, "drive gains", LogError).to(self.current)
         if tuple(gain.shape) != (self.n,):
             raise LogError(
-                f"{self._label}: one drive gain a joint is needed.",
+                f"{self.label}: one drive gain a joint is needed.",
                 got=tuple(gain.shape),
                 expected=(self.n,),
             )
@@ -286,8 +287,8 @@ class Log:
             if other.n != logs[0].n:
                 raise LogError(
                     "logs with different numbers of joints do not go together.",
-                    got=f"{other.n} in {other._label}",
-                    expected=f"{logs[0].n} as in {logs[0]._label}",
+                    got=f"{other.n} in {other.label}",
+                    expected=f"{logs[0].n} as in {logs[0].label}",
                 )
         signals: dict[str, Any] = dict.fromkeys(OPTIONAL_SIGNALS)
         warnings = [warning for log in logs for warning in log.warnings]
@@ -301,7 +302,7 @@ class Log:
                 lacking = next(log for log in logs if getattr(log, name) is None)
                 raise LogError(
                     f"some logs have {name} and others do not.",
-                    got=f"{name} in {having[0]._label}, none in {lacking._label}",
+                    got=f"{name} in {having[0].label}, none in {lacking.label}",
                     expected=f"{name} in all of them, or in none",
                     hint="read them one by one",
                 )

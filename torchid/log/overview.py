@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from torchid.errors import LogError
 from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
-from torchid.log.limits import beyond_limits
+from torchid.log.limits import beyond_limits, finite_range
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.readers import open_logs
 from torchid.log.sampling import ROUNDING, SMALL_GAP
@@ -135,8 +134,11 @@ def look_at(
         sources=_sources(log, tables[0], request),
         timing=tuple(_timing(log, k) for k in range(log.trajectory_count)),
         units=_units(None if robot_name is None else prismatic),
-        ranges={name: _range(signal) for name, signal in log.signals.items()},
-        unused=_unused(tables[0], request),
+        ranges={name: finite_range(signal) for name, signal in log.signals.items()},
+        # A bag and a dataset list every joint on its own again.
+        unused=()
+        if tables[0] is None or tables[0].origins
+        else tuple(unused_columns(tables[0], request.columns)),
         problem=problem,
         warnings=tuple(dict.fromkeys((*log.warnings, *found))),
     )
@@ -178,13 +180,6 @@ def _units(prismatic: Sequence[bool] | None) -> dict[str, str]:
         return _UNITS
     which = -1 if any(prismatic) else 0
     return {name: unit.split(" or ")[which] for name, unit in _UNITS.items()}
-
-
-def _unused(table: Table | None, request: Request) -> tuple[str, ...]:
-    # A bag and a dataset list every joint on its own again.
-    if table is None or table.origins:
-        return ()
-    return tuple(unused_columns(table, request.columns))
 
 
 def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
@@ -237,10 +232,3 @@ def _timing(log: Log, k: int) -> Timing:
         longest=float(steps.max()),
         backwards=int((steps <= 0).sum()),
     )
-
-
-def _range(signal: Float[Tensor, "T n"]) -> Float[Tensor, "n 2"]:
-    finite = torch.isfinite(signal)
-    low = torch.where(finite, signal, torch.inf).amin(0)
-    high = torch.where(finite, signal, -torch.inf).amax(0)
-    return torch.where(finite.any(0)[:, None], torch.stack([low, high], -1), torch.nan)

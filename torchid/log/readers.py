@@ -12,7 +12,7 @@ from typing import IO, Any
 from torchid.errors import LogError
 from torchid.files import atomic_write
 from torchid.log.assemble import log_from_table, one_for_all, with_hint
-from torchid.log.columns import Columns, columns_of, log_from_columns
+from torchid.log.columns import Columns, columns_of, log_from_columns, some
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
     npz_table,
@@ -27,8 +27,7 @@ from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
 from torchid.log.model import Log
 from torchid.log.ros import bag_table, is_bag_folder
-from torchid.log.sources import AbsentColumnError
-from torchid.log.table import Request, Table
+from torchid.log.table import AbsentColumnError, Request, Table
 
 Reader = Callable[[Path], Log]
 Opener = Callable[[Path, Request], Table]
@@ -187,8 +186,7 @@ def _inside(folder: Path) -> list[str] | None:
         found = sorted(p.name for p in folder.iterdir() if _is_log(p))
     except OSError:
         return None
-    more = [f"and {len(found) - 10} more"] if len(found) > 10 else []
-    return found[:10] + more or None
+    return some(found, 10) or None
 
 
 def _is_log(path: Path) -> bool:

@@ -73,12 +73,10 @@ def bag_table(path: Path, request: Request) -> Table:
     # Where the mapping says which joint is which, their names need not be the robot's.
     joints = () if request.maps("q") else request.joints
     found = joint_columns_of(messages, joints, f"'{path}', topic {topic.name}")
-    return Table(
+    return Table.in_memory(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
-        {name: array.shape for name, array in found.arrays.items()},
-        lambda names: {name: found.arrays[name] for name in names},
-        arrays=True,
+        found.arrays,
         joints=found.joints,
         topic=topic.name,
         origins={
@@ -138,7 +136,7 @@ def _topics(bag: Any) -> tuple[Topic, ...]:
 
 def _has_signal(message: JointState, signal: str) -> bool:
     """Whether a message has numbers, one a joint."""
-    values = getattr(message, signal)
+    values = message.signals[signal]
     return len(values) == len(message.names) > 0 and not bool(np.isnan(values).all())
 
 
@@ -187,8 +185,5 @@ def _messages(bag: Any, topic: str) -> Iterator[JointState]:
             received,
             stamp.sec * 1_000_000_000 + stamp.nanosec,
             tuple(message.name),
-            *(
-                np.asarray(values, dtype=np.float64)
-                for values in (message.position, message.velocity, message.effort)
-            ),
+            {s: np.asarray(getattr(message, s), dtype=np.float64) for s in _SIGNALS},
         )

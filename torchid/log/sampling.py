@@ -9,12 +9,14 @@ split there.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from scipy.interpolate import CubicSpline
 
 from torchid.errors import LogError
+from torchid.log.checks import check_increasing
 from torchid.log.model import Log
 
 UNIFORM = 1e-3  # largest deviation from a uniform grid, in steps
@@ -26,11 +28,6 @@ LONG_GAP_S = 0.25  # than this, splits the trajectory
 SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
 
 _SMOOTH = ("q", "dq", "ddq")
-
-
-def is_uniform(log: Log) -> bool:
-    """Whether the time stamps of every trajectory are within 1e-3 of a step of a uniform grid."""
-    return all(_deviation(log, rows) <= UNIFORM for rows in log.slices())
 
 
 def sampling_rate(log: Log) -> list[float]:
@@ -118,28 +115,8 @@ def _steps(t: np.ndarray) -> Steps:
 
 def _stamps(log: Log) -> list[np.ndarray]:
     """The time stamps of each trajectory, which must increase."""
-    stamps = []
-    for name, rows in zip(log.names, log.slices(), strict=True):
-        t = log.t[rows].detach().cpu().numpy()
-        if len(t) < 2:
-            raise LogError(f"trajectory '{name}' has one sample only.", got=1, expected="two")
-        # Not `<= 0`: this way NaN is refused too.
-        wrong = np.flatnonzero(~(np.diff(t) > 0))
-        if len(wrong):
-            raise LogError(
-                f"trajectory '{name}': time does not increase at sample {wrong[0] + 2}.",
-                got=f"{t[wrong[0]]:.9g} s, then {t[wrong[0] + 1]:.9g} s",
-                expected="increasing time stamps",
-            )
-        stamps.append(t)
-    return stamps
-
-
-def _deviation(log: Log, rows: slice) -> float:
-    t = log.t[rows].detach().cpu().numpy()
-    if len(t) < 2 or not t[-1] > t[0]:
-        return float("inf")
-    return _off_grid(t, (t[-1] - t[0]) / (len(t) - 1))
+    check_increasing(log)
+    return [log.t[rows].detach().cpu().numpy() for rows in log.slices()]
 
 
 def _off_grid(t: np.ndarray, step: float) -> float:
@@ -195,17 +172,17 @@ def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:
     # The last grid point may lie on the last sample, but for rounding.
     count = int((t[-1] - t[0]) / step + 1e-6) + 1
     grid = np.minimum(t[0] + step * np.arange(count), t[-1])
-    signals = {
+    device = log.t.device
+    signals: dict[str, Any] = {
         name: torch.from_numpy(
             _interpolate(t, values.detach().cpu().numpy(), grid, name in _SMOOTH)
-        )
+        ).to(device)
         for name, values in log.signals.items()
     }
-    device = log.t.device
     warnings.append(f"{log.names[0]}: time {_steps(t)}; resampled to {1e3 * step:.4g} ms.")
     return log.replace(
         t=torch.from_numpy(t[0] + step * np.arange(count)).to(device),
-        **{name: values.to(device) for name, values in signals.items()},
+        **signals,
         trajectory=torch.zeros(count, dtype=torch.int64, device=device),
     )
 

@@ -8,19 +8,15 @@ from difflib import get_close_matches
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import sample_of, some
+from torchid.log.columns import numbers_of, some
 from torchid.log.mapping import Source
-from torchid.log.table import Table, natural
+from torchid.log.table import AbsentColumnError, Table, natural
 
 _NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+|\d+(?:\s*,\s*\d+)+)\}")
 _INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
 _EXACT = 2**53  # larger whole numbers are not all floats
 
 Index = slice | list[int]
-
-
-class AbsentColumnError(LogError):
-    """A mapping names what the table does not have."""
 
 
 @dataclass(frozen=True)
@@ -149,25 +145,20 @@ def time_of(
 ) -> np.ndarray:
     """(T,) seconds from a column of numbers, of time stamps or of their text."""
     raw, label = _one_column("t", pieces, arrays, table)
-    if raw.dtype.kind in "mMO":
-        return _seconds(raw, label)
-    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
-    stamps = _numbers(raw, label)
-    if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
-        stamps = stamps - stamps[0]
-    return stamps.astype(np.float64) * source.factors[0]
-
-
-def _seconds(raw: np.ndarray, label: str) -> np.ndarray:
-    """Seconds of time stamps or durations, from the first stamp on."""
     if raw.dtype.kind == "O":
         try:
             raw = np.array(raw, dtype="datetime64[ns]")
         except ValueError:
-            _numbers(raw, label)
-    if raw.dtype.kind == "M":
-        raw = raw - raw[:1]
-    return raw / np.timedelta64(1, "ns") * 1e-9
+            numbers_of(raw, label)
+    if raw.dtype.kind in "mM":
+        # From the first stamp on; durations as they are.
+        since = raw - raw[:1] if raw.dtype.kind == "M" else raw
+        return since / np.timedelta64(1, "ns") * 1e-9
+    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
+    stamps = numbers_of(raw, label)
+    if stamps.dtype.kind in "iu" and len(stamps) and int(np.abs(stamps).max()) > _EXACT:
+        stamps = stamps - stamps[0]
+    return stamps.astype(np.float64) * source.factors[0]
 
 
 def labels_of(
@@ -188,7 +179,7 @@ def signal_of(
     parts = []
     for piece in pieces:
         label = f"'{table.path}': column {piece.name}"
-        part = _numbers(piece.of(arrays[piece.name], label), label)
+        part = numbers_of(piece.of(arrays[piece.name], label), label)
         parts.append(oriented(part, samples, label))
     if len({len(part) for part in parts}) > 1 or len(parts[0]) != samples:
         lengths = [f"{piece.name}: {len(part)}" for piece, part in zip(pieces, parts, strict=True)]
@@ -232,9 +223,3 @@ def _one_column(
             got=", ".join(f"{p.name} {arrays[p.name].shape}" for p in pieces[:5]),
         )
     return array.ravel(), label
-
-
-def _numbers(array: np.ndarray, label: str) -> np.ndarray:
-    if array.dtype.kind not in "iuf":
-        raise LogError(f"{label} is not numeric.", got=sample_of(array), expected="numbers")
-    return array

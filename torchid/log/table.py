@@ -4,12 +4,18 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from torchid.errors import LogError
 from torchid.log.mapping import ColumnMapping
 
 Shape = tuple[int, ...]
+
+
+class AbsentColumnError(LogError):
+    """A mapping names what the table does not have."""
 
 
 @dataclass(frozen=True)
@@ -60,16 +66,25 @@ class Table:
     origins: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
+    @classmethod
+    def in_memory(
+        cls, path: Path, kind: str, arrays: Mapping[str, np.ndarray], **known: Any
+    ) -> "Table":
+        """Of arrays that are read already; what else is known are fields by name."""
+        shapes = {name: array.shape for name, array in arrays.items()}
+        return cls(
+            path, kind, shapes, lambda names: {n: arrays[n] for n in names}, arrays=True, **known
+        )
+
     @property
     def described(self) -> list[str]:
         """The columns for an error message, with the size of those that are arrays."""
-        return [_described(name, shape) for name, shape in self.columns.items()]
-
-
-def _described(name: str, shape: Shape | None) -> str:
-    if shape is None or len(shape) < 2:
-        return name
-    return f"{name} ({' x '.join('?' if k < 0 else str(k) for k in shape)})"
+        sizes = {
+            name: " x ".join("?" if k < 0 else str(k) for k in shape)
+            for name, shape in self.columns.items()
+            if shape is not None and len(shape) > 1
+        }
+        return [f"{name} ({sizes[name]})" if name in sizes else name for name in self.columns]
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:

@@ -79,8 +79,3 @@ def without_unit(name: str) -> tuple[str, str]:
 def is_unit_word(word: str) -> bool:
     """Whether a part of a name is a unit: deg, nm."""
     return any(word.lower() in units for units in _UNITS.values())
-
-
-def is_ours(key: str, unit: str) -> bool:
-    """Whether a unit need not be written: it is the one that is taken anyway."""
-    return unit_factor(key, unit) == 1.0

@@ -10,7 +10,7 @@ import pytorch_kinematics as pk
 import torch
 from torch import Tensor
 
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, free_name
 from torchid.typing import Float, Joints
 
 _TOGETHER = 2000
@@ -27,12 +27,12 @@ def to_chain(robot: Robot, dtype: torch.dtype = torch.float64) -> "pk.SerialChai
     """
     # Frame names must differ, whereas a URDF link may be called `base` or `tool`.
     taken = set(robot.link_names)
-    root = last = _fixed(_free("base", taken), None, dtype)
+    root = last = _fixed(free_name("base", taken), None, dtype)
     for i, name in enumerate(robot.link_names):
-        moved = _free(f"{robot.joint_names[i]}/moved", taken)
+        moved = free_name(f"{robot.joint_names[i]}/moved", taken)
         last = _append(last, _moving(robot, i, moved, robot.before[i], dtype))
         last = _append(last, _fixed(name, robot.after[i], dtype))
-    tool = _append(last, _fixed(_free("tool", taken), robot.tool, dtype))
+    tool = _append(last, _fixed(free_name("tool", taken), robot.tool, dtype))
     return _serial(root, tool, robot, dtype)
 
 
@@ -73,13 +73,6 @@ def _serial(root: "pk.Frame", tool: "pk.Frame", robot: Robot, dtype: torch.dtype
     device = robot.before.device
     tree = pk.Chain(root, dtype=dtype, device=device)
     return pk.SerialChain(tree, tool.name, dtype=dtype, device=device)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
 
 
 def _offset(matrix: Tensor, dtype: torch.dtype) -> "pk.Transform3d":

@@ -67,18 +67,8 @@ class InertialParameters:
     def from_paper_order(cls, pi: Float[Tensor, "*batch P"]) -> "InertialParameters":
         """From the paper's stacking (..., 10 n): masses | first moments | inertias (eq. 2.5)."""
         n = pi.shape[-1] // PARAMETERS_PER_LINK
-        batch = pi.shape[:-1]
-        mass, moment, inertia = pi.split([n, 3 * n, 6 * n], dim=-1)
-        return cls(
-            torch.cat(
-                [
-                    mass.reshape(*batch, n, 1),
-                    moment.reshape(*batch, n, 3),
-                    inertia.reshape(*batch, n, 6),
-                ],
-                dim=-1,
-            )
-        )
+        stacks = pi.split([n, 3 * n, 6 * n], dim=-1)
+        return cls(torch.cat([stack.unflatten(-1, (n, -1)) for stack in stacks], dim=-1))
 
     @classmethod
     def from_pinocchio_order(cls, pi: Pi) -> "InertialParameters":

@@ -47,11 +47,7 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     >>> load_robot("3r").joint_names
     ('joint_1', 'joint_2', 'joint_3')
     """
-    text = str(name)
-    path = Path(text)
-    if text in built_in_robots():
-        _refuse_tip(tip, text)
-        return read_yaml(_folder() / f"{text}.yaml")
+    text, path = str(name), robot_file(name)
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
         raise RobotError(
@@ -65,7 +61,10 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     if not path.is_file():
         raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
     if suffix in (".yaml", ".yml"):
-        _refuse_tip(tip, text)
+        if tip is not None:
+            raise RobotError(
+                f"--tip chooses a chain in a URDF or MJCF; '{text}' is one chain.", got=tip
+            )
         return read_yaml(path)
     if suffix == ".urdf":
         from torchid.robot.urdf import read_urdf
@@ -112,10 +111,3 @@ def named_robot(result: Path, data: Mapping[str, Any], tip: str | None = None) -
         got=source or name,
         expected="--robot ROBOT",
     )
-
-
-def _refuse_tip(tip: str | None, name: str) -> None:
-    if tip is not None:
-        raise RobotError(
-            f"--tip chooses a chain in a URDF or MJCF; '{name}' is one chain.", got=tip
-        )

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchid.errors import MissingExtraError, RobotError
 from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, free_name
 from torchid.robot.placement import pose, quaternion
 from torchid.robot.tree import Interval, Tree, TreeJoint
 from torchid.robot.xml_numbers import parse_xml
@@ -54,43 +54,22 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
             expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
             hint="pip install 'torchid[mjcf]'",
         )
-    model = _compile(mujoco, path)
-    links, joints = _Bodies(mujoco, model, str(path)).read()
-    if tip is not None and tip not in links:
-        _add_site(mujoco, model, tip, links, joints)
-    # What the model holds and a Robot does not.
-    warnings = []
-    names = _names(mujoco, model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt, "joint")
-    for joint, name in enumerate(names):
-        dof = int(model.jnt_dofadr[joint])
-        if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
-            getattr(model, "jnt_stiffnesspoly", ()), joint
-        ):
-            warnings.append(
-                f"joint '{name}' has nonlinear damping or stiffness: it is not modelled"
-            )
-    if model.neq:
-        warnings.append(f"{model.neq} equality constraint(s) are not modelled")
-    if model.ntendon:
-        warnings.append(f"{model.ntendon} tendon(s) are not modelled")
-    if model.body_gravcomp.any():
-        warnings.append("gravity compensation of bodies (gravcomp) is not modelled")
-    if model.opt.density or model.opt.viscosity:
-        warnings.append("forces of the surrounding fluid (density, viscosity) are not modelled")
+    model = compiled(mujoco, path)
+    read = _Reader(mujoco, model)
+    links, joints = read.links_and_joints(tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    if off:
-        warnings.append("the model turns gravity off: gravity is zero")
     return assemble(
         Tree(links, tuple(joints), str(path)),
         tip=tip,
         name=_model_name(model) or path.stem,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
-        warnings=warnings,
+        warnings=read.warnings(bool(off)),
     )
 
 
-def _compile(mujoco: Any, path: Path) -> Any:
+def compiled(mujoco: Any, path: Path) -> Any:
+    """MuJoCo's model of an MJCF, or a RobotError."""
     root = parse_xml(path)
     if root.tag != "mujoco":
         hint = "this is a URDF: give it the suffix .urdf" if root.tag == "robot" else None
@@ -116,32 +95,69 @@ def _model_name(model: Any) -> str | None:
     return None if name in ("", _UNNAMED) else name
 
 
-class _Bodies:
-    """Links and joints of a compiled model."""
+class _Reader:
+    """Links and joints of a compiled model, and what it holds that a Robot does not."""
 
-    def __init__(self, mujoco: Any, model: Any, source: str):
-        self.mujoco, self.model, self.source = mujoco, model, source
+    def __init__(self, mujoco: Any, model: Any):
+        self.mujoco, self.model = mujoco, model
         kinds = mujoco.mjtObj
-        self.bodies = _names(mujoco, model, kinds.mjOBJ_BODY, model.nbody, "body")
-        self.joints = _names(mujoco, model, kinds.mjOBJ_JOINT, model.njnt, "joint")
+        self.bodies = self._names(kinds.mjOBJ_BODY, model.nbody, "body")
+        self.joints = self._names(kinds.mjOBJ_JOINT, model.njnt, "joint")
 
-    def read(self) -> tuple[dict[str, Tensor | None], list[TreeJoint]]:
-        """Links with their parameters (10,) or None, and joints in the order of qpos."""
+    def _names(self, kind: Any, count: int, word: str) -> list[str]:
+        """Names of a kind of object; those without one get word_<id>, distinct from the others."""
+        given = [self.mujoco.mj_id2name(self.model, int(kind), i) or "" for i in range(count)]
+        taken = set(given)
+        return [name or free_name(f"{word}_{i}", taken) for i, name in enumerate(given)]
+
+    def links_and_joints(self, tip: str | None) -> tuple[dict[str, Tensor | None], list[TreeJoint]]:
+        """Links with their parameters (10,) or None, and joints in the order of qpos; a site that
+        is named as the tip is a massless link fixed to its body."""
+        model = self.model
         links: dict[str, Tensor | None] = {self.bodies[0]: None}
         joints: list[TreeJoint] = []
-        for body in range(1, self.model.nbody):
-            links[self.bodies[body]] = _inertial(self.model, body)
+        for body in range(1, model.nbody):
+            links[self.bodies[body]] = _inertial(model, body)
             steps = self._steps(body)
             joints.extend(steps)
             for step in steps[:-1]:
                 links[step.child] = torch.zeros(10, dtype=torch.float64)
+        site = -1
+        if tip is not None and tip not in links:
+            site = self.mujoco.mj_name2id(model, int(self.mujoco.mjtObj.mjOBJ_SITE), tip)
+        if tip is not None and site >= 0:
+            links[tip] = None
+            body, placed = int(model.site_bodyid[site]), given_pose(model, "site", site)
+            joints.append(TreeJoint(f"{tip} (fixed)", self.bodies[body], tip, origin=placed))
         return links, joints
+
+    def warnings(self, without_gravity: bool) -> list[str]:
+        """What the model holds and a Robot does not."""
+        model, said = self.model, []
+        for joint, name in enumerate(self.joints):
+            dof = int(model.jnt_dofadr[joint])
+            if _any(getattr(model, "dof_dampingpoly", ()), dof) or _any(
+                getattr(model, "jnt_stiffnesspoly", ()), joint
+            ):
+                said.append(
+                    f"joint '{name}' has nonlinear damping or stiffness: it is not modelled"
+                )
+        others = {
+            f"{model.neq} equality constraint(s) are not modelled": model.neq,
+            f"{model.ntendon} tendon(s) are not modelled": model.ntendon,
+            "gravity compensation of bodies (gravcomp) is not modelled": model.body_gravcomp.any(),
+            "forces of the surrounding fluid (density, viscosity) are not modelled": (
+                model.opt.density or model.opt.viscosity
+            ),
+            "the model turns gravity off: gravity is zero": without_gravity,
+        }
+        return said + [sentence for sentence, holds in others.items() if holds]
 
     def _steps(self, body: int) -> list[TreeJoint]:
         """The joints from a body's parent to the body; one fixed joint where it has none."""
         model = self.model
         name, parent = self.bodies[body], self.bodies[int(model.body_parentid[body])]
-        placed = pose(quaternion(model.body_quat[body]), model.body_pos[body].tolist())
+        placed = given_pose(model, "body", body)
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         if count == 0:
             return [TreeJoint(f"{name} (fixed)", parent, name, origin=placed)]
@@ -188,22 +204,15 @@ class _Bodies:
         )
 
 
-def _names(mujoco: Any, model: Any, kind: Any, count: int, word: str) -> list[str]:
-    """Names of a kind of object; those without one get word_<id>, distinct from the others."""
-    given = [mujoco.mj_id2name(model, int(kind), i) for i in range(count)]
-    taken = set(given)
-    out = []
-    for i, name in enumerate(given):
-        own = name or f"{word}_{i}"
-        while not name and own in taken:
-            own += "_"
-        out.append(own)
-    return out
+def given_pose(model: Any, kind: str, index: int) -> Tensor:
+    """(4, 4) pose of a body, site or geom in the frame that the model gives it in."""
+    turn, place = getattr(model, f"{kind}_quat")[index], getattr(model, f"{kind}_pos")[index]
+    return pose(quaternion(turn), place.tolist())
 
 
 def _inertial(model: Any, body: int) -> Tensor | None:
     """(10,) parameters in the body frame, or None for a body without mass."""
-    mass = torch.tensor(float(model.body_mass[body]), dtype=torch.float64)
+    mass = torch.tensor(model.body_mass[body], dtype=torch.float64)
     if mass == 0:
         return None
     xx, yy, zz = model.body_inertia[body].tolist()
@@ -230,24 +239,6 @@ def _torque_limit(mujoco: Any, model: Any, joint: int) -> Interval | None:
     if len(on_joint) != 1 or not model.actuator_forcelimited[on_joint[0]]:
         return None
     return _interval(model.actuator_forcerange[on_joint[0]] * model.actuator_gear[on_joint[0], 0])
-
-
-def _add_site(
-    mujoco: Any,
-    model: Any,
-    site: str,
-    links: dict[str, Tensor | None],
-    joints: list[TreeJoint],
-) -> None:
-    """A site named as the tip becomes a massless link fixed to its body."""
-    index = mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_SITE), site)
-    if index < 0:
-        return
-    placed = pose(quaternion(model.site_quat[index]), model.site_pos[index].tolist())
-    bodies = _names(mujoco, model, mujoco.mjtObj.mjOBJ_BODY, model.nbody, "body")
-    body = bodies[int(model.site_bodyid[index])]
-    links[site] = None
-    joints.append(TreeJoint(f"{site} (fixed)", body, site, origin=placed))
 
 
 def _any(table: Any, row: int) -> bool:

@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 
-from torchid.errors import RobotError
+from torchid.robot.mjcf import compiled, given_pose
 from torchid.robot.model import Robot
-from torchid.robot.placement import pose, quaternion
+from torchid.robot.placement import pose
 from torchid.robot.solids import (
     LinkShapes,
     Solid,
@@ -42,10 +42,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     # The robot was read with it: `torchid.robot.mjcf` says how to get it where it is missing.
     import mujoco
 
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, RuntimeError) as error:
-        raise RobotError(f"{path}: MuJoCo cannot compile it: {error}") from error
+    model = compiled(mujoco, path)
     own = [_body_shapes(mujoco, model, body) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
     problems = []
@@ -81,7 +78,7 @@ def _placed(model: Any, body: int) -> Tensor:
     """Pose (4, 4) of a body in the frame of the body that moves it."""
     out = pose()
     while body and model.body_jntnum[body] == 0:
-        out = pose(quaternion(model.body_quat[body]), model.body_pos[body].tolist()) @ out
+        out = given_pose(model, "body", body) @ out
         body = int(model.body_parentid[body])
     return out
 
@@ -105,7 +102,7 @@ def _body_shapes(mujoco: Any, model: Any, body: int) -> tuple[list[Solid], str] 
 
 def _solid(mujoco: Any, model: Any, geom: int, placed: Tensor) -> Solid:
     kinds = mujoco.mjtGeom
-    at = placed @ pose(quaternion(model.geom_quat[geom]), model.geom_pos[geom].tolist())
+    at = placed @ given_pose(model, "geom", geom)
     size = torch.tensor(model.geom_size[geom].tolist(), dtype=torch.float64)
     radius, half = float(size[0]), float(size[1])
     kind = int(model.geom_type[geom])

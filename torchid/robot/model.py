@@ -29,6 +29,15 @@ if TYPE_CHECKING:
     import pytorch_kinematics
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+LIMITS = ("position", "velocity", "acceleration", "torque")
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """A name that is not taken yet, and is from now on: with underscores appended if need be."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
 
 
 class JointType(StrEnum):
@@ -55,7 +64,7 @@ class Limits:
     torque: Float[Tensor, "n 2"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("position", "velocity", "acceleration", "torque"):
+        for name in LIMITS:
             _make_tensor(self, name, f"limits of {name}")
 
     def require(self, *names: str, robot: str, purpose: str) -> None:
@@ -87,10 +96,6 @@ def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 # A robot goes to other processes, its read-only mappings with it.
 copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
-
-
-def _empty() -> Mapping[str, Any]:
-    return MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +137,7 @@ class Robot:
     parameters: InertialParameters | None = None
     effects: tuple[Mapping[str, Any], ...] = ()
     drive_gain: Float[Tensor, "n"] | None = None
-    bounds: Mapping[str, Any] = field(default_factory=_empty)
+    bounds: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
     source: str = ""
     tip: str | None = None

@@ -23,7 +23,6 @@ __all__ = [
     "LinkShapes",
     "OwnInertial",
     "joint_points",
-    "link_boxes",
     "link_lengths",
     "link_shapes",
     "own_inertials",
@@ -47,14 +46,6 @@ def link_shapes(robot: Robot) -> LinkShapes | None:
     if suffix == ".xml":
         return mjcf_shapes(path, robot)
     return None
-
-
-def link_boxes(robot: Robot) -> Float[Tensor, "n 3 2"]:
-    """Boxes (n, 3, 2) of the links' shapes in the link frames [m]; nan where unknown."""
-    shapes = link_shapes(robot)
-    if shapes is None:
-        return torch.full((robot.n, 3, 2), torch.nan, dtype=torch.float64)
-    return shapes.boxes
 
 
 def joint_points(robot: Robot) -> Float[Tensor, "n 2 3"]:

@@ -18,7 +18,7 @@ import yaml
 from torchid.errors import RobotError
 from torchid.robot.model import Robot
 from torchid.robot.yaml_file import read_effects
-from torchid.robot.yaml_values import known, numbers
+from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KEYS = ("of", "joints", "gravity", "effects")
 
@@ -59,10 +59,7 @@ def with_sidecar(robot: Robot, path: Path) -> Robot:
     beside = sidecar_path(path)
     if not beside.is_file():
         return robot
-    try:
-        data = yaml.safe_load(beside.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, ValueError, OSError) as error:
-        raise RobotError(f"'{beside}' cannot be read: {str(error).splitlines()[0]}") from error
+    data = parsed_yaml(beside)
     known(data, _KEYS, str(beside))
     if list(data.get("joints") or ()) != list(robot.joint_names):
         raise RobotError(

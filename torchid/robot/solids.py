@@ -88,14 +88,11 @@ def assembled(
     parts: Sequence[tuple[list[Solid], str] | None], warnings: tuple[str, ...]
 ) -> LinkShapes:
     """LinkShapes from each link's solids and their kind, None where they are unknown."""
-    nowhere = torch.full((3, 2), torch.nan, dtype=torch.float64)
-    merged = [None if part is None else together(part[0]) for part in parts]
+    nowhere = Solid(torch.full((3, 2), torch.nan, dtype=torch.float64), math.nan)
+    merged = [nowhere if part is None else together(part[0]) for part in parts]
     return LinkShapes(
-        torch.stack([nowhere if solid is None else solid.box for solid in merged]),
-        torch.tensor(
-            [float("nan") if solid is None else solid.volume for solid in merged],
-            dtype=torch.float64,
-        ),
+        torch.stack([solid.box for solid in merged]),
+        torch.tensor([solid.volume for solid in merged], dtype=torch.float64),
         tuple(None if part is None else part[1] for part in parts),
         warnings,
     )

@@ -6,25 +6,17 @@ joints, from the root's group (the base) to the group that holds the tip.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.model import JointType
+from torchid.robot.placement import pose
 from torchid.typing import Float
 
 Interval = tuple[float, float]
-
-
-def _identity() -> Tensor:
-    return torch.eye(4, dtype=torch.float64)
-
-
-def _along_x() -> Tensor:
-    return torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -51,10 +43,10 @@ class TreeJoint:
     parent: str
     child: str
     motion: JointType | None = None
-    origin: Float[Tensor, "4 4"] = field(default_factory=_identity)
-    axis: Float[Tensor, "3"] = field(default_factory=_along_x)
+    origin: Float[Tensor, "4 4"] = field(default_factory=pose)
+    axis: Float[Tensor, "3"] = field(default_factory=lambda: pose()[0, :3])
     zero: float = 0.0
-    child_pose: Float[Tensor, "4 4"] = field(default_factory=_identity)
+    child_pose: Float[Tensor, "4 4"] = field(default_factory=pose)
     position: Interval | None = None
     velocity: Interval | None = None
     torque: Interval | None = None
@@ -171,7 +163,7 @@ class Tree:
 
     def group(self, link: str) -> Group:
         """The link and what hangs rigidly from it."""
-        poses = {link: _identity()}
+        poses = {link: pose()}
         waiting = [link]
         while waiting:
             parent = waiting.pop()
@@ -200,30 +192,28 @@ def choose_chain(tree: Tree, tip: str | None) -> Chain:
     root = tree.root()
     if not any(joint.movable for joint in tree.joints):
         raise RobotError(f"{tree.source}: no joint can move, so there is nothing to identify.")
-    chain = _only_chain(tree, root) if tip is None else _chain_to(tree, root, tip)
+    tip, warnings = _only_tip(tree, root) if tip is None else (tip, ())
+    chain = _chain_to(tree, root, tip)
     for joint in chain.joints:
         if joint.refused is not None:
             raise RobotError(f"{tree.source}: {joint.refused}")
-    return chain
+    return replace(chain, warnings=(*warnings, *chain.warnings))
 
 
-def _only_chain(tree: Tree, root: str) -> Chain:
-    groups = [tree.group(root)]
-    joints: list[TreeJoint] = []
-    while leaving := tree.leaving(groups[-1]):
+def _only_tip(tree: Tree, root: str) -> tuple[str, tuple[str, ...]]:
+    """The end of the only chain there is, and what its choice leaves open."""
+    group, has_chain = tree.group(root), False
+    while leaving := tree.leaving(group):
         if len(leaving) > 1:
-            raise _branching(tree, leaving, bool(joints))
-        joints.append(leaving[0])
-        groups.append(tree.group(leaving[0].child))
-    last = groups[-1]
-    ends = tree.ends(last)
+            raise _branching(tree, leaving, has_chain)
+        group, has_chain = tree.group(leaving[0].child), True
+    ends = tree.ends(group)
     if len(ends) == 1:
-        return Chain(tuple(groups), tuple(joints), ends[0], ())
-    warning = (
-        f"several links are fixed to the last moving link '{last.link}' ({', '.join(ends)}): "
-        f"the tool is '{last.link}' itself; choose another with --tip"
+        return ends[0], ()
+    return group.link, (
+        f"several links are fixed to the last moving link '{group.link}' ({', '.join(ends)}): "
+        f"the tool is '{group.link}' itself; choose another with --tip",
     )
-    return Chain(tuple(groups), tuple(joints), last.link, (warning,))
 
 
 def _branching(tree: Tree, leaving: list[TreeJoint], has_chain: bool) -> RobotError:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
@@ -19,8 +18,9 @@ from torchid.robot.tree import Interval, Tree, TreeJoint
 from torchid.robot.xml_numbers import (
     attribute,
     child,
-    number,
+    inertial_values,
     numbers,
+    optional_number,
     origin,
     parse_xml,
     refuse_xacro,
@@ -34,8 +34,8 @@ _MOTIONS = {
     "fixed": None,
 }
 _REFUSED = ("floating", "planar")
-_LIMITS = {"position": ("lower", "upper"), "velocity": ("velocity",), "effort": ("effort",)}
-_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_RANGE = ("lower", "upper")
+_LIMITS = {"position": _RANGE, "velocity": ("velocity",), "effort": ("effort",)}
 
 
 def read_urdf(path: Path, *, tip: str | None = None) -> Robot:
@@ -124,12 +124,9 @@ def _inertial(link: Any, where: str) -> Tensor | None:
     inertial = link.find("inertial")
     if inertial is None:
         return None
-    mass = torch.tensor(number(child(inertial, "mass", where), "value", where), dtype=torch.float64)
-    element = child(inertial, "inertia", where)
-    values = [number(element, name, where) for name in _TENSOR]
-    tensor = torch.tensor(values, dtype=torch.float64)
+    mass, tensor = inertial_values(inertial, where)
     # In the axes of the inertial frame and about its origin, the centre of mass.
-    own = InertialParameters.from_com(mass, torch.zeros(3, dtype=torch.float64), tensor)
+    own = InertialParameters.from_com(tensor.new_tensor(mass), tensor.new_zeros(3), tensor)
     return move(own.pi, origin(inertial, where))
 
 
@@ -151,14 +148,11 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
     position, velocity, torque = _limits(element, kind, where)
     # Damping and friction, 0 where not given.
     dynamics = element.find("dynamics")
-    if dynamics is None:
-        damping, friction = 0.0, 0.0
-    else:
-        damping = (numbers(dynamics, "damping", 1, where) or [0.0])[0]
-        friction = (numbers(dynamics, "friction", 1, where) or [0.0])[0]
-        for key, value in (("damping", damping), ("friction", friction)):
-            if value < 0:
-                warnings.append(f"joint '{name}' has negative {key} ({value:g})")
+    losses = dict.fromkeys(("damping", "friction"), 0.0)
+    for key in losses if dynamics is not None else ():
+        losses[key] = value = optional_number(dynamics, key, where) or 0.0
+        if value < 0:
+            warnings.append(f"joint '{name}' has negative {key} ({value:g})")
     return TreeJoint(
         name,
         parent,
@@ -169,8 +163,8 @@ def _joint(element: Any, source: str, warnings: list[str]) -> TreeJoint:
         position=position,
         velocity=velocity,
         torque=torque,
-        damping=damping,
-        friction=friction,
+        damping=losses["damping"],
+        friction=losses["friction"],
         refused=_refusal(element, kind, name, where),
     )
 
@@ -198,12 +192,8 @@ def _limits(
     torque = _symmetric(limit, "effort", where)
     if kind == "continuous":
         return None, velocity, torque
-    lower = numbers(limit, "lower", 1, where, finite=False)
-    upper = numbers(limit, "upper", 1, where, finite=False)
-    if lower is None and upper is None:
-        return None, velocity, torque
-    # URDF's default for the one that is missing is 0.
-    low, high = (lower or [0.0])[0], (upper or [0.0])[0]
+    # URDF's default for one that is missing is 0.
+    low, high = (optional_number(limit, key, where, finite=False) or 0.0 for key in _RANGE)
     if low == high == 0.0:
         return None, velocity, torque
     if low >= high:
@@ -212,14 +202,14 @@ def _limits(
 
 
 def _symmetric(limit: Any, key: str, where: str) -> Interval | None:
-    values = numbers(limit, key, 1, where, finite=False)
-    if values is None or values[0] == 0:
+    value = optional_number(limit, key, where, finite=False)
+    if not value:
         return None
-    if values[0] < 0:
-        raise RobotError(f"{where}: <limit {key}> is negative.", got=values[0])
-    return (-values[0], values[0])
+    if value < 0:
+        raise RobotError(f"{where}: <limit {key}> is negative.", got=value)
+    return (-value, value)
 
 
 def _zero(limit: Any, keys: Sequence[str]) -> bool:
-    values = [numbers(limit, key, 1, "", finite=False) for key in keys]
-    return any(values) and all(value is None or value[0] == 0 for value in values)
+    values = [optional_number(limit, key, "", finite=False) for key in keys]
+    return any(value is not None for value in values) and not any(values)

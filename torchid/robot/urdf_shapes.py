@@ -5,7 +5,7 @@ A link's shapes are its <collision> elements; where it has none, or they cannot 
 together in that link's frame, as `torchid.robot.assemble` puts their masses together.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,19 @@ from torchid.robot.model import Robot
 from torchid.robot.solids import LinkShapes, Solid, assembled, box, capsule, cylinder, points
 from torchid.robot.tree import Tree
 from torchid.robot.urdf import urdf_tree
-from torchid.robot.xml_numbers import attribute, child, number, numbers, origin, parse_xml
+from torchid.robot.xml_numbers import (
+    attribute,
+    child,
+    inertial_values,
+    number,
+    numbers,
+    origin,
+    parse_xml,
+)
 from torchid.typing import Inertia6, Tensor
 
-_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TAGS = ("collision", "visual")
+_GEOMETRIES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _BARE = "has mass and no shape."
 
 
@@ -109,16 +117,8 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
             continue
         where = f"{path}: link '{name}'"
         moving = next((i for i, group in enumerate(groups) if name in group), None)
-        tensor = [number(child(inertial, "inertia", where), key, where) for key in _TENSOR]
-        found.append(
-            OwnInertial(
-                name,
-                moving,
-                moving is not None and len(groups[moving] & given) == 1,
-                number(child(inertial, "mass", where), "value", where),
-                torch.tensor(tensor, dtype=torch.float64),
-            )
-        )
+        alone = moving is not None and len(groups[moving] & given) == 1
+        found.append(OwnInertial(name, moving, alone, *inertial_values(inertial, where)))
     return tuple(found)
 
 
@@ -160,11 +160,22 @@ def _weighs(element: Any) -> bool:
 def _solid(shape: Any, placed: Tensor, where: str, path: Path) -> Solid:
     geometry = child(shape, "geometry", where)
     pose = placed @ origin(shape, where)
-    for tag, read in _GEOMETRIES.items():
-        found = geometry.find(tag)
-        if found is not None:
-            return read(found, pose, where, path)
-    raise RobotError(f"{where}: <{shape.tag}> has a geometry that is not known.")
+    found = next((e for tag in _GEOMETRIES if (e := geometry.find(tag)) is not None), None)
+    if found is None:
+        raise RobotError(f"{where}: <{shape.tag}> has a geometry that is not known.")
+    if found.tag == "mesh":
+        return points(pose, _corners(found, where, path))
+    if found.tag == "box":
+        attribute(found, "size", where)
+        size = torch.tensor(numbers(found, "size", 3, where), dtype=torch.float64)
+        if bool((size < 0).any()):
+            raise RobotError(f"{where}: <box size> is negative.", got=size.tolist())
+        return box(pose, size / 2)
+    radius = _size(found, "radius", where)
+    if found.tag == "sphere":
+        return capsule(pose, radius, 0.0)
+    length = _size(found, "length", where)
+    return (cylinder if found.tag == "cylinder" else capsule)(pose, radius, length)
 
 
 def _size(element: Any, key: str, where: str) -> float:
@@ -174,44 +185,14 @@ def _size(element: Any, key: str, where: str) -> float:
     return value
 
 
-def _box(element: Any, pose: Tensor, where: str, path: Path) -> Solid:
-    attribute(element, "size", where)
-    size = torch.tensor(numbers(element, "size", 3, where), dtype=torch.float64)
-    if bool((size < 0).any()):
-        raise RobotError(f"{where}: <box size> is negative.", got=size.tolist())
-    return box(pose, size / 2)
-
-
-def _cylinder(element: Any, pose: Tensor, where: str, path: Path) -> Solid:
-    return cylinder(pose, _size(element, "radius", where), _size(element, "length", where))
-
-
-def _capsule(element: Any, pose: Tensor, where: str, path: Path) -> Solid:
-    return capsule(pose, _size(element, "radius", where), _size(element, "length", where))
-
-
-def _sphere(element: Any, pose: Tensor, where: str, path: Path) -> Solid:
-    return capsule(pose, _size(element, "radius", where), 0.0)
-
-
-def _mesh(element: Any, pose: Tensor, where: str, path: Path) -> Solid:
-    reference = attribute(element, "filename", where)
+def _corners(mesh: Any, where: str, path: Path) -> Tensor:
+    """(V, 3) of a <mesh>, scaled [m]."""
+    reference = attribute(mesh, "filename", where)
     file = find_mesh(reference, path)
     if file is None:
         raise RobotError(f"{where}: the mesh '{reference}' was not found.")
-    scale = torch.tensor(
-        numbers(element, "scale", 3, where) or [1.0, 1.0, 1.0], dtype=torch.float64
-    )
-    return points(pose, torch.as_tensor(mesh_vertices(file)) * scale)
-
-
-_GEOMETRIES: Mapping[str, Callable[[Any, Tensor, str, Path], Solid]] = {
-    "box": _box,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-    "sphere": _sphere,
-    "mesh": _mesh,
-}
+    scale = numbers(mesh, "scale", 3, where) or [1.0, 1.0, 1.0]
+    return torch.as_tensor(mesh_vertices(file)) * torch.tensor(scale, dtype=torch.float64)
 
 
 def _unknown(problems: Mapping[str, str]) -> tuple[str, ...]:

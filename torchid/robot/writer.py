@@ -12,12 +12,9 @@ import yaml
 from torch import Tensor
 
 from torchid.files import atomic_write
-from torchid.robot.model import Robot
-from torchid.robot.yaml_kinematics import dh_step
+from torchid.robot.model import LIMITS, Robot
+from torchid.robot.yaml_kinematics import CONVENTIONS, dh_step
 from torchid.typing import Float
-
-_CONVENTIONS = ("classical", "modified")
-_LIMITS = ("position", "velocity", "acceleration", "torque")
 
 
 def write_robot(robot: Robot, path: Path) -> None:
@@ -57,7 +54,7 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     out["gravity"] = robot.gravity.tolist()
     if not _is_identity(robot.tool):
         out["tool"] = robot.tool.tolist()
-    known = {name: getattr(robot.limits, name) for name in _LIMITS}
+    known = {name: getattr(robot.limits, name) for name in LIMITS}
     out |= _unless_empty(
         "limits", {name: value.tolist() for name, value in known.items() if value is not None}
     )
@@ -82,7 +79,7 @@ def _unless_empty(key: str, value: Any) -> dict[str, Any]:
 
 def _dh(robot: Robot) -> dict[str, Any]:
     """A DH table with exactly the robot's poses; empty where there is none."""
-    for convention in _CONVENTIONS:
+    for convention in CONVENTIONS:
         rows = [
             _dh_row(convention, before, after)
             for before, after in zip(robot.before, robot.after, strict=True)

@@ -11,6 +11,8 @@ from torch import Tensor
 from torchid.errors import RobotError
 from torchid.robot.placement import pose, quaternion, roll_pitch_yaw
 
+TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of a URDF's <inertia>, in torchid's order."""
 _XACRO = "ros.org/wiki/xacro"
 _EXPAND = "expand it first: `xacro robot.urdf.xacro > robot.urdf`"
 
@@ -21,25 +23,35 @@ def parse_xml(path: Path) -> Any:
     Raises:
         RobotError: the file cannot be read or is not XML.
     """
-    try:
-        # From bytes: an encoding declaration in a str is an error. Some exporters leave blank
-        # lines before the declaration, which every URDF reader forgives.
-        data = path.read_bytes().lstrip()
-    except OSError as error:
-        raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    parser = etree.XMLParser(
-        remove_comments=True, remove_pis=True, resolve_entities=False, no_network=True
-    )
-    try:
-        root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        hint = _EXPAND if "xacro" in str(error) else None
-        raise RobotError(f"'{path}' is not valid XML: {error.args[0]}.", hint=hint) from error
+    root = parsed(content_of(path), path, remove_comments=True, remove_pis=True)
     namespace = etree.QName(root).namespace
     if namespace is not None:
         for element in root.iter(f"{{{namespace}}}*"):
             element.tag = etree.QName(element).localname
     return root
+
+
+def content_of(path: Path) -> bytes:
+    """An XML file's content, or a RobotError.
+
+    In bytes, for an encoding declaration in a str is an error. Some exporters leave blank lines
+    before the declaration, which every URDF reader forgives.
+    """
+    try:
+        return path.read_bytes().lstrip()
+    except OSError as error:
+        raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+
+
+def parsed(data: bytes, path: Path, **options: bool) -> Any:
+    """The root element of an XML file's content, or a RobotError; lxml's options say what is kept
+    of it."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, **options)
+    try:
+        return etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        hint = _EXPAND if "xacro" in str(error) else None
+        raise RobotError(f"'{path}' is not valid XML: {error.args[0]}.", hint=hint) from error
 
 
 def refuse_xacro(root: Any, source: str) -> None:
@@ -107,12 +119,27 @@ def numbers(
     return values
 
 
+def optional_number(element: Any, name: str, where: str, *, finite: bool = True) -> float | None:
+    """A number, or None where there is no such attribute (see `numbers`)."""
+    values = numbers(element, name, 1, where, finite=finite)
+    return None if values is None else values[0]
+
+
 def number(element: Any, name: str, where: str) -> float:
     """A required number (see `numbers`)."""
     attribute(element, name, where)
-    values = numbers(element, name, 1, where)
-    assert values is not None
-    return values[0]
+    value = optional_number(element, name, where)
+    assert value is not None
+    return value
+
+
+def inertial_values(inertial: Any, where: str) -> tuple[float, Tensor]:
+    """Mass [kg] and inertia (6,) about the centre of mass [kg m^2] of a URDF's <inertial>, in its
+    own axes."""
+    mass = number(child(inertial, "mass", where), "value", where)
+    element = child(inertial, "inertia", where)
+    tensor = [number(element, key, where) for key in TENSOR]
+    return mass, torch.tensor(tensor, dtype=torch.float64)
 
 
 def origin(element: Any, where: str) -> Tensor:

@@ -6,18 +6,16 @@ from types import MappingProxyType
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, parallel_axis
-from torchid.robot.model import STANDARD_GRAVITY, Limits, Robot
+from torchid.robot.model import LIMITS, STANDARD_GRAVITY, Limits, Robot
 from torchid.robot.yaml_kinematics import read_kinematics
-from torchid.robot.yaml_values import known, numbers
+from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
 _REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "tool")
-_LIMIT_KEYS = ("position", "velocity", "acceleration", "torque")
 
 
 def read_yaml(path: Path) -> Robot:
@@ -26,12 +24,7 @@ def read_yaml(path: Path) -> Robot:
     Raises:
         RobotError: not yaml, an unknown key, a wrong count, or a value that is not a number.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such date
-        raise RobotError(f"'{path}' is not valid yaml: {str(error).splitlines()[0]}") from error
-    except OSError as error:
-        raise RobotError(f"'{path}' cannot be read: {error.strerror}") from error
+    data = parsed_yaml(path)
     if not isinstance(data, Mapping):
         raise RobotError(
             f"'{path}' is not a robot description.",
@@ -47,13 +40,13 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)
-    n = len(kinematics.joint_types)
+    n = len(kinematics["joint_types"])
     gravity = numbers(data.get("gravity", STANDARD_GRAVITY), (3,), f"{source}: gravity")
     tool = numbers(data.get("tool", torch.eye(4).tolist()), (4, 4), f"{source}: tool")
     gain = data.get("drive_gain")
     return Robot(
         name=str(data["name"]),
-        **kinematics._asdict(),
+        **kinematics,
         gravity=gravity,
         tool=tool,
         limits=_limits(data.get("limits") or {}, n, source),
@@ -66,12 +59,11 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
 
 
 def _limits(data: Any, n: int, source: str) -> Limits:
-    known(data, _LIMIT_KEYS, f"{source}: limits")
-    values = {}
-    for key in _LIMIT_KEYS:
-        if data.get(key) is not None:
-            values[key] = _interval(data[key], n, f"{source}: limits.{key}")
-    return Limits(**values)
+    known(data, LIMITS, f"{source}: limits")
+    given = {key: data[key] for key in LIMITS if data.get(key) is not None}
+    return Limits(
+        **{key: _interval(value, n, f"{source}: limits.{key}") for key, value in given.items()}
+    )
 
 
 def _interval(data: Any, n: int, where: str) -> Tensor:
@@ -105,15 +97,12 @@ def _parameters(data: Any, n: int, source: str) -> InertialParameters | None:
     mass = numbers(data["mass"], (n,), f"{where}.mass")
     first = numbers(data[moment], (n, 3), f"{where}.{moment}")
     tensor = numbers(data[inertia], (n, 6), f"{where}.{inertia}")
-    if moment == "com":
-        if inertia == "inertia_about_com":
-            return InertialParameters.from_com(mass, first, tensor)
-        return InertialParameters.from_link_frame(mass, first, tensor)
-    parameters = InertialParameters(torch.cat([mass.unsqueeze(-1), first, tensor], -1))
+    m = mass.unsqueeze(-1)
+    moved = m * first if moment == "com" else first
     if inertia == "inertia_about_com":
-        about_origin = tensor + parallel_axis(mass, parameters.com)
-        parameters = InertialParameters(torch.cat([parameters.pi[..., :4], about_origin], -1))
-    return parameters
+        own = InertialParameters(torch.cat([m, moved, tensor], -1))
+        tensor = tensor + parallel_axis(mass, first if moment == "com" else own.com)
+    return InertialParameters(torch.cat([m, moved, tensor], -1))
 
 
 def read_effects(data: Any, n: int, source: str) -> tuple[Mapping[str, Any], ...]:

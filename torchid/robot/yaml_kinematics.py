@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,51 +16,70 @@ from torchid.typing import Float
 _NAMES = ("name", "link")
 _DH_KEYS = ("type", "a", "alpha", "alpha_deg", "d", "theta", "theta_deg", *_NAMES)
 _PLACEMENT_KEYS = ("type", "before", "after", *_NAMES)
+_FORMS: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
+    "dh": (
+        ("convention", "joints"),
+        _DH_KEYS,
+        "dh: {convention: classical|modified, joints: [{type, a, alpha, d, theta}]}",
+    ),
+    "placements": (
+        ("joints",),
+        _PLACEMENT_KEYS,
+        "placements: {joints: [{type, before: {xyz, rotation}, after}]}",
+    ),
+}
+"""Keys of each way to give the kinematics, keys of its joints, and what it looks like."""
+CONVENTIONS = ("classical", "modified")
 _ORTHONORMAL = 1e-6
 """How far a rotation that was typed with a few digits may be from one."""
 
 
-class Kinematics(NamedTuple):
-    """Fields of a Robot, under the same names."""
-
-    joint_names: tuple[str, ...]
-    link_names: tuple[str, ...]
-    joint_types: tuple[JointType, ...]
-    before: Float[Tensor, "n 4 4"]
-    after: Float[Tensor, "n 4 4"]
-
-
-class _Joint(NamedTuple):
-    kind: JointType
-    before: Tensor
-    after: Tensor
-
-
-def read_kinematics(data: Mapping[str, Any], source: str) -> Kinematics:
-    """From a yaml's `dh` or `placements`, of which there must be exactly one.
+def read_kinematics(data: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Names, types and poses of the joints, under the names of a Robot's fields, from a yaml's `dh`
+    or `placements`, of which there must be exactly one.
 
     Raises:
         RobotError: both or neither, an unknown key, or a value that is not what it should be.
     """
-    given = [key for key in ("dh", "placements") if key in data]
+    given = [form for form in _FORMS if form in data]
     if len(given) == 2:
         raise RobotError(f"{source}: both 'dh' and 'placements' are given.", expected="one of them")
     if not given:
         raise RobotError(
             f"{source}: 'dh' is missing.", available=list(data), expected="dh, or placements"
         )
-    if given == ["dh"]:
-        rows, joints = _dh(data["dh"], source)
-    else:
-        rows, joints = _placements(data["placements"], source)
-    named = list(enumerate(rows, start=1))
-    return Kinematics(
-        joint_names=tuple(str(row.get("name", f"joint_{i}")) for i, row in named),
-        link_names=tuple(str(row.get("link", f"link_{i}")) for i, row in named),
-        joint_types=tuple(joint.kind for joint in joints),
-        before=torch.stack([joint.before for joint in joints]),
-        after=torch.stack([joint.after for joint in joints]),
-    )
+    form = given[0]
+    table, (needs, keys, expected) = data[form], _FORMS[form]
+    if not isinstance(table, Mapping) or not table.keys() >= set(needs):
+        raise RobotError(
+            f"{source}: '{form}' needs {' and '.join(repr(key) for key in needs)}.",
+            got=list(table) if isinstance(table, Mapping) else type(table).__name__,
+            expected=expected,
+        )
+    known(table, needs, f"{source}: {form}")
+    convention = table.get("convention", "classical")
+    if convention not in CONVENTIONS:
+        raise RobotError(f"{source}: unknown DH convention.", got=convention, available=CONVENTIONS)
+    rows = list(enumerate(_rows(table["joints"], keys, f"{source}: {form}.joints", source), 1))
+    poses = []
+    for i, row in rows:
+        where = f"{source}: joint {i}"
+        if form == "dh":
+            a, d = (number(row.get(key, 0), f"{where}: {key}") for key in ("a", "d"))
+            alpha, theta = (_angle(row, key, where) for key in ("alpha", "theta"))
+            poses.append(dh_step(convention, a, alpha, d, theta))
+        else:
+            before, after = (
+                _pose(row.get(key, {}), f"{where}: {key}") for key in ("before", "after")
+            )
+            poses.append((before, after))
+    return {
+        "joint_names": tuple(str(row.get("name", f"joint_{i}")) for i, row in rows),
+        "link_names": tuple(str(row.get("link", f"link_{i}")) for i, row in rows),
+        "joint_types": tuple(_kind(row, f"{source}: joint {i}") for i, row in rows),
+        "before": torch.stack([before for before, _ in poses]),
+        "after": torch.stack([after for _, after in poses]),
+    }
 
 
 def dh_step(
@@ -77,47 +96,6 @@ def dh_step(
         return pose(), dh_classical(a, alpha, d, theta)
     # Rz(theta) and Tz(d) commute with the joint's own motion about or along z.
     return dh_modified(a, alpha) @ pose(rotation_z(theta), (0, 0, d)), pose()
-
-
-def _dh(dh: Any, source: str) -> tuple[Sequence[Mapping[str, Any]], list[_Joint]]:
-    if not isinstance(dh, Mapping) or "joints" not in dh or "convention" not in dh:
-        raise RobotError(
-            f"{source}: 'dh' needs 'convention' and 'joints'.",
-            got=list(dh) if isinstance(dh, Mapping) else type(dh).__name__,
-            expected="dh: {convention: classical|modified, joints: [{type, a, alpha, d, theta}]}",
-        )
-    known(dh, ("convention", "joints"), f"{source}: dh")
-    convention = dh["convention"]
-    if convention not in ("classical", "modified"):
-        raise RobotError(
-            f"{source}: unknown DH convention.", got=convention, available=["classical", "modified"]
-        )
-    rows = _rows(dh["joints"], _DH_KEYS, f"{source}: dh.joints", source)
-    joints = []
-    for i, row in enumerate(rows, start=1):
-        where = f"{source}: joint {i}"
-        kind = _kind(row, where)
-        a, d = (number(row.get(key, 0), f"{where}: {key}") for key in ("a", "d"))
-        alpha, theta = (_angle(row, key, where) for key in ("alpha", "theta"))
-        joints.append(_Joint(kind, *dh_step(convention, a, alpha, d, theta)))
-    return rows, joints
-
-
-def _placements(data: Any, source: str) -> tuple[Sequence[Mapping[str, Any]], list[_Joint]]:
-    if not isinstance(data, Mapping) or "joints" not in data:
-        raise RobotError(
-            f"{source}: 'placements' needs 'joints'.",
-            got=list(data) if isinstance(data, Mapping) else type(data).__name__,
-            expected="placements: {joints: [{type, before: {xyz, rotation}, after}]}",
-        )
-    known(data, ("joints",), f"{source}: placements")
-    rows = _rows(data["joints"], _PLACEMENT_KEYS, f"{source}: placements.joints", source)
-    joints = []
-    for i, row in enumerate(rows, start=1):
-        where = f"{source}: joint {i}"
-        before, after = (_pose(row.get(key, {}), f"{where}: {key}") for key in ("before", "after"))
-        joints.append(_Joint(_kind(row, where), before, after))
-    return rows, joints
 
 
 def _rows(rows: Any, keys: Sequence[str], where: str, source: str) -> Sequence[Mapping[str, Any]]:

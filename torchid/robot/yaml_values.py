@@ -2,14 +2,26 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
+import yaml
 from torch import Tensor
 
 from torchid.errors import RobotError
 
 _EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
+
+
+def parsed_yaml(path: Path) -> Any:
+    """The content of a yaml file, or a RobotError."""
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such date
+        raise RobotError(f"'{path}' is not valid yaml: {str(error).splitlines()[0]}") from error
+    except OSError as error:
+        raise RobotError(f"'{path}' cannot be read: {error.strerror}") from error
 
 
 def known(data: Any, keys: Sequence[str], where: str) -> None:

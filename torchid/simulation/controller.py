@@ -8,8 +8,8 @@ from torch import Tensor
 
 from torchid.dynamics.forward import mass_matrix
 from torchid.effects.base import Motion
+from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.effects.rotor_inertia import RotorInertia
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.typing import Float

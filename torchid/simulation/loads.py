@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from torchid.effects.base import PLACES, Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued
-from torchid.effects.rotor_inertia import RotorInertia
 from torchid.robot.model import Robot
 
 _SPEED_STEP = 1e-4

@@ -10,8 +10,8 @@ from tests.gap.problems import data_of
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples
+from torchid.effects.friction_laws import ThermalFrictionDrift
 from torchid.effects.registry import model_torque
-from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.gap.noise.floor import Noise, noise_of
 from torchid.typing import Tensor
 
