@@ -12,15 +12,16 @@ from torchid.design.segments import Samples, Segment, moving_samples
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, model_torque
 from torchid.gap.data import Data, sharp_direction
-from torchid.gap.search.evidence import Question, Worth
+from torchid.gap.search.evidence import Question
 from torchid.gap.search.terms import Term, Wanted, candidates_of
+from torchid.gap.settings import GapSettings
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
 
 CUTOFF = 8.0
 NOISE = 0.05
-WORTH = Worth(gap=0.05, torque=0.01)
+SETTINGS = GapSettings()
 SIMPLE = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 
@@ -83,7 +84,7 @@ def question_of(
     columns: Columns | None = None,
     free: bool = False,
     inertial: bool = False,
-    worth: Worth = WORTH,
+    settings: GapSettings = SETTINGS,
 ) -> Question:
     """Candidates for the gap between data and the 3R with given effects."""
     columns = columns or Columns(Model(ROBOT, tuple(given)), data.samples)
@@ -95,7 +96,7 @@ def question_of(
         parts = torch.zeros(len(data.samples), dtype=torch.long)
     wanted = wanted_of(names, free=free, inertial=inertial)
     found = candidates_of(columns, gap, data, wanted, parts, tuple(given), tuple(extra))
-    return Question(found, found.gram.over(), 0.01, worth)
+    return Question(found, found.gram.over(), settings)
 
 
 def two_folds(data: Data) -> Tensor:

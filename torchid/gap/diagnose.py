@@ -21,8 +21,8 @@ from torchid.gap.data import Data, prepare
 from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import Noise, noise_of, sliding_only
-from torchid.gap.search.evidence import Worth, fit_terms
-from torchid.gap.search.explain import Explanation, Rules, explained, without_terms
+from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.explain import Explanation, explained, without_terms
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
@@ -135,11 +135,8 @@ def diagnose(
     data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
-    rules = Rules(
-        settings.alpha, Worth(settings.worthwhile, settings.worthwhile_torque), settings.max_effects
-    )
     block = _blocks(data, at_start)
-    found = explained(at_start, data, wanted, rules, folds.parts, block)
+    found = explained(at_start, data, wanted, settings, folds.parts, block)
 
     say("judging", 0, 1)
     fitted_first = robot.parameters is None

@@ -25,7 +25,7 @@ from torchid.effects.registry import KINDS, nominal_effects
 from torchid.gap.data import prepare
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
-from torchid.gap.search.evidence import Offer, Question, Worth, fit_terms, offers, subset_of
+from torchid.gap.search.evidence import Offer, Question, fit_terms, offers, subset_of
 from torchid.gap.search.terms import LINK, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import noise_variance
@@ -97,11 +97,10 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
         found = candidates_of(
             columns, gap, given, wanted, folds.parts, columns.model.effects, extra
         )
-        worth = Worth(settings.worthwhile, settings.worthwhile_torque)
-        return Question(found, found.gram.over(), settings.alpha, worth)
+        return Question(found, found.gram.over(), settings)
 
     question = asked(())
-    pushes = contacts(question, settings.alpha)
+    pushes = contacts(question)
     if pushes:
         question = asked(pushes)
     return Data(

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from tests.gap.problems import (
+    SETTINGS,
     SIMPLE,
-    WORTH,
     measured,
     named,
     question_of,
@@ -14,14 +14,14 @@ from tests.gap.problems import (
 )
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.gap.search.climb import (
-    cause_groups,
     climbed,
     empty_fit,
     held_out_losses,
     moves,
     worthy,
 )
-from torchid.gap.search.evidence import Worth, causes, fit_terms
+from torchid.gap.search.evidence import cause_groups, fit_terms
+from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import make_folds
 
 PLANTED = {
@@ -29,13 +29,14 @@ PLANTED = {
     "coulomb": (CoulombFriction(0), [0.6]),
     "offset": (TorqueOffset(2), [0.3]),
 }
+ONE = GapSettings(max_effects=1)
 
 
 @pytest.mark.parametrize("names", [(), ("viscous",), ("coulomb", "offset"), tuple(PLANTED)])
 def test_what_is_planted_is_found_and_nothing_else(names):
     effects = [PLANTED[n] for n in names]
     question = question_of(measured(effects, seed=1))
-    fit = climbed(question, (), 10)
+    fit = climbed(question, ())
     assert named(fit.terms) == {(e.name, e.joint) for e, _ in effects}
     found = dict(zip((t.effects[0] for t in fit.terms), fit.values(), strict=True))
     for effect, values in effects:
@@ -46,14 +47,14 @@ def test_what_is_planted_is_found_and_nothing_else(names):
 def test_a_wrong_start_is_left():
     question = question_of(measured([PLANTED["coulomb"]]))
     start = [term(question, "rotor_inertia", 0), term(question, "viscous_friction", 2)]
-    fit = climbed(question, start, 10)
+    fit = climbed(question, start)
     assert named(fit.terms) == {("coulomb_friction", 0)}
 
 
 def test_no_more_causes_than_wanted():
-    question = question_of(measured([PLANTED["coulomb"], PLANTED["offset"]]))
-    fit = climbed(question, (), 1)
-    assert causes(fit.terms, 3) == 1
+    question = question_of(measured([PLANTED["coulomb"], PLANTED["offset"]]), settings=ONE)
+    fit = climbed(question, ())
+    assert len(cause_groups(fit.terms, 3)) == 1
 
 
 COMMON = [(CoulombFriction(j), [f]) for j, f in enumerate((0.3, 0.5, 0.2))]
@@ -61,10 +62,10 @@ COMMON = [(CoulombFriction(j), [f]) for j, f in enumerate((0.3, 0.5, 0.2))]
 
 def test_what_all_joints_have_is_one_cause():
     """Found on all three, also by a search that may name one cause only."""
-    question = question_of(measured(COMMON))
-    fit = climbed(question, (), 1)
+    question = question_of(measured(COMMON), settings=ONE)
+    fit = climbed(question, ())
     assert named(fit.terms) == {("coulomb_friction", j) for j in range(3)}
-    assert causes(fit.terms, 3) == 1
+    assert len(cause_groups(fit.terms, 3)) == 1
     assert [sorted(t.place for t in g) for g in cause_groups(fit.terms, 3)] == [[0, 1, 2]]
     together = [m for _, m in moves(question, empty_fit(question)) if len(m) == 3]
     assert any(named(m) == named(fit.terms) for m in together)
@@ -105,9 +106,9 @@ def test_losses_on_held_out_data_are_those_of_fits_without_them():
     assert float(found[1]) == pytest.approx(expected)
 
 
-def worthy_terms(effects, *names, worth=WORTH):
+def worthy_terms(effects, *names, settings=SETTINGS):
     data = measured(effects, noise=0.002)
-    question = question_of(data, parts=two_folds(data), worth=worth)
+    question = question_of(data, parts=two_folds(data), settings=settings)
     terms = [term(question, *n) for n in names]
     fit = fit_terms(question, terms, question.normal.rows)
     return worthy(question, question.candidates.gram.folds(), fit)
@@ -120,7 +121,9 @@ def test_what_is_small_leaves_and_what_is_large_stays():
     fit, left = worthy_terms(effects, *both)
     assert named(fit.terms) == {("coulomb_friction", 1)}
     assert named(left) == {("viscous_friction", 1)}
-    fit, left = worthy_terms(effects, *both, worth=Worth(gap=0.0, torque=0.0))
+    fit, left = worthy_terms(
+        effects, *both, settings=GapSettings(worthwhile=0.0, worthwhile_torque=0.0)
+    )
     assert named(fit.terms) == set(both)
     assert left == []
 

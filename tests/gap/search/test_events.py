@@ -14,7 +14,6 @@ from torchid.gap.data import Data
 from torchid.gap.search.events import contacts
 from torchid.robot.library import load_robot
 
-ALPHA = 0.01
 FRICTION = [(CoulombFriction(j), [0.3]) for j in range(3)]
 PUSH = Contact(13.0, 14.2)  # in the second run, which begins at 11 s
 
@@ -41,7 +40,7 @@ def noisy(quiet: Data, seed: int, hz: float | None, force: list[float] | None = 
 
 
 def found_in(data: Data, columns: Columns) -> list[Contact]:
-    return contacts(question_of(data, (*SIMPLE, "contact"), columns=columns), ALPHA)
+    return contacts(question_of(data, (*SIMPLE, "contact"), columns=columns))
 
 
 @pytest.mark.parametrize("hz", [None, 2.0])

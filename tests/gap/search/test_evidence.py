@@ -13,12 +13,12 @@ from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.gap.search.evidence import (
     Question,
-    causes,
+    cause_groups,
+    common_names,
     cost,
     directions,
     effective_samples,
     fit_terms,
-    is_common,
     offers,
     residual,
     rows_of,
@@ -184,7 +184,7 @@ def test_evidence_is_made_of_likelihood_and_cost(question: Question) -> None:
     nothing = torch.stack([g[-1, -1] for g in question.normal.g])
     likelihood = float((n * (nothing / fit.losses).log()).sum())
     two = directions(question, terms[1])
-    price = 2 * math.log(len(question.candidates.terms) / question.alpha)
+    price = 2 * math.log(len(question.candidates.terms) / question.settings.alpha)
     paid = math.log(50.0) + two * math.log(100.0) + 2 * price
     assert cost(question, terms, n) == pytest.approx(paid)
     assert fit.evidence == pytest.approx(likelihood - paid)
@@ -229,15 +229,15 @@ def test_directions_that_the_samples_do_not_tell_apart_cost_nothing(question: Qu
 def test_causes_are_terms_but_what_most_joints_have_is_one(question: Question) -> None:
     dry = [term(question, "coulomb_friction", j) for j in range(3)]
     inertia = term(question, "rotor_inertia", 1)
-    assert causes([], 3) == 0
-    assert causes(dry[:1], 3) == 1
-    assert causes(dry[:2], 3) == causes(dry, 3) == 1
-    assert causes([*dry, inertia], 3) == 2
+    assert len(cause_groups([], 3)) == 0
+    assert len(cause_groups(dry[:1], 3)) == 1
+    assert len(cause_groups(dry[:2], 3)) == len(cause_groups(dry, 3)) == 1
+    assert len(cause_groups([*dry, inertia], 3)) == 2
     springs = [term(question, "joint_spring", j) for j in range(3)]
-    assert causes(springs, 3) == 3  # an arm that has one has no reason to have others
-    assert is_common("coulomb_friction", dry[:2], 3)
-    assert not is_common("coulomb_friction", dry[:1], 3)
-    assert not is_common("joint_spring", springs, 3)
+    assert len(cause_groups(springs, 3)) == 3  # an arm that has one has no reason to have others
+    assert common_names(dry[:2], 3) == {"coulomb_friction"}
+    assert not common_names(dry[:1], 3)
+    assert not common_names(springs, 3)
 
 
 def test_effective_samples_are_fewer_where_what_is_left_is_slow() -> None:

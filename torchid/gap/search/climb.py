@@ -8,7 +8,6 @@ having leaves, the least worthy first.
 
 import math
 from collections.abc import Sequence
-from itertools import groupby
 
 import torch
 
@@ -18,14 +17,15 @@ from torchid.gap.search.evidence import (
     Fitted,
     Offer,
     Question,
-    causes,
+    cause_groups,
+    common_names,
     cost,
     effective_samples,
     fit_terms,
-    is_common,
     offers,
     refused,
     ridge_of,
+    risen,
     subset_of,
 )
 from torchid.gap.search.terms import BASE, Term
@@ -56,7 +56,7 @@ def empty_fit(question: Question) -> Fitted:
     return fit_terms(question, (), effective)
 
 
-def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
+def climbed(question: Question, start: Sequence[Term]) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
     # The effective samples of a fit are those of what it leaves itself.
     ones = torch.ones(question.candidates.gram.n, dtype=torch.float64)
@@ -67,7 +67,7 @@ def climbed(question: Question, start: Sequence[Term], most: int) -> Fitted:
     # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
     while True:
-        better = _added(question, fit, most) or _lighter(question, fit) or _swapped(question, fit)
+        better = _added(question, fit) or _lighter(question, fit) or _swapped(question, fit)
         if better is None or _signature(better) in seen:
             return fit
         fit = better
@@ -110,7 +110,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
     found = offers(question, fit, places)
     # One by one.
     # A further joint of what most joints have is no further cause.
-    free = {name for name in {t.name for t in own} if is_common(name, own, question.joints)}
+    free = common_names(own, question.joints)
     out: list[tuple[float, Move]] = [
         (o.net - (0.0 if o.term.name in free and o.term.place is not None else question.price()),
          (o.term,))
@@ -130,7 +130,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
             if len(offered) < len(names):
                 continue
             terms = tuple(o.term for o in offered)
-            net = offered[0].net if len(names) == 1 else _joint_net(question, fit, terms, j)
+            net = offered[0].net if len(names) == 1 else _joint_net(question, fit, terms)
             if len(names) > 1:
                 out.append((net - len(names) * question.price(), terms))
             if net > 0:
@@ -141,25 +141,14 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
     return sorted(out, key=lambda move: -move[0])
 
 
-def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term], joint: int) -> float:
-    """Rise of the evidence by terms of one joint together, without the price of a cause, while all
-    else stays as it is."""
-    # What the fit leaves of the joint, as a combination v of the matrix's rows.
-    g, s = question.normal.g[joint], fit.subset.joints[joint]
-    v = s.target.clone()
-    v.index_add_(0, s.at, -fit.x[s.of])
-    # The terms' own least squares on that, in units of their columns.
-    at = torch.cat([t.at for t in terms])
-    b = g[at] @ v
-    inner = g[at.unsqueeze(1), at]
-    size = inner.diagonal().clamp(min=1e-300).sqrt()
-    scaled = inner / size / size.unsqueeze(1) + 1e-9 * torch.eye(len(at), dtype=torch.float64)
-    gain = float((b / size) @ torch.linalg.solve(scaled, b / size))
-    # Its rise of the likelihood, less the price of its coefficients.
-    n = float(question.normal.rows[joint])
-    share = min(gain / max(float(v @ g @ v), 1e-300), 1 - 1e-9)
-    log_n = torch.tensor(max(n, 2.0)).log()
-    return float(-n * torch.log1p(torch.tensor(-share)) - len(at) * log_n)
+def _joint_net(question: Question, fit: Fitted, terms: Sequence[Term]) -> float:
+    """Rise of the evidence by terms of one joint together, without the price of a cause; all
+    samples count as independent."""
+    rows = question.normal.rows
+    weight = rows / fit.losses.clamp(min=1e-300)
+    more = fit_terms(question, (*_own(question, fit), *terms), rows, weight)
+    paid = sum(len(t.at) * math.log(max(float(rows[t.place]), 2.0)) for t in terms)
+    return float(risen(rows, fit.losses, more.losses).sum()) - paid
 
 
 def _lighter(question: Question, fit: Fitted) -> Fitted | None:
@@ -203,12 +192,12 @@ def _swapped(question: Question, fit: Fitted) -> Fitted | None:
     return best if best is not None and best.evidence > fit.evidence + 1e-6 else None
 
 
-def _added(question: Question, fit: Fitted, most: int) -> Fitted | None:
+def _added(question: Question, fit: Fitted) -> Fitted | None:
     """The best addition, if the evidence rises with it. Before and after are compared with the
     effective samples of what the addition leaves: one that is true makes the rest less
     dependent. Only the most likely additions are looked at so closely."""
     own = _own(question, fit)
-    if causes(own, question.joints) >= most:
+    if len(cause_groups(own, question.joints)) >= question.settings.max_effects:
         return None
     options = [m for _, m in moves(question, fit) if not any(t.name == BASE for t in m)][:TRIED]
     # Ranked with all samples.
@@ -313,10 +302,3 @@ def worthy(
         keep = [t for t in own if all(t is not c for c in gone)]
         fit = allowed(question, fit_terms(question, keep, fit.effective, fit.weight))
     return fit, left
-
-
-def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:
-    """Terms by cause: what most joints have of an effect that arms have is one."""
-    out = [[t] for t in terms if not is_common(t.name, terms, n)]
-    common = sorted((t for t in terms if is_common(t.name, terms, n)), key=lambda t: t.name)
-    return out + [list(own) for _, own in groupby(common, key=lambda t: t.name)]

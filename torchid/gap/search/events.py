@@ -33,7 +33,7 @@ MOST = 3
 """Contacts at most, of each length of window and in all; the search decides which of them stay."""
 
 
-def contacts(question: Question, alpha: float) -> list[Contact]:
+def contacts(question: Question) -> list[Contact]:
     """Contacts that stand out from the rest of a log, the clearest first; they do not overlap."""
     candidates = question.candidates
     columns, samples = candidates.columns, candidates.columns.samples
@@ -49,7 +49,7 @@ def contacts(question: Question, alpha: float) -> list[Contact]:
     r = left / unit
     pull = columns.on_all_joints(Contact()) * candidates.keep / unit
     # Windows that stand out, as contacts that do not overlap.
-    found = _windows(pull, r, samples.bounds, alpha)
+    found = _windows(pull, r, samples.bounds, question.settings.alpha)
     half = 0.5 * samples.interval
     out: list[Contact] = []
     for first, last in found:

@@ -12,6 +12,7 @@ A cause is one term; or the same effect on most joints, where arms have it (dry 
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,6 +24,7 @@ from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
+from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
 
@@ -71,19 +73,6 @@ class Fitted:
         return list(self.x.split([len(t.at) for t in self.terms]))
 
 
-@dataclass(frozen=True)
-class Worth:
-    """From which size on a cause is worth a name.
-
-    Attributes:
-        gap: share of a joint's error without the cause [1].
-        torque: share of a joint's torque [1].
-    """
-
-    gap: float
-    torque: float
-
-
 @dataclass(frozen=True, eq=False)
 class Question:
     """What is to be explained, by which candidates.
@@ -91,16 +80,14 @@ class Question:
     Attributes:
         candidates: with their normal equations.
         normal: of the samples that are explained.
-        alpha: family-wise level.
-        worth: least size of a cause.
+        settings: how it is decided: the level, the least worth of a cause, the most causes.
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
     """
 
     candidates: Candidates
     normal: Normal
-    alpha: float
-    worth: Worth
+    settings: GapSettings
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
     seen: dict[int, int] = field(default_factory=dict, repr=False)
 
@@ -128,12 +115,14 @@ class Question:
         """Torque (n,) from which on a cause is worth a name [N m; N], where the error without it is
         so large, as a mean square."""
         # The larger of a share of the gap and a share of the torque.
-        gap = self.worth.gap * error.clamp(min=0).sqrt()
-        return torch.maximum(gap, self.worth.torque * self.torque.sqrt()).clamp(min=1e-300)
+        gap = self.settings.worthwhile * error.clamp(min=0).sqrt()
+        return torch.maximum(gap, self.settings.worthwhile_torque * self.torque.sqrt()).clamp(
+            min=1e-300
+        )
 
     def price(self) -> float:
         """Of a cause."""
-        return 2 * math.log(self.looks / self.alpha)
+        return 2 * math.log(self.looks / self.settings.alpha)
 
 
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
@@ -271,7 +260,7 @@ def refused(terms: Sequence[Term], solved: Solved) -> list[Term]:
 
 def cost(question: Question, terms: Sequence[Term], effective: Float[Tensor, " n"]) -> float:
     """Of the coefficients and shapes of terms, and of their causes."""
-    total = question.price() * causes(terms, question.joints)
+    total = question.price() * len(cause_groups(terms, question.joints))
     for term in terms:
         n = effective.sum() if term.place is None else effective[term.place]
         total += (directions(question, term) + term.shapes) * math.log(max(float(n), 2.0))
@@ -293,22 +282,17 @@ def directions(question: Question, term: Term) -> int:
     return question.seen[id(term)]
 
 
-def causes(terms: Iterable[Term], n: int) -> int:
-    """Number of causes: what most joints have of an effect that arms have is one."""
-    count = 0
-    common: dict[str, int] = {}
-    for term in terms:
-        if term.place is not None and term.name in KINDS and KINDS[term.name].on_all:
-            # Counted apart: on most joints it is one cause, on few of them one each.
-            common[term.name] = common.get(term.name, 0) + 1
-        else:
-            count += 1
-    return count + sum(1 if 2 * k >= n else k for k in common.values())
+def common_names(terms: Iterable[Term], n: int) -> set[str]:
+    """Effects that arms have on all joints, and that terms have on most of n."""
+    count = Counter(t.name for t in terms if t.place is not None)
+    return {name for name, k in count.items() if KINDS[name].on_all and 2 * k >= n}
 
 
-def is_common(name: str, terms: Iterable[Term], n: int) -> bool:
-    """Whether most joints have this effect."""
-    return name in KINDS and KINDS[name].on_all and 2 * sum(t.name == name for t in terms) >= n
+def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:
+    """Terms by cause: what most joints have of an effect that arms have is one."""
+    common = common_names(terms, n)
+    groups = {name: [t for t in terms if t.name == name] for name in sorted(common)}
+    return [[t] for t in terms if t.name not in common] + list(groups.values())
 
 
 @dataclass(frozen=True, eq=False)

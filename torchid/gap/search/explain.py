@@ -16,13 +16,13 @@ from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
-    Worth,
     fit_terms,
     residual,
     rows_of,
 )
 from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
+from torchid.gap.settings import GapSettings
 from torchid.typing import Int, Tensor
 
 PASSES = 2
@@ -60,26 +60,11 @@ class Explanation:
         return self.fit.terms[len(self.question.fixed) :]
 
 
-@dataclass(frozen=True)
-class Rules:
-    """How a search decides.
-
-    Attributes:
-        alpha: family-wise level.
-        worth: least size that is worth a name.
-        most: causes at most.
-    """
-
-    alpha: float
-    worth: Worth
-    most: int
-
-
 def explained(
     given: Columns,
     data: Data,
     wanted: Wanted,
-    rules: Rules,
+    settings: GapSettings,
     parts: Int[Tensor, " N"],
     block: Int[Tensor, " N"],
 ) -> Explanation:
@@ -89,7 +74,7 @@ def explained(
         given: columns at the model as given, with parameters.
         data: of the log.
         wanted: what is looked for.
-        rules: how it is decided.
+        settings: how it is decided.
         parts: (N,) fold of every sample, from 1; 0 of those between folds.
         block: (N,) block of every sample.
     """
@@ -103,20 +88,20 @@ def explained(
         """Candidates at a model, for the gap of the model as given."""
         candidates = candidates_of(columns, gap, data, wanted, parts, model.effects, extra)
         normal = candidates.gram.over()
-        return Question(candidates, normal, rules.alpha, rules.worth)
+        return Question(candidates, normal, settings)
 
     for attempt in range(PASSES):
         columns = given.at(at) if attempt else given
         question = asked(columns)
         # Events first: no law may explain a push.
         if attempt == 0 and Contact.name in wanted.names:
-            found = contacts(question, rules.alpha)
+            found = contacts(question)
             if found:
                 extra += found
                 question = asked(columns)
         # Laws, from the last model's or from several starts.
         start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
-        fit = best_explanation(question, start, rules)
+        fit = best_explanation(question, start)
         # Shapes between those of the grid, and the search once more with them.
         finer = refined(question, fit)
         if finer:
@@ -124,7 +109,7 @@ def explained(
             again = fit.terms[len(question.fixed) :]
             question = asked(columns)
             again = tuple(_finest(question.candidates, t, finer) or t for t in again)
-            fit = climbed(question, again, rules.most)
+            fit = climbed(question, again)
         # What is worth a name on data that was not fitted; bodies beside it, last.
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
@@ -147,7 +132,7 @@ def explained(
     return Explanation(question, empty_fit(question), fit, tuple(left), solution)
 
 
-def best_explanation(question: Question, start: Sequence[Term], rules: Rules) -> Fitted:
+def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
     """The best of what is found from several starts: nothing, dry and viscous friction on all
     joints, and, where more than one body was blamed, all base parameters in their place."""
     friction = [
@@ -156,7 +141,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
         if t.name in ("viscous_friction", "coulomb_friction") and not t.instead
     ]
     starts = [start] if start else [(), friction] if friction else [()]
-    found = [climbed(question, s, rules.most) for s in starts]
+    found = [climbed(question, s) for s in starts]
     # Several bodies at once: all base parameters may say it with less.
     best = max(found, key=lambda f: f.evidence)
     own = best.terms[len(question.fixed) :]
@@ -164,7 +149,7 @@ def best_explanation(question: Question, start: Sequence[Term], rules: Rules) ->
     base = [t for t in question.candidates.terms if t.name == BASE]
     if len(bodies) > 1 and base:
         others = [t for t in own if all(t is not b for b in bodies)]
-        found.append(climbed(question, [*base, *others], rules.most))
+        found.append(climbed(question, [*base, *others]))
     return max(found, key=lambda f: f.evidence)
 
 

@@ -19,9 +19,9 @@ from torchid.gap.search.evidence import (
     VISIBLE,
     Fitted,
     Question,
+    common_names,
     directions,
     fit_terms,
-    is_common,
     residual,
     risen,
 )
@@ -144,7 +144,7 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
     ratio = risen(fit.effective, without.losses, fit.losses)
     df = directions(question, term) + term.shapes
-    searched = not is_common(term.name, fit.terms, question.joints)
+    searched = term.name not in common_names(fit.terms, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
 
@@ -194,7 +194,7 @@ def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, .
     share = torch.tensordot(values, solution.a[first : first + len(values)], 1).square().sum(1)
     rows = found.question.normal.rows.clamp(min=1)
     chance = solution.left.square().sum(1) * len(values) / rows
-    least = found.question.worth.gap * found.empty.losses
+    least = found.question.settings.worthwhile * found.empty.losses
     return tuple(((share > least) & (share > chance)).nonzero().flatten().tolist())
 
 
