@@ -20,8 +20,8 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.friction_laws import ThermalFrictionDrift
 from torchid.effects.registry import KINDS, Valued, effect_torque, model_torque, nominal_effects
-from torchid.effects.thermal import ThermalFrictionDrift
 from torchid.effects.transient import Contact, DroppedSamples, Saturation
 from torchid.excitation.trajectories import random_trajectory
 from torchid.log.filtering import ZeroPhaseFilter

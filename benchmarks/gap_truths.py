@@ -1,0 +1,235 @@
+"""Real logs of which something is known: does a diagnosis with default settings say it?
+
+    python benchmarks/gap_truths.py DATA [--questions sim,payload,...] [--json FILE]
+
+DATA is the folder of benchmarks/real_logs.py. What is known is what the logs' sources say: what was
+mounted, what the maker's model lacks, what was published for the arm. A question is asked of the
+robot's file as it is, or of a model that a diagnosis of another log has corrected first. Everything
+else that is named beside the truth is listed too: nobody knows whether it is there.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from gap_real import FRICTION, logs
+
+from torchid.gap.diagnose import diagnose
+from torchid.gap.record import record
+from torchid.gap.settings import GapSettings
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+
+DRY = ("coulomb_friction", "presliding_hysteresis", "stribeck_friction", "power_law_friction")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One effect that is known to be there.
+
+    Attributes:
+        effects: any of these names says it.
+        joint: from 1; None for an effect of the whole arm.
+        parameter: of which a value is known.
+        value: that value.
+    """
+
+    effects: tuple[str, ...]
+    joint: int | None = None
+    parameter: str | None = None
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of which log.
+
+    Attributes:
+        known: in words.
+        robot, log: files below the data folder.
+        truths: what should be named.
+        first: files of the logs with which the model is corrected before.
+        rigid: whether the robot's parameters and effects are left out and fitted.
+        tip: last link, where the model has more.
+        silent: joints, from 1, of which nothing may be named; None where other names may be true.
+    """
+
+    known: str
+    robot: str
+    log: tuple[str, ...]
+    truths: tuple[Truth, ...] = ()
+    first: tuple[str, ...] = ()
+    rigid: bool = False
+    tip: str | None = None
+    silent: tuple[int, ...] = ()
+
+
+AIRBOT, UR10E, EMPS = "airbot_play/robot.urdf", "ur10e/robot.urdf", "emps/robot.yaml"
+QUESTIONS = {
+    "sim": Question(
+        "a simulator's own log: nothing is worth a name",
+        AIRBOT,
+        ("airbot_play/log_chirp_sim.parquet",),
+        silent=(1, 2, 3, 4, 5, 6),
+    ),
+    "sim_loaded": Question(
+        "the same with a load of 0.48 kg",
+        AIRBOT,
+        ("airbot_play/log_chirp_sim_loaded.parquet",),
+        (Truth(("payload",), None, "m", 0.48),),
+    ),
+    "chirp": Question(
+        "a low-cost arm: dry friction on all joints",
+        AIRBOT,
+        ("airbot_play/log_chirp_real.parquet",),
+        tuple(Truth(DRY, j) for j in range(1, 7)),
+    ),
+    "chirp_loaded": Question(
+        "the same arm, its model corrected without, then with a load of 0.48 kg",
+        AIRBOT,
+        ("airbot_play/log_chirp_real_loaded.parquet",),
+        (Truth(("payload",), None, "m", 0.48),),
+        first=("airbot_play/log_chirp_real.parquet", "airbot_play/log_trapez_real.parquet"),
+    ),
+    "baxter": Question(
+        "a spring of 18-26 N m/rad on joint 2; damping of 0.7 on the wrist that is not there",
+        "baxter_left/robot.urdf",
+        tuple(
+            f"baxter_left/log_{k}.parquet"
+            for k in ("sin_10s_r18", "sin_12s_r10", "sin_15s_r15", "random")
+        ),
+        (
+            Truth(("joint_spring",), 2, "k", 22.0),
+            *(Truth(("viscous_friction",), j, "Fv", -0.7) for j in (5, 6, 7)),
+        ),
+    ),
+    "tiago": Question(
+        "the wrist's torque holds no signal: nothing may be said of joints 6-8",
+        "tiago/robot.urdf",
+        ("tiago/log_identification.parquet",),
+        tip="arm_7_link",
+        silent=(6, 7, 8),
+    ),
+    "ur10e": Question(
+        "a URDF without friction: Coulomb and viscous friction on all joints",
+        UR10E,
+        tuple(
+            f"ur10e/log_{k}.parquet"
+            for k in ("est_30s_12harm", "exc_40s_12harm", "exc_20s_8harm", "val_ptp10")
+        ),
+        tuple(
+            Truth((name,), j)
+            for j in range(1, 7)
+            for name in ("coulomb_friction", "viscous_friction")
+        ),
+    ),
+    "ur10e_loaded": Question(
+        "the same arm, its model fitted without, then with a load of 2.6 kg",
+        UR10E,
+        ("ur10e/log_loaded_2p6kg_jan13.parquet",),
+        (Truth(("payload",), None, "m", 2.6),),
+        first=("ur10e/log_unloaded_dec23.parquet",),
+        rigid=True,
+    ),
+    "xmate": Question(
+        "CAD foretells 16-39 % too little torque on every joint: gains, or mass that it lacks",
+        "xmate7p/robot.urdf",
+        ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet"),
+        (Truth(("torque_gain", "link_inertia", "payload")),),
+    ),
+    "emps": Question(
+        "a drive: published Fv 203.5 N s/m, Fc 20.4 N, offset -3.2 N",
+        EMPS,
+        ("emps/log_train.parquet",),
+        (
+            Truth(("viscous_friction",), 1, "Fv", 203.5),
+            Truth(("coulomb_friction",), 1, "Fc", 20.39),
+            Truth(("torque_offset",), 1, "F0", -3.165),
+        ),
+        rigid=True,
+    ),
+    "pulses": Question(
+        "the same drive, its model fitted without, then with force pulses every second: no effect",
+        EMPS,
+        ("emps/log_test_pulses.parquet",),
+        first=("emps/log_train.parquet",),
+        rigid=True,
+    ),
+}
+
+
+def asked(question: Question, data: Path) -> dict[str, Any]:
+    """The diagnosis' JSON, with its CPU seconds."""
+    started = time.process_time()
+    robot: Robot = load_robot(str(data / question.robot), tip=question.tip)
+    if question.rigid:
+        robot = replace(robot.with_parameters(None), effects=())
+    settings = GapSettings(rollout=False)
+    if question.first:
+        background = FRICTION if question.rigid else ()
+        fitted = replace(settings, background=background)
+        robot = diagnose(robot, logs(data, question.first), settings=fitted).corrected
+    found = record(diagnose(robot, logs(data, question.log), settings=settings))
+    return {**found, "seconds": time.process_time() - started}
+
+
+def says(entry: dict[str, Any], truth: Truth, among: tuple[str, ...]) -> bool:
+    """Whether an entry names the truth, or holds it among its alternatives."""
+    here = truth.joint is None or truth.joint in entry["joints"]
+    return here and bool(set(truth.effects) & {entry["effect"], *among})
+
+
+def table_row(name: str, question: Question, found: dict[str, Any]) -> str:
+    """What is known, how much of it is named, what else is."""
+    named, held, values = 0, 0, []
+    true: list[int] = []
+    for truth in question.truths:
+        direct = [k for k, w in enumerate(found["which"]) if says(w, truth, ())]
+        in_set = [
+            k for k, w in enumerate(found["which"]) if says(w, truth, tuple(w["ambiguous_with"]))
+        ]
+        named, held = named + bool(direct), held + bool(in_set)
+        true += direct or in_set[:1]
+        for w in (found["which"][k] for k in direct[:1] if truth.parameter):
+            value, std = w["parameters"].get(truth.parameter), w["std"].get(truth.parameter)
+            values.append(f"{truth.parameter} {value:.4g} ± {std:.2g} ({truth.value:g})")
+    others = [w for k, w in enumerate(found["which"]) if k not in true]
+    wrong = [w for w in others if set(w["joints"]) & set(question.silent)]
+    listed = ", ".join(f"{w['effect']} {' '.join(map(str, w['joints']))}".strip() for w in others)
+    closed = found["how_far"]["closed"]
+    cells = (
+        name,
+        question.known,
+        f"`{found['status']}`" + ("" if closed is None else f", {100 * closed:.1f} %"),
+        f"{named} of {len(question.truths)}" if question.truths else f"{len(wrong)} false",
+        f"{held} of {len(question.truths)}" if question.truths else "",
+        "; ".join(values),
+        listed or "nothing",
+        f"{found['seconds']:.0f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--questions", default=",".join(QUESTIONS))
+    parser.add_argument("--json", type=Path, help="write the answers to this folder")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    print("| log | known | answer, closed | named | in a set | value (known) | beside it | CPU s |")
+    print("|---|---|---|---|---|---|---|--:|")
+    for name in given.questions.split(","):
+        found = asked(QUESTIONS[name], given.data)
+        if given.json:
+            given.json.mkdir(parents=True, exist_ok=True)
+            (given.json / f"{name}.json").write_text(json.dumps(found))
+        print(table_row(name, QUESTIONS[name], found), flush=True)
+
+
+if __name__ == "__main__":
+    main()
