@@ -23,7 +23,6 @@ from torchid.gap.search.evidence import (
     effective_samples,
     fit_terms,
     offers,
-    presence,
     refused,
     ridge_of,
     risen,
@@ -215,10 +214,8 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
-        step = [t for t in _own(question, likely) if all(t is not o for o in own)]
-        gained = (now.losses - then.losses) / presence(question, step)
-        size = (gained.clamp(min=0) / rows.clamp(min=1.0)).sqrt()
-        least = question.least((then.losses + gained) / rows.clamp(min=1.0))
+        size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
+        least = question.least(now.losses / rows.clamp(min=1.0))
         if rise > 0 and bool((size >= least).any()) and (best is None or rise > best[0]):
             best = rise, then
     return None if best is None else best[1]
@@ -280,8 +277,6 @@ def worthy(
         that is worth a name: of their own joints, or of all; the largest first."""
         rest = [t for t in own if all(t is not g for g in gone)]
         lost = held_out_losses(question, folds, fit, rest) / rows
-        # What happened once is worth what it was while it lasted.
-        lost = now + (lost - now) / presence(question, gone)
         fall = (lost.sqrt() - now.sqrt()) / question.least(lost)
         places = sorted({t.place for t in gone if t.place is not None})
         return (fall[places] if places else fall).sort(descending=True).values

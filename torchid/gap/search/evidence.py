@@ -174,16 +174,6 @@ def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:
     return rows
 
 
-def presence(question: Question, terms: Sequence[Term]) -> float:
-    """Share of the samples in which terms act: of what happened once, by the mean square of its
-    columns over their largest; else all."""
-    if not all(t.effects and t.effects[0].event for t in terms):
-        return 1.0
-    size = sum(rows_of(question, t).square().sum((0, 1)) for t in terms)
-    assert isinstance(size, Tensor)
-    return float(size.mean() / size.max().clamp(min=1e-300))
-
-
 def residual(
     question: Question, terms: Sequence[Term], x: Float[Tensor, " K"]
 ) -> Float[Tensor, "n N"]:
