@@ -67,7 +67,7 @@ def data_of(segments: Sequence[Segment]) -> Data:
     slides = torch.ones(samples.n, dtype=torch.bool)
     missing = frozenset({"velocity", "age"})
     exact = torch.zeros(samples.n, dtype=torch.float64)
-    return Data(samples, moving_samples(samples), slides, missing, (), (), 20.0, exact, ())
+    return Data(samples, moving_samples(samples), slides, missing, (), (), 20.0, 0.0, exact, ())
 
 
 def wanted_of(names: Sequence[str], *, free: bool = False, inertial: bool = False) -> Wanted:

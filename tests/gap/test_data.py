@@ -168,3 +168,24 @@ def test_a_dwelling_joint_keeps_the_direction_it_came_from():
     assert (segment.motion.direction[up, 1] == 1).all()
     assert (segment.motion.direction[down, 1] == -1).all()
     assert segment.motion.direction.abs().max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("source", "asked", "expected"),
+    [("current", None, 0.05), ("sensor", None, 0.0), ("both", None, 0.0), ("current", 0.02, 0.02)],
+)
+def test_the_scale_of_torques_from_currents_is_known_as_well_as_their_gains(
+    source: str, asked: float | None, expected: float
+) -> None:
+    """And the default is said aloud."""
+    torque = log().tau
+    assert torque is not None
+    noise = 0.01 * torch.randn(torque.shape, generator=torch.Generator().manual_seed(0))
+    given = {
+        "current": log().replace(tau=None, current=torque / 10).with_torque([10.0] * 3),
+        "sensor": log(),
+        "both": log().replace(current=torque / 10 + noise),
+    }[source]
+    data = prepare(ROBOT, given, None, gain_std=asked)
+    assert data.gain_std == expected
+    assert any("--gain-std" in w for w in data.warnings) == (asked is None and expected > 0)

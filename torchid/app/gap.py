@@ -27,6 +27,7 @@ def gap_command(
             held_out_fraction=opt.HeldOutFraction,
             worthwhile=opt.LessThanOne,
             worthwhile_torque=opt.LessThanOne,
+            gain_std=opt.Share,
             max_effects=opt.Count,
             seed=opt.Seed,
         ),
@@ -50,6 +51,8 @@ def gap_command(
         cutoff: Cut-off of the fit's zero-phase filter.
         worthwhile: Least share of a joint's held-out error that a cause must take away to be named.
         worthwhile_torque: The same, as a share of the joint's torque.
+        gain_std: How well the scale of each joint's torque is known, one standard deviation as a
+            share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
         rollout: Simulate short motions with the model before and after.
         save_model: Write the corrected robot, with its effects, as a .yaml.
     """

@@ -43,6 +43,7 @@ Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[str, typer.Option(metavar="A,B,C")]
 Count = Annotated[int, typer.Option(min=1)]
 LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
+Share = Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)]
 FittedEffects = Annotated[
     str, typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body.")
 ]

@@ -211,10 +211,10 @@ def read(
     if log.tau is not None and (held_out is None or held_out.tau is not None):
         refuse_repeated(log, held_out)
     cutoff = None if settings.cutoff == "auto" else settings.cutoff
-    data = prepare(robot, log, cutoff, widest=settings.report_band)
+    data = prepare(robot, log, cutoff, widest=settings.report_band, gain_std=settings.gain_std)
     if held_out is None:
         return data, None
-    judged = prepare(robot, held_out, data.samples.cutoff, data.end + 1.0, data.band)
+    judged = prepare(robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std)
     if abs(judged.samples.rate / data.samples.rate - 1) > SAME_RATE:
         raise LogError(
             "the held-out logs have another sampling rate.",

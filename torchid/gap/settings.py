@@ -25,6 +25,9 @@ class GapSettings:
         worthwhile: least share of a joint's gap by which a cause must lower its held-out error to
             be worth a name.
         worthwhile_torque: the same as a share of the joint's torque.
+        gain_std: how well the scale of each joint's torque is known, one standard deviation as a
+            share of it; None: 5 % where torque is current times a gain, else 0. Standard deviations
+            hold it.
         folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.
         held_out_fraction: share of each trajectory's end used for no choice, if no log is given.
@@ -42,6 +45,7 @@ class GapSettings:
     alpha: float = 0.01
     worthwhile: float = 0.05
     worthwhile_torque: float = 0.01
+    gain_std: float | None = None
     folds: int = 5
     max_effects: int = 20
     held_out_fraction: float = 0.0
@@ -75,6 +79,8 @@ class GapSettings:
         for share in (self.worthwhile, self.worthwhile_torque):
             if share != 0:
                 _between("the least worthwhile share", share, 0.0, 1.0, "0..1")
+        if self.gain_std is not None and self.gain_std != 0:
+            _between("the standard deviation of the gain", self.gain_std, 0.0, 1.0, "0..1")
         if self.held_out_fraction != 0:
             _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
         _whole("the number of folds", self.folds, 2)

@@ -210,3 +210,15 @@ def test_far_out_samples_count_as_their_limit():
     weights = huber_weights(r).square()
     assert bool((weights[0, :10] * 50.0 < 1.5).all())
     assert float((weights == 1).double().mean()) == pytest.approx(0.82, abs=0.02)
+
+
+@pytest.mark.parametrize("gain_std", [0.05, 0.2])
+def test_an_unknown_scale_of_the_torque_is_in_the_standard_deviations(gain_std: float) -> None:
+    effects = [(ViscousFriction(0), [1.0]), (CoulombFriction(1), [0.5])]
+    data = measured(effects)
+    question = question_of(data, inertial=True)
+    own = [term(question, "viscous_friction", 0), term(question, "coulomb_friction", 1)]
+    exact = solution_of(data, question, own)
+    scaled = solution_of(replace(data, gain_std=gain_std), question, own)
+    for a, b, x in zip(exact.std, scaled.std, exact.values, strict=True):
+        assert float(b.square() - a.square()) == pytest.approx(float(gain_std * x) ** 2, rel=1e-6)

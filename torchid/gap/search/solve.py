@@ -127,6 +127,8 @@ def solved(
     # Standard deviations from the spread of whole blocks of samples, all joints together.
     rows, rest = (best.a * weight).flatten(1).T, (best.left * weight).flatten()
     std = fit_statistics(rows, rest, block.repeat(len(best.left))).std
+    # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
+    std = torch.hypot(std, data.gain_std * torch.cat(best.values))
     return replace(best, std=tuple(std.split([len(v) for v in best.values])))
 
 
