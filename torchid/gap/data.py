@@ -27,7 +27,7 @@ from torchid.design.segments import (
     segments_of,
     still_joints,
 )
-from torchid.design.signal import without_signal
+from torchid.design.signal import DRIVE_GAIN, from_current, without_signal
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
@@ -36,10 +36,6 @@ from torchid.typing import Bool, Float, Int, Tensor
 
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
-
-DRIVE_GAIN = 0.05
-"""How well torque constants times gear ratios are known [1]: two published sets of one arm differ
-by 3 to 33 %, makers promise a few per cent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +174,7 @@ def prepare(
     if left_out:
         said.append("left out, too short for the filter: " + ", ".join(left_out))
     # Torques that are currents times a gain are only as good as the gain.
-    if gain_std is None and _from_current(log):
+    if gain_std is None and from_current(log):
         gain_std = DRIVE_GAIN
         said.append(
             f"torque is current times a gain, taken to be known to {DRIVE_GAIN:.0%}, which every ± "
@@ -197,12 +193,3 @@ def prepare(
     return Data(
         samples, keep, slides, missing, still, (), band, gain_std or 0.0, positions, tuple(said)
     )
-
-
-def _from_current(log: Log) -> bool:
-    """Whether the log's torque is its current times one gain a joint."""
-    if log.current is None or log.tau is None:
-        return False
-    tau, current = log.tau.double(), log.current.double()
-    gain = (tau * current).sum(0) / current.square().sum(0).clamp(min=1e-300)
-    return torch.allclose(tau, gain * current, rtol=1e-4, atol=1e-9)

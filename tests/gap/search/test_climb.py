@@ -15,7 +15,7 @@ from tests.gap.problems import (
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.gap.search.climb import (
     climbed,
-    empty_fit,
+    fitted,
     held_out_losses,
     moves,
     worthy,
@@ -67,7 +67,7 @@ def test_what_all_joints_have_is_one_cause():
     assert named(fit.terms) == {("coulomb_friction", j) for j in range(3)}
     assert len(cause_groups(fit.terms, 3)) == 1
     assert [sorted(t.place for t in g) for g in cause_groups(fit.terms, 3)] == [[0, 1, 2]]
-    together = [m for _, m in moves(question, empty_fit(question)) if len(m) == 3]
+    together = [m for _, m in moves(question, fitted(question)) if len(m) == 3]
     assert any(named(m) == named(fit.terms) for m in together)
 
 
@@ -80,9 +80,9 @@ def test_causes_are_grouped_by_effect():
     assert sorted(len(g) for g in groups) == [1, 1, 1, 1, 2]
 
 
-def test_the_empty_fit_is_the_model_as_given():
+def test_the_fitted_is_the_model_as_given():
     question = question_of(measured([]))
-    fit = empty_fit(question)
+    fit = fitted(question)
     assert fit.terms == ()
     assert fit.evidence == 0.0
     assert bool((fit.effective <= question.normal.rows).all())

@@ -92,7 +92,8 @@ def noise_of(
     if floor is not None:
         # A correction that is another at each repeat must not pass for noise of the log.
         before = [s.tau - given.torque(s, samples) for s in segments]
-        floor = _smaller(floor, _from_repeats(segments, before, report, repeats))
+        other = _from_repeats(segments, before, report, repeats)
+        floor = floor if other is None else _smaller(floor, other)
     # How near to a reversal a joint may have stuck, beside this noise.
     size = left.square().mean(1).sqrt() if floor is None else floor.high
     reach = stuck(columns, size)
@@ -127,7 +128,8 @@ def noise_of(
     low, high = (torch.where(silent, all_of_it, x) for x in (floor.low, floor.high))
     floor = replace(floor, low=low, high=high)
     # Joints of which a note says that their noise is uneven.
-    uneven = torch.tensor([f"joint {j + 1}:" in " ".join(floor.notes) for j in range(columns.n)])
+    uneven = torch.tensor([bool(note) for note in floor.notes or [""] * columns.n])
+    floor = replace(floor, notes=tuple(note for note in floor.notes if note))
     # The noise in the fit's band, in which structure is looked for where joints surely slide.
     part = predicted / (predicted + beyond).clamp(min=1e-300)
     noise = floor.low * floor.high * part
@@ -139,21 +141,12 @@ def noise_of(
     return Noise(floor, structure, unpredicted, moving, uneven)
 
 
-def _smaller(one: NoiseFloor, other: NoiseFloor | None) -> NoiseFloor:
+def _smaller(one: NoiseFloor, other: NoiseFloor) -> NoiseFloor:
     """Of two measures of the same noise the smaller one, joint by joint."""
-    if other is None:
-        return one
-    low, high = (
-        torch.where(one.high <= other.high, a, b)
-        for a, b in ((one.low, other.low), (one.high, other.high))
-    )
-    notes = [
-        note
-        for j, mine in enumerate((one.high <= other.high).tolist())
-        for note in (one if mine else other).notes
-        if f"joint {j + 1}:" in note
-    ]
-    return NoiseFloor(low, high, one.source, tuple(notes))
+    first = one.high <= other.high
+    low, high = torch.where(first, one.low, other.low), torch.where(first, one.high, other.high)
+    own = zip(first.tolist(), one.notes, other.notes, strict=True)
+    return NoiseFloor(low, high, one.source, tuple(a if mine else b for mine, a, b in own))
 
 
 def stuck(columns: Columns, noise: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
@@ -186,7 +179,8 @@ def sliding_only(
 def _from_repeats(
     segments: Sequence[Segment], residual: Sequence[Tensor], report: Samples, repeats: Repeats
 ) -> NoiseFloor | None:
-    """A 90 % interval of the noise that differs between repeats; None where they are too short."""
+    """A 90 % interval of the noise that differs between repeats, with a note a joint, empty where
+    its noise is even; None where they are too short."""
     differences = [
         s for s in repeats.segments(segments, residual) if s.length > 2 * report.edge + report.step
     ]
@@ -217,13 +211,13 @@ def _from_repeats(
     rms = torch.where(uneven, median, mean).sqrt()
     # The interval of a variance with so many degrees of freedom, in logarithms.
     half = NORMAL / (2 * freedom).sqrt()
-    notes = []
+    notes = [""] * len(rms)
     for j in uneven.nonzero().flatten().tolist():
         worst = int(variance[j].nan_to_num().argmax())
         inside = (block == worst).nonzero().flatten()
         name, start = when(differences, float(own.t[inside[0]]))
         stop = start + float(own.t[inside[-1]] - own.t[inside[0]])
-        notes.append(
+        notes[j] = (
             f"non-repeatable effect on joint {j + 1}: worst at {start:.1f} to {stop:.1f} s "
             f"('{name}'); the floor is the median over {BLOCK_SECONDS:g} s blocks"
         )

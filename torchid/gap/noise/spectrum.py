@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from scipy.signal import periodogram
 
 from torchid.design.segments import Samples, Segment
 from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
@@ -29,20 +30,13 @@ def white_level(
 
 
 def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
-    """Periodogram of a tapered signal between the cut-off and the wide band's edge."""
-    count = len(x)
-    window = torch.hann_window(count, periodic=False).to(x)
-    index = torch.linspace(-1, 1, count).to(x)
-    line = torch.stack([torch.ones_like(index), index], -1)
-    # Without its straight line the taper's side lobes are small.
-    straight = x - line @ torch.linalg.lstsq(line, x).solution
-    spectrum = torch.fft.rfft((straight * window.unsqueeze(-1)).T)
-    density = 2 * spectrum.abs().square() / (p.rate * window.square().sum())
-    frequency = torch.arange(density.shape[-1]).to(x) * p.rate / count
+    """Periodogram of a tapered signal between the cut-off and the wide band's edge. Without its
+    straight line the taper's side lobes are small."""
+    frequency, density = periodogram(x.cpu().numpy(), p.rate, "hann", detrend="linear", axis=0)
     # From the cut-off of the fit to where the wide band ends, or the filter begins.
     last = min(p.band, ALL_PASSES * p.rate)
-    first = min(cutoff, 0.5 * last)
-    return density[:, (frequency >= first) & (frequency <= last)]
+    inside = (frequency >= min(cutoff, 0.5 * last)) & (frequency <= last)
+    return torch.from_numpy(density[inside].T)
 
 
 def bandwidth(samples: Samples) -> float:

@@ -49,21 +49,16 @@ them [1]; of something that is there all the time four folds of five hold 0.8.""
 Move = tuple[Term, ...]
 
 
-def empty_fit(question: Question) -> Fitted:
-    """The model as given, with what is always fitted."""
-    start = fit_terms(question, (), torch.ones(question.candidates.gram.n).double())
-    effective = effective_samples(question, start.terms, start.x)
-    return fit_terms(question, (), effective)
+def fitted(question: Question, terms: Sequence[Term] = ()) -> Fitted:
+    """Terms beside what is always fitted, with the effective samples of what they leave."""
+    first = fit_terms(question, terms, torch.ones(question.candidates.gram.n).double())
+    effective = effective_samples(question, first.terms, first.x)
+    return fit_terms(question, terms, effective, effective / first.losses.clamp(min=1e-300))
 
 
 def climbed(question: Question, start: Sequence[Term]) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
-    # The effective samples of a fit are those of what it leaves itself.
-    ones = torch.ones(question.candidates.gram.n, dtype=torch.float64)
-    fit = fit_terms(question, start, ones)
-    effective = effective_samples(question, fit.terms, fit.x)
-    weight = effective / fit.losses.clamp(min=1e-300)
-    fit = allowed(question, fit_terms(question, start, effective, weight))
+    fit = allowed(question, fitted(question, start))
     # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
     while True:

@@ -157,11 +157,7 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
 
 def ridge_of(terms: Sequence[Term]) -> Float[Tensor, " K"]:
     """Inverse variances of coefficients beforehand."""
-    parts = [
-        torch.zeros(len(t.at), dtype=torch.float64) if t.sigma is None else t.sigma**-2
-        for t in terms
-    ]
-    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.float64)
+    return torch.cat([torch.zeros(0, dtype=torch.float64), *(t.ridge for t in terms)])
 
 
 def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:

@@ -11,7 +11,7 @@ from torchid.design.gram import DETERMINED, Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.search.climb import allowed, climbed, empty_fit, held_out_losses, worthy
+from torchid.gap.search.climb import allowed, climbed, fitted, held_out_losses, worthy
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (
     Fitted,
@@ -129,7 +129,7 @@ def explained(
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     fit = fit_terms(question, fit.terms[len(question.fixed) :], fit.effective, fit.weight, 10)
     solution = solved(given, fit.terms, fit.values(), data, wanted, block)
-    return Explanation(question, empty_fit(question), fit, tuple(left), solution)
+    return Explanation(question, fitted(question), fit, tuple(left), solution)
 
 
 def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:

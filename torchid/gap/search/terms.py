@@ -63,6 +63,12 @@ class Term:
         largest = [c.largest for c in self.coefficients]
         return torch.tensor([known, least, largest], dtype=torch.float64).T
 
+    @cached_property
+    def ridge(self) -> Float[Tensor, " C"]:
+        """Inverse variances of the coefficients before the log is seen; zero where unknown."""
+        unknown = torch.zeros(len(self.at), dtype=torch.float64)
+        return unknown if self.sigma is None else self.sigma**-2
+
     @property
     def key(self) -> tuple[object, ...]:
         """What it is, whatever its shape: effect and place, or that all joints share it."""
@@ -369,12 +375,8 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
     def group(t: Term) -> tuple[int, int]:
         return (-1 if t.place is None else t.place, len(t.at))
 
-    for (place, count), some in itertools.groupby(sorted(terms, key=group), key=group):
+    for (place, _), some in itertools.groupby(sorted(terms, key=group), key=group):
         own = tuple(some)
-        # Inverse variances of what is known beforehand; zero of what is not.
-        ridge = torch.stack(
-            [torch.zeros(count).double() if t.sigma is None else t.sigma**-2 for t in own]
-        )
         yield Batch(
             None if place < 0 else place,
             own,
@@ -382,6 +384,6 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.tensor([[c.largest for c in t.coefficients] for t in own], dtype=torch.float64),
-            ridge,
+            torch.stack([t.ridge for t in own]),
             torch.tensor([t.shapes for t in own]),
         )
