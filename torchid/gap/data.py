@@ -183,10 +183,9 @@ def prepare(
     samples = Samples(long, narrow)
     # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.
     moves = torch.cat([s.motion.dq.abs() > MOVING for s in long]).double().mean(0)
-    own_velocity = all(s.own_velocity for s in long)
-    missing = frozenset() if own_velocity else frozenset({"velocity"})
-    if any(s.motion.age is None for s in long):
-        missing |= {"age"}
+    there = {"velocity": all(s.own_velocity for s in long)}
+    there["age"] = all(s.motion.age is not None for s in long)
+    missing = frozenset(name for name, holds in there.items() if not holds)
     keep, slides = moving_samples(samples), moves >= HARDLY
     band = report_band(samples, min(widest, highest))
     positions = noise * band**2.5

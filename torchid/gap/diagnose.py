@@ -34,6 +34,7 @@ from torchid.identification.identify import refuse_repeated
 from torchid.log.model import Log
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
+from torchid.simulation.two_models import rollouts
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.typing import Float, Int, Tensor
@@ -195,7 +196,11 @@ def diagnose(
     )
     if settings.rollout:
         say("simulating forwards", 0, 1)
-        result = with_rollout(result, data if judged is None else judged, judged is None)
+        on, here = (data, True) if judged is None else (judged, False)
+        replayed = rollouts(
+            result.robot, result.corrected, on.segments, seed=settings.seed, fitted_here=here
+        )
+        result = replace(result, how_far=replace(result.how_far, rollout=replayed))
     say("done", 1, 1)
     return result
 
@@ -463,17 +468,3 @@ def needs_trust(found: Explanation) -> list[str]:
         "with base parameters refitted these effects are not needed, so they hold only if the "
         f"robot's parameters are right: {', '.join(lost)}"
     ]
-
-
-def with_rollout(found: Diagnosis, data: Data, fitted_here: bool) -> Diagnosis:
-    """With short simulations of both models."""
-    from torchid.simulation.two_models import rollouts
-
-    result = rollouts(found.robot, found.corrected, data.segments, seed=found.settings["seed"])
-    result["fitted_on_these_data"] = fitted_here
-    if fitted_here:
-        result["sentences"] = [
-            *result["sentences"],
-            "The corrected model was fitted on these trajectories; the one before was not.",
-        ]
-    return replace(found, how_far=replace(found.how_far, rollout=result))

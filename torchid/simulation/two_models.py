@@ -55,6 +55,7 @@ def rollouts(
     horizons: Sequence[float] = HORIZONS,
     seed: int = 0,
     max_starts: int = 128,
+    fitted_here: bool = False,
 ) -> dict[str, Any]:
     """Position errors of two models, simulated from measured states with the measured torque.
 
@@ -64,6 +65,7 @@ def rollouts(
         horizons: how long to simulate [s], ascending.
         seed: of the starts and of the bootstrap.
         max_starts: how many rollouts; they run as one batch.
+        fitted_here: whether the model after was fitted on these passages.
 
     Returns:
         JSON-ready:
@@ -75,6 +77,7 @@ def rollouts(
             diverged_after: shares}. A ratio is after to before; None where both are not positive
             or there are too few starts;
         ignored_effects: names of effects that a replay of measured torque cannot have;
+        fitted_on_these_data: `fitted_here`;
         sentences: what to know about it.
 
     Raises:
@@ -88,6 +91,7 @@ def rollouts(
         "torque": _torque_gap(before, after, passages),
         "horizons": [],
         "ignored_effects": [],
+        "fitted_on_these_data": fitted_here,
         "sentences": ["No trajectory is long enough for a rollout."],
     }
     if not out["starts"]:
@@ -100,7 +104,7 @@ def rollouts(
         "step_s": windows.dt,
         "horizons": rows,
         "ignored_effects": ignored,
-        "sentences": _sentences(out["torque"], rows, ignored),
+        "sentences": _sentences(out["torque"], rows, ignored, fitted_here),
     }
 
 
@@ -199,7 +203,10 @@ def _torque_gap(before: Robot, after: Robot, passages: Sequence[Segment]) -> dic
 
 
 def _sentences(
-    torque: dict[str, Any], rows: Sequence[dict[str, Any]], ignored: Sequence[str]
+    torque: dict[str, Any],
+    rows: Sequence[dict[str, Any]],
+    ignored: Sequence[str],
+    fitted_here: bool,
 ) -> list[str]:
     out = []
     for row in rows:
@@ -223,6 +230,8 @@ def _sentences(
     if ignored:
         names = ", ".join(name.replace("_", " ") for name in ignored)
         out.append(f"Rollouts are without {names}: a replay of torque cannot have them.")
+    if fitted_here:
+        out.append("The corrected model was fitted on these trajectories; the one before was not.")
     return out
 
 

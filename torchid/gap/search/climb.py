@@ -263,9 +263,7 @@ def worthy(
     """
     left: list[Term] = []
     fit = allowed(question, fit)
-    rows = sum(test.rows for _, test in folds)
-    assert isinstance(rows, Tensor)
-    rows = rows.clamp(min=1.0)
+    rows = torch.stack([test.rows for _, test in folds]).sum(0).clamp(min=1.0)
 
     def falls(gone: Sequence[Term]) -> Float[Tensor, " m"]:
         """By how much the held-out error of m joints falls with some terms, in units of the least

@@ -11,6 +11,7 @@ something is missing E is careful by itself.
 A cause is one term; or the same effect on most joints, where arms have it (dry friction, say).
 """
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -128,11 +129,7 @@ class Question:
 def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
     """Where the columns of terms are in each joint's matrix."""
     joints = []
-    first = 0
-    starts = []
-    for term in terms:
-        starts.append(first)
-        first += len(term.at)
+    *starts, count = itertools.accumulate((len(t.at) for t in terms), initial=0)
     for j, g in enumerate(normal.g):
         # Columns of the terms on this joint: their numbers among all, and rows in its matrix.
         of = [
@@ -152,7 +149,7 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
         joints.append(
             OnJoint(torch.cat(of) if of else empty, torch.cat(at) if at else empty, target)
         )
-    return Subset(first, tuple(joints))
+    return Subset(count, tuple(joints))
 
 
 def ridge_of(terms: Sequence[Term]) -> Float[Tensor, " K"]:
@@ -269,8 +266,8 @@ def directions(question: Question, term: Term) -> int:
         return 1
     if id(term) not in question.seen:
         joints = range(len(question.normal.g)) if term.place is None else (term.place,)
-        gram = sum(question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints)
-        assert isinstance(gram, Tensor)
+        own = [question.normal.g[j][term.at.unsqueeze(1), term.at] for j in joints]
+        gram = torch.stack(own).sum(0)
         # Eigenvalues of the columns' correlation: as many as are visible count.
         size = gram.diagonal().clamp(min=1e-300).sqrt()
         values = torch.linalg.eigvalsh(gram / size / size.unsqueeze(1))
@@ -347,11 +344,11 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         # Candidates that all joints feel sum over joints; those of one joint see its matrix alone.
         if batch.place is None:
             h, b = held_common[batch.at], pull_common[batch.at]
-            gram = sum(
+            every = [
                 w * g[batch.at.unsqueeze(2), batch.at.unsqueeze(1)]
                 for w, g in zip(weight.tolist(), normal.g, strict=True)
-            )
-            assert isinstance(gram, Tensor)
+            ]
+            gram = torch.stack(every).sum(0)
         else:
             h, b = held[batch.place][batch.at], pulls[batch.place][batch.at]
             g = normal.g[batch.place]

@@ -26,10 +26,11 @@ from torchid.gap.search.evidence import (
     risen,
 )
 from torchid.gap.search.explain import Explanation
+from torchid.gap.search.solve import Solution
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Int, Tensor
+from torchid.typing import Float, Int, Tensor
 
 ODDS = 20.0
 """Odds against an alternative from which it is no longer told: exp of half the difference of the
@@ -96,6 +97,8 @@ def told(found: Explanation) -> Told:
         if apart:
             undecided.append((term, apart[0]))
         values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
+        if term.name == PAYLOAD and any(t.name == BASE for t in found.terms):
+            values, std = beside_base(found.solution, fixed + k)
         own = found.solution.terms[fixed + k].effects
         findings.append(
             Finding(
@@ -114,6 +117,23 @@ def told(found: Explanation) -> Told:
     return Told(
         tuple(sorted(findings, key=lambda f: -f.share)), tuple(parametric), tuple(undecided)
     )
+
+
+def beside_base(solution: Solution, k: int) -> tuple[Float[Tensor, " C"], Float[Tensor, " C"]]:
+    """Coefficients and standard deviations of term k, a load, beside corrected base parameters.
+
+    Whatever a load does, base parameters do, too: B x_B + P x_P depends on x_B + T x_P alone, where
+    P = B T. Of all loads with that sum it is the one beside which x_B is least in units of what
+    is known beforehand; as far as x_B is not known beforehand, neither is the load.
+    """
+    base = next(j for j, t in enumerate(solution.terms) if t.name == BASE)
+    parts = solution.a.flatten(1).split([len(v) for v in solution.values])
+    t = torch.linalg.lstsq(parts[base].T, parts[k].T, driver="gelsd").solution
+    sigma = solution.terms[base].sigma
+    assert sigma is not None, "a load is no candidate beside free base parameters"
+    inner = torch.linalg.pinv(t / sigma.unsqueeze(1))
+    total = solution.values[base] + t @ solution.values[k]
+    return inner @ (total / sigma), torch.hypot(inner.norm(dim=1), solution.std[k])
 
 
 def in_turn(
