@@ -401,7 +401,7 @@ def test_nothing_is_told_of_a_joint_whose_torque_follows_no_motion(
     tau[:, 2] = dead * torch.randn(len(tau), generator=torch.Generator().manual_seed(3))
     found = diagnosed(arm(friction(3, Fc=1.0)), log.replace(tau=tau), quick())
     assert named(found) == {("viscous_friction", (2,))}
-    assert any("joint 3: no rigid body" in w for w in found["warnings"])
+    assert any("joint 3: neither the model nor any rigid body" in w for w in found["warnings"])
     reasons = {e["reason"] for e in found["not_testable"] if e["joints"] == [3]}
     assert reasons == {"the joint's torque holds no signal"}
     third = found["how_far"]["per_joint"][2]

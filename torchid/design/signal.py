@@ -2,8 +2,8 @@
 
 The torque of a joint that is measured at all can be foretold from its motion, by whatever rigid
 body and friction fit best, much better than by its mean. Where they cannot do that on stretches
-they were not fitted on, a log tells nothing about the joint's dynamics, though a model that
-predicts torque there has a large gap.
+they were not fitted on, a log tells nothing about the joint's dynamics; a model that predicts
+torque there has a gap that is none of its faults.
 """
 
 import math
@@ -25,7 +25,6 @@ OUTSIDE = 4.0
 """Robust standard deviations beyond which a torque, or what a fit leaves of it, is not a usual one:
 of a normal variable one in sixteen thousand."""
 
-
 DRIVE_GAIN = 0.05
 """How well torque constants times gear ratios are known [1]: two published sets of one arm differ
 by 3 to 33 %, makers promise a few per cent."""
@@ -34,36 +33,44 @@ by 3 to 33 %, makers promise a few per cent."""
 def without_signal(
     columns: Columns,
     torque: Float[Tensor, "n N"],
+    gap: Float[Tensor, "n N"],
     keep: Bool[Tensor, "n N"],
     parts: Int[Tensor, " N"],
 ) -> Bool[Tensor, " n"]:
-    """Joints (n,) whose measured torque a rigid body with friction foretells no better than its own
-    mean does, in all or on half of the stretches, of which neither was fitted on the one judged.
+    """Joints (n,) whose measured torque no rigid body with friction foretells better than its own
+    mean does, though a model foretells as much torque as is measured: in all, or on half of the
+    stretches; what is fitted was not fitted on the stretch that is judged.
 
     Args:
         columns: at any model; the regressor depends on the kinematics alone.
         torque: measured, as samples.
+        gap: what the model leaves of it.
         keep: samples that count.
         parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
     """
     laws = (ViscousFriction, CoulombFriction, TorqueOffset)
     out = []
-    for joint, y in enumerate(torque):
+    for joint, (y, error) in enumerate(zip(torque, gap, strict=True)):
         own: Sequence[Tensor] = [columns.of(law(joint))[1] for law in laws]
         a = torch.cat([columns.regressor[joint:, :, joint].flatten(0, 1), *own])
         # A push is no law: what is far off what fits the usual torques takes no part.
         telling = keep[joint] & ~_far(y - y.median(), keep[joint])
         telling &= ~_far(y - _fitted(a[:, telling], y[telling]) @ a, telling)
-        # How much of the square of each stretch is foretold, beside what the mean foretells.
-        gains = []
+        # What the body, the model and the mean leave of each stretch; and of all together.
+        rows = []
         for part in range(1, int(parts.max()) + 1):
             fitted, judged = telling & (parts > 0) & (parts != part), telling & (parts == part)
             if fitted.any() and judged.any():
-                left = y[judged] - _fitted(a[:, fitted], y[fitted]) @ a[:, judged]
+                body = y[judged] - _fitted(a[:, fitted], y[fitted]) @ a[:, judged]
+                given = error[judged] - error[fitted].mean()
                 usual = y[judged] - y[fitted].mean()
-                gains.append(float(usual.square().sum() - left.square().sum()))
-        useless = sum(gain <= 0 for gain in gains)
-        out.append(bool(gains) and (sum(gains) <= 0 or 2 * useless >= len(gains)))
+                rows.append([float(x.square().sum()) for x in (body, given, usual)])
+        sums = torch.tensor(rows).reshape(-1, 3)
+        left = torch.cat([sums, sums.sum(0, keepdim=True)])
+        # Twice as much: what the model foretells varies as much as what is measured, beside it.
+        useless = (left[:, 0] >= left[:, 2]) & (left[:, 1] >= 2 * left[:, 2])
+        most = 2 * int(useless[:-1].sum()) >= len(sums)
+        out.append(len(sums) > 0 and (most or bool(useless[-1])))
     return torch.tensor(out)
 
 

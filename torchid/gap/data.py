@@ -86,18 +86,19 @@ class Data:
         """The same data; of joints whose torque holds no signal no sample counts.
 
         Args:
-            columns: at any model of the arm.
+            columns: at the model as given.
             parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
         """
         torque = self.samples.of([s.tau.T for s in self.segments])
-        silent = without_signal(columns, torque, self.keep, parts)
+        silent = without_signal(columns, torque, columns.gap(), self.keep, parts)
         if not bool(silent.any()):
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
         names = ", ".join(str(j + 1) for j in joints)
         said = (
-            f"joint {names}: no rigid body with friction foretells the measured torque better than "
-            "its mean does, so nothing is told there; all of its gap counts as noise"
+            f"joint {names}: neither the model nor any rigid body with friction foretells the "
+            "measured torque better than its mean does, so nothing is told there; all of its gap "
+            "counts as noise"
         )
         keep = self.keep & ~silent.unsqueeze(1)
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
