@@ -31,7 +31,7 @@ def smooth(count: int, rows: int, keep: float, seed: int) -> Tensor:
     """Columns (rows, count) as a motion gives them: sums of four sines, from one to twelve times
     as slow as the noise's correlation time."""
     generator = torch.Generator().manual_seed(seed)
-    u, phase, size = (torch.rand(3, count, 4, 1, generator=generator)).unbind()
+    u, phase, size = torch.rand(3, count, 4, 1, generator=generator, dtype=torch.float64).unbind()
     period = correlation_time(keep) * torch.exp(math.log(12) * u)
     t = torch.arange(rows)
     waves = (2 * size - 1) * torch.sin(2 * math.pi * (t / period + phase))
