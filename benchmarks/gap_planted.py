@@ -27,7 +27,7 @@ import torch
 from gap_plant import Scene, gap, generator, plant
 from gap_real import FRICTION, UR10E, logs
 
-from torchid.effects.registry import model_torque, nominal_effects
+from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.record import record
@@ -169,11 +169,12 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
     coarse = scene_of(robot, second, noise, args.band, FINEST)
     fine = scene_of(robot, second, noise, args.band, 1e6)
     moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
+    missing = prepare(robot, second, None).missing
     part, of = (int(x) for x in args.part.split("/"))
     for number, name in enumerate(args.effects):
         for size in args.sizes:
             file = folder / f"{name}-{size:g}.json"
-            if number % of != part - 1 or file.exists():
+            if number % of != part - 1 or file.exists() or KINDS[name].needs & missing:
                 continue
             g = generator("planted", label, name)
             joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
@@ -181,7 +182,10 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
                 planted = plant(coarse, name, size, g, joint, usual=2.0)
             except ValueError:  # no place for it on this arm
                 continue
-            log = with_torque(second, fine, gap(fine, [planted.valued]))
+            added = gap(fine, [planted.valued])
+            if not max(float(x.abs().max()) for x in added) > 0:
+                continue  # no torque shows it there
+            log = with_torque(second, fine, added)
             found = answer(robot, log, settings_of(source))
             key = {
                 "effect": name,

@@ -55,7 +55,7 @@ class Question:
         first: files of the logs with which the model is corrected before.
         rigid: whether the robot's parameters and effects are left out and fitted.
         tip: last link, where the model has more.
-        silent: joints, from 1, of which nothing may be named; None where other names may be true.
+        silent: joints, from 1, of which nothing may be named.
     """
 
     known: str

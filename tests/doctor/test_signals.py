@@ -7,6 +7,7 @@ import torch
 from tests.doctor.synthetic import clean, log_faults
 from torchid.doctor.examine import signal_checks
 from torchid.doctor.repair import repaired
+from torchid.log.filtering import low_passed
 from torchid.log.model import Log
 
 SEEN = (
@@ -128,3 +129,50 @@ def test_a_clock_that_starts_again_elsewhere_is_a_new_run():
     assert torch.equal(mended.t, log.t)
     assert torch.equal(mended.trajectory.diff(), joined.trajectory.diff())
     assert mended.dq is not None
+
+
+def named(log):
+    checks, _ = signal_checks(clean("3r", 0)[0], log)
+    return {c.name: c for c in checks if c.verdict != "fine"}
+
+
+def at(log, t):
+    """The log at other times, on straight lines between its samples."""
+    own = log.t.numpy()
+    signals = {
+        name: torch.from_numpy(np.stack([np.interp(t, own, x) for x in values.numpy().T], 1))
+        for name, values in log.signals.items()
+    }
+    rows = torch.zeros(len(t), dtype=torch.int64)
+    return log.replace(t=torch.from_numpy(t), trajectory=rows, **signals)
+
+
+def test_torque_resampled_from_a_lower_rate_is_seen():
+    _, log = clean("3r", 0)
+    t = log.t.numpy()
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    slow = at(log, np.arange(t[0], t[-1], 4.7 / rate))
+    fast = at(slow, np.arange(slow.t[0], slow.t[-1], 1 / rate))
+    assert "lower rate" in named(fast)["content"].evidence
+    assert "content" not in named(log)
+
+
+def test_torque_without_any_noise_was_filtered():
+    _, log = clean("3r", 0)
+    t = log.t.numpy()
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    smooth = log.replace(tau=low_passed(log.tau.T, rate, 0.04 * rate).T)
+    found = named(smooth)["content"]
+    assert "not even noise" in found.evidence
+    assert found.estimate < 0.3 * rate
+
+
+def test_steps_of_very_different_length_are_not_fine():
+    _, log = clean("3r", 0)
+    rng = np.random.default_rng(0)
+    steps = rng.choice([0.02, 0.055], 600, p=[0.6, 0.4])
+    t = log.t.numpy()[0] + np.cumsum(steps)
+    t = t[t < log.t.numpy()[-1]]
+    found = named(at(log, t))
+    assert found["stamps"].verdict == "doubtful"
+    assert found["stamps"].estimate > 2

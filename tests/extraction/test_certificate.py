@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters
-from torchid.errors import MissingExtraError
+from torchid.design.bodies import triangle
 from torchid.extraction.convex.certificate import (
     _Question,
     certificate,
     certificate_where_possible,
     loss_matrix,
 )
-from torchid.extraction.convex.conic import Rows, matrix_of, minimise, triangle
+from torchid.extraction.convex.conic import Rows, matrix_of, minimise
 from torchid.extraction.convex.sets import ConvexSets, convex_sets
 from torchid.extraction.problem import Problem, extraction_problem, two_step
 from torchid.feasibility.bounds import read_bounds
@@ -295,9 +295,3 @@ def test_a_minimum_in_closed_form_and_its_bound() -> None:
     assert found.bound <= exact + 1e-14
     assert found.bound == pytest.approx(exact, abs=1e-8)
     assert found.value == pytest.approx(exact, abs=1e-8)
-
-
-def test_the_solver_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "clarabel", None)
-    with pytest.raises(MissingExtraError, match="torchid\\[sdp\\]"):
-        certificate(problem("3r"))

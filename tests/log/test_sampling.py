@@ -216,3 +216,11 @@ def test_grid_covers_the_log_and_resampling_twice_changes_nothing(
     again = resample(result)
     assert torch.equal(again.q, result.q)
     assert torch.allclose(again.t, result.t, rtol=0, atol=1e-6)
+
+
+def test_parts_of_one_uneven_trajectory_have_one_step() -> None:
+    """Slow before a gap and fast after it: one rate, for it was one log."""
+    t = np.r_[np.arange(0, 10, 0.02), np.arange(11, 21, 0.01)]
+    even = resample(log_at(t))
+    assert len(even.names) == 2
+    assert len(set(sampling_rate(even))) == 1

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 from tests.arms import mixed_arm, states
 from tests.oracles import PinocchioOracle
 from torchid.effects.base import Motion
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.extraction.equal_torque.sample import null_space
 from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import feasibility
@@ -21,7 +21,6 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Robot
-from torchid.study.equal_torque import study as study_module
 from torchid.study.equal_torque.force_reach import force_reach, force_squares
 from torchid.study.equal_torque.given_sets import given_sets
 from torchid.study.equal_torque.record import given_record, study_record
@@ -255,23 +254,6 @@ def test_other_outer_bounds_change_the_setting() -> None:
     same = case.widened("same", 1.0)
     assert torch.equal(same.outer.mass, case.outer.mass)
     assert torch.equal(same.conditions.total_mass, case.conditions.total_mass)
-
-
-def test_study_without_the_solver_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: object) -> None:
-        raise MissingExtraError("clarabel", "sdp", "this")
-
-    monkeypatch.setattr(study_module, "force_reach", missing)
-    found = equal_torque_study(
-        load_robot("3r"),
-        per_kind=15,
-        chains=6,
-        kinds=("feasible", "inertia"),
-        with_variants=False,
-        resamples=10,
-    )
-    assert found.reach == ()
-    assert any("clarabel" in w for w in found.warnings)
 
 
 def test_bad_requests_are_refused() -> None:

@@ -72,7 +72,7 @@ class Simulated:
     key: dict[str, Any] = field(default_factory=dict)
 
 
-def draw_case(seed: int, number: int) -> Spec:
+def draw_case(seed: int, number: int, *, mix: str = "mixed") -> Spec:
     return Spec(seed, number)
 
 

@@ -84,16 +84,26 @@ def test_keys_cannot_lie_among_the_cases(plant, tmp_path):
         make(tmp_path / "set", 1, seed=1, keys=tmp_path / "set" / "keys.json")
 
 
-def test_a_set_is_there_whole_or_not_at_all(plant, tmp_path):
+def test_a_set_is_there_whole_or_not_at_all_and_goes_on_where_it_stopped(plant, tmp_path):
+    made = []
+
     def broken(spec):
-        if spec.number == 1:
+        if spec.number == 1 and len(made) < 2:
+            made.append("broken")
             raise TorchidError("it diverged.")
+        made.append(spec.number)
         return simulate_case(spec)
 
     plant.simulate_case = broken
     with pytest.raises(TorchidError, match="diverged"):
         make(tmp_path / "set", 2, seed=1)
-    assert list(tmp_path.iterdir()) == []
+    assert not (tmp_path / "set").exists()
+    assert not keys_beside(tmp_path / "set").exists()
+    found = make(tmp_path / "set", 2, seed=1)
+    assert made == [0, "broken", 1]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["set", "set.keys.json"]
+    assert sorted(p.name for p in found.folder.iterdir()) == [*found.ids, "cases.json"]
+    assert [key["id"] for key in read_keys(found, keys_beside(found.folder))] == list(found.ids)
 
 
 def test_a_damaged_set_is_refused(made):

@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from torchid.statistics.proportion import wilson
 from torchid.withheld.measures import (
     added,
+    believed,
     coefficient_coverage,
     f1,
     inside,
@@ -18,6 +19,7 @@ from torchid.withheld.measures import (
     matched,
     named,
     poor_verdict,
+    reliability,
     verdict,
 )
 from torchid.withheld.rows import Claim, Planted, Row, row_of
@@ -271,3 +273,24 @@ def test_a_row_is_read_from_files() -> None:
     assert [c.structural for c in r.claims] == [True, False, False, True, True]
     assert r.planted[0].coefficients == {"Fs": 0.3}
     assert r.not_testable == (("backlash", 1), ("payload", None))
+
+
+def test_how_sure_is_compared_with_how_often_it_is_right():
+    planted = {"name": "coulomb_friction", "family": "sign", "joints": [2], "felt_by": [2]}
+    claim = {
+        "effect": "coulomb_friction", "family": "sign", "joints": [2], "ambiguous_with": [],
+        "how_sure": 0.9,
+    }  # fmt: skip
+    elsewhere = {**claim, "joints": [1], "how_sure": 0.6}
+    silent = {k: v for k, v in claim.items() if k != "how_sure"}
+    row = row_of(
+        {"effects": [planted]}, {"status": "explained", "which": [claim, elsewhere, silent]}
+    )
+    assert believed(row) == [(0.9, True), (0.6, False)]
+    found = reliability(believed(row) * 2)
+    assert found["brier"] == pytest.approx((0.01 + 0.36) / 2)
+    assert [(p["from"], p["hits"], p["total"]) for p in found["curve"]] == [
+        (0.5, 0, 2),
+        (0.8, 2, 2),
+    ]
+    assert reliability([]) == {"brier": None, "names": 0, "curve": []}

@@ -113,7 +113,6 @@ def extract_command(
         resume: Continue from the checkpoint in --out.
     """
     output = results.open()
-    from torchid.errors import MissingExtraError
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
@@ -135,11 +134,8 @@ def extract_command(
         require_possible(problem)
     proven = None
     if certificate or method == "sdp":
-        try:
-            proven, told = certificate_where_possible(problem)
-            notes = (*notes, *told)
-        except MissingExtraError as error:  # Clarabel; a search can do without
-            output.warn((f"no certificate of the least loss: {error}",))
+        proven, told = certificate_where_possible(problem)
+        notes = (*notes, *told)
     if method == "sdp":
         found = _convex(problem, proven, search_anyway)
     elif method == "log-cholesky":

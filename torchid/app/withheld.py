@@ -50,6 +50,7 @@ def make_command(
     out: Folder,
     cases: Annotated[int, typer.Option(min=1, max=9999)],
     seed: RequiredSeed,
+    mix: Literal["mixed", "release"] = "mixed",
     keys: Keys = None,
     jobs: Jobs = None,
     results: Printed,
@@ -61,13 +62,14 @@ def make_command(
     Args:
         out: Folder of the set.
         cases: Number of cases.
+        mix: Kinds of cases: of every sort, or those that a release is judged by.
     """
     output = results.open()
     from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with progress_bar(output) as progress:
-        made = make(out, cases, seed, keys=sealed, jobs=processes(jobs), progress=progress)
+        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=processes(jobs), progress=progress)
     output.say(f"{cases} cases in {out}, keys in {sealed}")
     output.say(f"SHA-256 of the keys: {made.keys_sha256}")
     output.write_json(

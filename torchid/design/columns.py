@@ -105,6 +105,7 @@ class Columns:
         """Number of joints."""
         return self.model.robot.n
 
+    @cached_property
     def gap(self) -> Float[Tensor, "n N"]:
         """Samples of the measured torque minus the model's."""
         parts = (s.tau - self.model.torque(s, self.samples) for s in self.samples.segments)

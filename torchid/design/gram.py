@@ -17,6 +17,40 @@ DETERMINED = 1e-7
 """Eigenvalue of normal equations with a unit diagonal below which a direction is left at zero: more
 would be rounding, for the equations square the condition number."""
 
+EXACT = 1e-13
+"""The same where what is known beforehand determines it, which has no rounding but the sum's."""
+
+
+def inverse_root(
+    matrix: Float[Tensor, "K K"],
+    least: float = DETERMINED,
+    known: Float[Tensor, "K K"] | None = None,
+) -> Float[Tensor, "K r"]:
+    """A root of the inverse of normal equations, along the directions that they determine.
+
+    Args:
+        matrix: products of the columns with each other, and what is known beforehand.
+        least: eigenvalue relative to the largest, columns in units of their own size, below which a
+            direction is not determined by the columns.
+        known: of the matrix what is known beforehand, which is no rounding however small it is.
+    """
+    # A column that is nowhere in these samples determines nothing.
+    size = torch.where(matrix.diagonal() > 0, matrix.diagonal().sqrt(), torch.inf)
+    values, vectors = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
+    kept = values > least * values[-1:]
+    if known is not None:
+        own = (vectors * ((known / size / size.unsqueeze(1)) @ vectors)).sum(0)
+        kept |= (own > 0.5 * values) & (values > EXACT * values[-1:])
+    return vectors[:, kept] / values[kept].sqrt() / size.unsqueeze(1)
+
+
+def least_squares(
+    a: Float[Tensor, "K R"], y: Float[Tensor, " R"], least: float = DETERMINED
+) -> Float[Tensor, " K"]:
+    """Coefficients; directions that the rows do not determine (see `inverse_root`) stay at zero."""
+    root = inverse_root(a @ a.T, least)
+    return root @ (root.T @ (a @ y))
+
 
 class Gram:
     """Normal equations of n joints in P parts of the data; the one mutable value of this room.
@@ -125,23 +159,10 @@ class Equations:
             right[of] += w * b
         return matrix, right
 
-    def solve(
-        self, weight: Float[Tensor, " n"], ridge: Float[Tensor, " K"] | None = None
-    ) -> "Solved":
-        """Weighted least squares.
-
-        Args:
-            weight: (n,) of each joint's squares.
-            ridge: (K,) inverse variances of the coefficients about zero.
-        """
+    def solve(self, weight: Float[Tensor, " n"]) -> "Solved":
+        """Least squares with these weights of the joints' squares."""
         matrix, right = self.weighted(weight)
-        if ridge is not None:
-            matrix += torch.diag(ridge)
-        # A column that is nowhere in these samples determines nothing.
-        size = torch.where(matrix.diagonal() > 0, matrix.diagonal().sqrt(), torch.inf)
-        values, vectors = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
-        kept = values > DETERMINED * values[-1:].clamp(min=1.0)
-        root = vectors[:, kept] / values[kept].sqrt() / size.unsqueeze(1)
+        root = inverse_root(matrix)
         return Solved(root @ (root.T @ right), root)
 
 

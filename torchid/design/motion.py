@@ -194,7 +194,12 @@ def _measurement(log: Log, rate: float, cutoff: float | None, threshold: Tensor)
     q, dq, ddq = (x.T.contiguous() for x in (q, dq, ddq))
     # Without a filter and a reversal speed the log is taken at its word, rest included.
     literal = cutoff is None and not bool(threshold.any())
-    motion = Motion(q, dq, ddq, None if literal else direction(sharp.T, threshold))
+    lag = None
+    if log.ql is not None:
+        lag = log.q - log.ql
+        lag = lag if cutoff is None else low_passed(lag.T, rate, cutoff).T.contiguous()
+    sign = None if literal else direction(sharp.T, threshold)
+    motion = Motion(q, dq, ddq, sign, lag=lag)
     return Measurement(log.names[0], rate, cutoff, log.t, motion, log.tau, own, tuple(warnings))
 
 

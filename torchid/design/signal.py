@@ -12,13 +12,14 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.columns import Columns
+from torchid.design.gram import least_squares
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.log.model import Log
 from torchid.statistics.robust import robust_std
 from torchid.typing import Bool, Float, Int, Tensor
 
-EXCITED = 1e-2
-"""Singular value of the columns, each of length one, relative to the largest, below which a
+EXCITED = 1e-4
+"""Eigenvalue of the products of columns of length one, relative to the largest, below which a
 direction is not fitted: hardly excited, it would foretell little and be wrong about it."""
 
 OUTSIDE = 4.0
@@ -55,13 +56,13 @@ def without_signal(
         a = torch.cat([columns.regressor[joint:, :, joint].flatten(0, 1), *own])
         # A push is no law: what is far off what fits the usual torques takes no part.
         telling = keep[joint] & ~_far(y - y.median(), keep[joint])
-        telling &= ~_far(y - _fitted(a[:, telling], y[telling]) @ a, telling)
+        telling &= ~_far(y - least_squares(a[:, telling], y[telling], EXCITED) @ a, telling)
         # What the body, the model and the mean leave of each stretch; and of all together.
         rows = []
         for part in range(1, int(parts.max()) + 1):
             fitted, judged = telling & (parts > 0) & (parts != part), telling & (parts == part)
             if fitted.any() and judged.any():
-                body = y[judged] - _fitted(a[:, fitted], y[fitted]) @ a[:, judged]
+                body = y[judged] - least_squares(a[:, fitted], y[fitted], EXCITED) @ a[:, judged]
                 given = error[judged] - error[fitted].mean()
                 usual = y[judged] - y[fitted].mean()
                 rows.append([float(x.square().sum()) for x in (body, given, usual)])
@@ -79,15 +80,6 @@ def _far(x: Float[Tensor, " N"], keep: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]
     if not keep.any():
         return torch.zeros_like(keep)
     return x.abs() > OUTSIDE * robust_std(x[keep].unsqueeze(0)).nan_to_num(nan=math.inf)
-
-
-def _fitted(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
-    """Least squares along the directions that are excited."""
-    size = a.norm(dim=1)
-    size = torch.where(size > 0, size, torch.inf)
-    values, vectors = torch.linalg.eigh(a @ a.T / size / size.unsqueeze(1))
-    seen = values > EXCITED**2 * values[-1:]
-    return vectors[:, seen] @ ((vectors[:, seen].T @ (a @ y / size)) / values[seen]) / size
 
 
 def from_current(log: Log) -> bool:

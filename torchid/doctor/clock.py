@@ -28,6 +28,8 @@ USUAL_STEPS = 3.0
 the clock, not a gap in the log."""
 SMOOTHER = 3.0
 """Stamps are taken for wrong when positions are this many times smoother over even ones."""
+LONG = 2.0
+"""Medians that the longest usual steps may last."""
 UNEVEN = 0.1
 """Steps that spread by less than this share of the median are even."""
 
@@ -236,8 +238,20 @@ def check_stamps(log: Log) -> Check:
         inner = step[step < SMALL_GAP * np.median(step)]
         share = max(share, float(inner.std() / np.median(step)) if len(inner) else 0.0)
         worst = max(worst, _roughness_ratio(t, part.q.numpy()))
-    if share < UNEVEN or worst < SMOOTHER:
+    if share < UNEVEN:
         return Check("stamps", "fine", text, estimate=share)
+    if worst < SMOOTHER:
+        long = max(_usual_longest(part.t.numpy()) for part in log.trajectories())
+        if long < LONG:
+            return Check("stamps", "fine", text, estimate=share)
+        return Check(
+            "stamps",
+            "doubtful",
+            f"a tenth of the time lies in steps of {long:.2g} medians and more ({text})",
+            estimate=long,
+            unit="ratio",
+            fix="record at an even rate; nothing faster than the longest steps can be told",
+        )
     return Check(
         "stamps",
         "wrong",
@@ -246,6 +260,13 @@ def check_stamps(log: Log) -> Check:
         estimate=worst,
         unit="ratio",
     ).mended_by(EvenTime())
+
+
+def _usual_longest(t: np.ndarray) -> float:
+    """The step, in medians, that a tenth of the time lies in longer ones than; gaps left out."""
+    step = np.sort(np.diff(t))
+    inner = step[step < LONG_GAP_STEPS * np.median(step)]
+    return float(inner[np.searchsorted(inner.cumsum(), 0.9 * inner.sum())] / np.median(step))
 
 
 def _roughness_ratio(t: np.ndarray, q: np.ndarray) -> float:

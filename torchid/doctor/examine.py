@@ -29,6 +29,7 @@ from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
 from torchid.doctor.size import check_nominal, check_size
 from torchid.doctor.torque import (
+    check_content,
     check_resolution,
     check_saturation,
     check_torque,
@@ -181,6 +182,7 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     if torque_or_current(now) is not None:
         add(check_saturation(now))
         add(check_resolution(now))
+        add(check_content(now))
     return checks, now
 
 

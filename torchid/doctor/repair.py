@@ -13,7 +13,7 @@ from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
-MOTION = ("q", "dq", "ddq")
+MOTION = ("q", "dq", "ddq", "ql")
 TORQUE = ("tau", "current")
 
 

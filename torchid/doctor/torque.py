@@ -1,6 +1,7 @@
 """Torque columns by themselves: are they there, clipped, or coarse?"""
 
 import numpy as np
+from scipy.signal import welch
 
 from torchid.doctor.check import Check, joint_list
 from torchid.log.model import Log
@@ -14,6 +15,14 @@ DISTINCT = 0.9
 """Share of the values that occur once, where a signal has no steps or held values."""
 COARSE = 0.1
 """Largest step between torque values, as a share of their standard deviation."""
+SENSED = 1e-5
+"""Noise as a share of the torque's spread below which no sensor is: 1e-3 to 0.7 in the logs of nine
+arms."""
+FEWEST = 256
+"""Samples of which a spectrum is taken at least."""
+STRAIGHT = 0.4
+"""Share of moving samples on the straight line between their neighbours: every second one, where
+twice as many were made of a log."""
 
 
 def torque_or_current(log: Log) -> Float[Tensor, "T n"] | None:
@@ -143,3 +152,43 @@ def check_resolution(log: Log) -> Check:
         unit="share",
         fix="log torque with more digits, or in smaller units",
     )
+
+
+def check_content(log: Log) -> Check:
+    """Torque that was filtered or resampled: without noise at high frequency, or on straight lines
+    between every few samples."""
+    signal = torque_or_current(log)
+    assert signal is not None
+    rows = max(log.slices(), key=lambda r: r.stop - r.start)
+    rate, x = 1 / float(log.t[rows].diff().median()), signal[rows].numpy()
+    x = x[:, np.ptp(x, 0) > 0]
+    name = "content"
+    if len(x) < FEWEST or not x.shape[1]:
+        return Check(name, "cannot tell", f"no trajectory has {FEWEST} samples that change")
+    # Density of the steps, whose own gain is taken out: where it is that of the sensor's noise.
+    frequency, power = welch(np.diff(x, axis=0), rate, nperseg=FEWEST // 2, axis=0)
+    power = power / (2 * np.sin(np.pi * frequency / rate).clip(1e-6))[:, None] ** 2
+    top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
+    noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
+    held = (power.cumsum(0) / power.sum(0).clip(1e-300)).min(1)
+    ends = float(frequency[:-1][held[:-1] < 1 - SENSED**2].max(initial=0.0))
+    bends, steps = np.abs(np.diff(x, 2, axis=0)), np.abs(np.diff(x, axis=0))[1:]
+    # Steps of a coarse signal are alike by chance.
+    coarse = np.array([_resolution(column) for column in x.T])
+    straight = (bends < 1e-6 * steps)[steps > 20 * coarse]
+    share = float(straight.mean()) if len(straight) else 0.0
+    fix = "log what the sensor gives, at its own rate; of this one nobody knows the noise"
+    if share >= STRAIGHT:
+        said = (
+            f"{100 * share:.0f} % of the torques lie on the line between their neighbours: the log "
+            "was resampled from a lower rate"
+        )
+        return Check(name, "doubtful", said, estimate=share, unit="share", fix=fix)
+    if float(noise.max()) > SENSED:
+        least = 100 * float(noise.min())
+        return Check(name, "fine", f"noise of {least:.2g} % of the torque or more")
+    said = (
+        f"above {ends:.3g} of {rate / 2:.4g} Hz there is nothing, not even noise: the torque was "
+        "filtered, resampled or simulated"
+    )
+    return Check(name, "doubtful", said, estimate=ends, unit="Hz", fix=fix)

@@ -20,6 +20,8 @@ class Motion(NamedTuple):
             held; where it is known.
         sensed: (..., n) measured torque, of which effects may use the sign alone; where there is a
             log.
+        lag: (..., n) by which the link's own encoder is behind the motor's [rad; m]; where a log
+            has both.
     """
 
     q: Tensor
@@ -30,6 +32,7 @@ class Motion(NamedTuple):
     torque: Tensor | None = None
     age: Tensor | None = None
     sensed: Tensor | None = None
+    lag: Tensor | None = None
 
     @property
     def state(self) -> tuple[Tensor, Tensor, Tensor]:

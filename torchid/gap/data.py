@@ -54,6 +54,8 @@ class Data:
         gain_std: how well the scale of each joint's torque is known, as a share of it.
         positions: (n,) noise that they bring into the model's torque in that band [N m; N].
         warnings: sentences for the user.
+        lag: (n, N) by which links are behind their motors [rad; m]; None without encoders of the
+            links.
     """
 
     samples: Samples
@@ -66,6 +68,7 @@ class Data:
     gain_std: float
     positions: Float[Tensor, " n"]
     warnings: tuple[str, ...]
+    lag: Float[Tensor, "n N"] | None = None
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -90,7 +93,7 @@ class Data:
             parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
         """
         torque = self.samples.of([s.tau.T for s in self.segments])
-        silent = without_signal(columns, torque, columns.gap(), self.keep, parts)
+        silent = without_signal(columns, torque, columns.gap, self.keep, parts)
         if not bool(silent.any()):
             return self
         joints = tuple(silent.nonzero().flatten().tolist())
@@ -190,6 +193,7 @@ def prepare(
     keep, slides = moving_samples(samples), moves >= HARDLY
     band = report_band(samples, min(widest, highest))
     positions = noise * band**2.5
-    return Data(
-        samples, keep, slides, missing, still, (), band, gain_std or 0.0, positions, tuple(said)
-    )
+    lags = [s.motion.lag.T for s in long if s.motion.lag is not None]
+    lag = samples.of(lags) if lags else None
+    known = gain_std or 0.0
+    return Data(samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag)

@@ -176,7 +176,13 @@ def diagnose(
     result = Diagnosis(
         robot=start.described(),
         corrected=Model(found.solution.model.robot, lasting).described(),
-        status=status_of(said, checked, found.question.least(far.rms_before.square()), poor),
+        status=status_of(
+            said,
+            checked,
+            found.question.least(far.rms_before.square()),
+            poor,
+            shown=all(map(found.question.shows, found.terms)),
+        ),
         joints=joints,
         regimes=regimes,
         findings=said.findings,
@@ -273,7 +279,7 @@ def _blocks(data: Data, columns: Columns | None) -> Int[Tensor, " N"]:
     bounds = data.samples.bounds
     time = 1.0
     if columns is not None:
-        times = integrated_time(columns.gap() * data.keep, bounds)
+        times = integrated_time(columns.gap * data.keep, bounds)
         time = float(times.median())
     return block_numbers(bounds, block_length(len(data.samples), time))
 
@@ -332,8 +338,9 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
     worse = set((far.rms_after > far.rms_before).nonzero().flatten().tolist())
     out = []
     for term in found.terms:
-        # What happened once cannot be foretold, so that held-out data say nothing about it.
-        if any(e.event for e in term.effects):
+        # What happened once cannot be foretold, so that held-out data say nothing about it; nor
+        # have torques to say what another sensor shows.
+        if any(e.event for e in term.effects) or found.question.shows(term):
             continue
         at = term.effects[0].joints if len(term.effects) == 1 else ()
         if worse.intersection(at) if at else not far.improves:
@@ -341,7 +348,9 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
     return out
 
 
-def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool) -> Status:
+def status_of(
+    said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool, shown: bool
+) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
     has an interval; what is left is unexplained where it exceeds the noise there and a flexible
     predictor finds structure in it.
@@ -351,6 +360,7 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
         checked: on data that was not fitted.
         least: (n,) torque that is worth a name [N m; N].
         poor: whether the log could not show most effects.
+        shown: whether another sensor than that of torque shows all that is told.
     """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
@@ -367,7 +377,7 @@ def status_of(said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bo
         if unexplained:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
-    if unexplained or not far.improves or far.closed is None:
+    if unexplained or not (shown or (far.improves and far.closed is not None)):
         return "detected_unexplained"
     return "explained" if said.findings else "parametric_only"
 

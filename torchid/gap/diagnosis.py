@@ -1,5 +1,6 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,6 +24,9 @@ Regime = Literal[
 ]
 
 Interval = tuple[float, float]
+
+OFTEN = 0.8
+"""Share of draws in which a cause must be told to count as one that is found."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,31 @@ class RegimeGap:
 
 
 @dataclass(frozen=True)
+class Planted:
+    """What this log would show of a cause and of R - 1 others in its place, if what the answer
+    leaves were noise: shares of draws.
+
+    Attributes:
+        names: (R,) the cause first.
+        told: (R, R + 1) with each of them planted, which is told; none, last.
+        found: by size, as a share of the fitted one, how often the cause is told.
+    """
+
+    names: tuple[str, ...]
+    told: tuple[tuple[float, ...], ...]
+    found: tuple[tuple[float, float], ...]
+
+    @property
+    def smallest(self) -> float | None:
+        """The size, as a share of the fitted one, from which on the cause is told in four of five
+        draws, between sizes by interpolation; None if there is none."""
+        for (a, low), (b, high) in itertools.pairwise(((0.0, 0.0), *self.found)):
+            if high >= OFTEN:
+                return a + (b - a) * (OFTEN - low) / (high - low)
+        return None
+
+
+@dataclass(frozen=True)
 class Finding:
     """An accepted effect.
 
@@ -115,11 +144,13 @@ class Finding:
         ambiguous_with: names of effects the data do not separate it from.
         std: block-robust standard deviations of the coefficients.
         p_value: family-wise, by the test that judged it.
+        how_sure: probability of it, against nothing and against what it cannot be told from.
         share: of the closable gap that it closes in its turn: at every turn that cause joins which
             closes most, all refitted, so that the shares add up to one.
         first: of the closable gap that it closes alone.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
+        planted: what the log would show of it and of its likeliest alternatives.
     """
 
     effect: Effect
@@ -128,10 +159,12 @@ class Finding:
     ambiguous_with: tuple[str, ...]
     std: tuple[float, ...]
     p_value: float
+    how_sure: float
     share: float
     first: float
     notes: tuple[str, ...] = ()
     common: bool = False
+    planted: Planted | None = None
 
     @property
     def located(self) -> tuple[int, ...]:
@@ -150,7 +183,7 @@ class Parametric:
 
     Attributes:
         links: from 0; empty for all base parameters.
-        share, p_value: as Finding's; None where the parameters are always refitted.
+        share, p_value, how_sure: as Finding's; None where the parameters are always refitted.
         ambiguous_with: names of effects.
     """
 
@@ -158,6 +191,7 @@ class Parametric:
     share: float
     p_value: float | None
     ambiguous_with: tuple[str, ...] = ()
+    how_sure: float | None = None
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ def record(diagnosis: Diagnosis) -> dict[str, Any]:
                     "all_base_parameters": not p.links,
                     "share": p.share,
                     "p_value": p.p_value,
+                    "how_sure": p.how_sure,
                     "ambiguous_with": p.ambiguous_with,
                 }
                 for p in diagnosis.parametric
@@ -119,6 +120,7 @@ def finding_record(finding: Finding, robot: Robot) -> dict[str, Any]:
         "ambiguous_with": finding.ambiguous_with,
         "parameters": own,
         "p_value": finding.p_value,
+        "how_sure": finding.how_sure,
         "std": dict(zip((c.name for c in effect.coefficients), finding.std, strict=True)),
         "unit": units,
         "shape": [name for name in own if name in {s.name for s in effect.shapes}],
@@ -129,6 +131,9 @@ def finding_record(finding: Finding, robot: Robot) -> dict[str, Any]:
         "remedy": effect.remedy,
         "source": effect.source,
         "notes": finding.notes,
+        "planted": None
+        if finding.planted is None
+        else vars(finding.planted) | {"smallest": finding.planted.smallest},
     }
 
 
@@ -142,6 +147,7 @@ def _link_inertia(p: Parametric) -> dict[str, Any]:
         "ambiguous_with": p.ambiguous_with,
         "parameters": {"links": links},
         "p_value": p.p_value,
+        "how_sure": p.how_sure,
         "std": {},
         "unit": {},
         "shape": [],

@@ -76,13 +76,14 @@ class GapSettings:
             _between("the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`")
         _between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
         _between("alpha", self.alpha, 0.0, 1.0, "0..1")
-        for share in (self.worthwhile, self.worthwhile_torque):
+        for name, share in (
+            ("the least worthwhile share", self.worthwhile),
+            ("the least worthwhile share", self.worthwhile_torque),
+            ("the standard deviation of the gain", self.gain_std or 0),
+            ("the held-out fraction", self.held_out_fraction),
+        ):
             if share != 0:
-                _between("the least worthwhile share", share, 0.0, 1.0, "0..1")
-        if self.gain_std is not None and self.gain_std != 0:
-            _between("the standard deviation of the gain", self.gain_std, 0.0, 1.0, "0..1")
-        if self.held_out_fraction != 0:
-            _between("the held-out fraction", self.held_out_fraction, 0.0, 1.0, "0..1")
+                _between(name, share, 0.0, 1.0, "0..1")
         _whole("the number of folds", self.folds, 2)
         _whole("the greatest number of effects", self.max_effects, 1)
         _whole("the seed", self.seed, 0)

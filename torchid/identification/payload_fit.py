@@ -24,7 +24,13 @@ from torch.autograd.functional import jacobian
 
 from torchid.dynamics.regressor import regressor
 from torchid.identification.base_parameters import RANK_TOLERANCE, BaseParameters, random_states
-from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, move, paper_order
+from torchid.robot.inertia import (
+    PARAMETERS_PER_LINK,
+    InertialParameters,
+    move,
+    paper_order,
+    pseudo_inertia_basis,
+)
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -227,7 +233,7 @@ def nearest_consistent(
     whiten = (vectors[:, kept] / sizes[kept].sqrt()).T @ seen
     # P's entries by parameter (10, 4, 4), in units that make them of order one; and a consistent
     # body near the given parameters, with eigenvalues raised.
-    unit = InertialParameters(torch.eye(10, dtype=parameters.dtype)).pseudo_inertia
+    unit = pseudo_inertia_basis().to(parameters)
     p = torch.einsum("k,kab->ab", parameters, unit)
     size = p.diagonal().abs().sqrt()
     size = size.clamp(min=1e-2 * float(size.max())).clamp(min=1e-9)

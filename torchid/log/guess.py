@@ -113,7 +113,7 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
         whole_arrays.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
     groups = [*found, *whole_arrays, *whole, *named]
     chosen: dict[str, _Group] = {}
-    for key in ("t", "q", "dq", "tau", "i"):
+    for key in ("t", "q", "dq", "tau", "i", "ql"):
         fitting = [g for g in groups if g.key == key]
         if key == "q" and joints:
             fitting = [g for g in fitting if g.joints in (0, len(joints))] or fitting

@@ -16,7 +16,7 @@ from torchid.errors import LogError
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
 
-JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current")
+JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current", "ql")
 OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
 
 
@@ -31,6 +31,7 @@ class Log:
         ddq: (T, n) given joint accelerations [rad/s^2 or m/s^2], or None.
         tau: (T, n) joint torques [N m or N], or None.
         current: (T, n) motor currents [A], or None.
+        ql: (T, n) positions that encoders on the links' side tell [rad or m], or None.
         trajectory: (T,) trajectory of each sample, 0, 1, ... in consecutive runs (default: all 0).
         names: one name a trajectory.
         source: where the log came from.
@@ -53,6 +54,7 @@ class Log:
     ddq: Float[Tensor, "T n"] | None = None
     tau: Float[Tensor, "T n"] | None = None
     current: Float[Tensor, "T n"] | None = None
+    ql: Float[Tensor, "T n"] | None = None
     trajectory: Int[Tensor, " T"] = field(default=cast(Tensor, None))
     names: tuple[str, ...] = ()
     source: str = ""
@@ -273,7 +275,7 @@ class Log:
     def concatenate(cls, logs: Sequence["Log"]) -> "Log":
         """All trajectories of all logs, in order.
 
-        Accelerations that only some logs have are left out, with a warning.
+        Accelerations and link-side positions that only some logs have are left out, with a warning.
 
         Raises:
             LogError: no logs, different numbers of joints, or only some have dq, tau or current.
@@ -296,8 +298,8 @@ class Log:
             having = [log for log in logs if getattr(log, name) is not None]
             if len(having) == len(logs):
                 signals[name] = torch.cat([getattr(log, name) for log in logs])
-            elif having and name == "ddq":
-                warnings.append("ddq is left out: not all logs have it.")
+            elif having and name in ("ddq", "ql"):
+                warnings.append(f"{name} is left out: not all logs have it.")
             elif having:
                 lacking = next(log for log in logs if getattr(log, name) is None)
                 raise LogError(

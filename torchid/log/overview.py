@@ -27,6 +27,7 @@ _UNITS = {
     "ddq": "rad/s² or m/s²",
     "tau": "N m or N",
     "current": "A",
+    "ql": "rad or m",
 }
 
 

@@ -27,7 +27,7 @@ LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
 SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
 
-_SMOOTH = ("q", "dq", "ddq")
+_SMOOTH = ("q", "dq", "ddq", "ql")
 
 
 def sampling_rate(log: Log) -> list[float]:
@@ -55,17 +55,19 @@ def resample(log: Log) -> Log:
         LogError: time does not increase, a trajectory has one sample only, or nothing is left.
     """
     warnings: list[str] = []
-    pieces = [
-        piece
-        for trajectory, t in zip(log.trajectories(), _stamps(log), strict=True)
-        for piece in _split_at_gaps(trajectory, t, warnings)
-    ]
+    pieces: list[Log] = []
+    steps: list[float] = []
+    for trajectory, t in zip(log.trajectories(), _stamps(log), strict=True):
+        own = _split_at_gaps(trajectory, t, warnings)
+        # What was one trajectory has one step, however uneven its parts are.
+        typical = [_typical_step(x) for piece in own for x in _stamps(piece)]
+        pieces += own
+        steps += [float(np.median(typical))] * len(own) if own else []
     if not pieces:
         raise LogError(
             f"log '{log.source}' has no piece of {SHORTEST_PIECE_S:g} s without a gap.",
             got="; ".join(warnings),
         )
-    steps = [_typical_step(t) for piece in pieces for t in _stamps(piece)]
     if max(steps) <= (1.0 + SAME_STEP) * min(steps):
         steps = [float(np.median(steps))] * len(steps)
     result = [_onto_grid(piece, step, warnings) for piece, step in zip(pieces, steps, strict=True)]

@@ -12,6 +12,7 @@ _QUANTITIES = {
     "dq": r"dq|qd|qdot|qvel|dpos|vel|velocity|velocities|speeds?|omega",
     "tau": r"tau|eff|efforts?|torques?|trq|tq|moments?",
     "i": r"i|cur|currents?|amps?",
+    "ql": r"ql|qlink|linkside",
     "q": r"q|qpos|pos|positions?|angles?|theta|jointpos|joints?|state",
 }
 _MEASURED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
@@ -28,6 +29,7 @@ _UNITS = {
     "ddq": {"deg": "deg/s^2", "rad": "rad/s^2"},
     "tau": {"mnm": "mNm", "ncm": "Ncm", "nm": "Nm"},
     "i": {"ma": "mA"},
+    "ql": {"deg": "deg", "degrees": "deg", "rad": "rad"},
 }  # fmt: skip
 _BRACKETED = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
 

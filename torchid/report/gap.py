@@ -92,7 +92,7 @@ def which_table(diagnosis: Diagnosis) -> Table:
         if f.effect.shapes:
             values.append(f"({', '.join(shapes(f, diagnosis.robot))})")
         joints = ", ".join(str(j + 1) for j in f.joints) or "all"
-        shares = (percent(f.share), percent(f.first), _p(f.p_value))
+        shares = (percent(f.share), percent(f.first), _sure(f.how_sure))
         what = effect_words(f.effect.name)
         rows.append((what, joints, "\n".join(values), _others(f.ambiguous_with), *shares))
     for p in diagnosis.parametric:
@@ -101,12 +101,12 @@ def which_table(diagnosis: Diagnosis) -> Table:
         rows.append(
             (
                 what, ", ".join(links) or "all", "see the corrected model",
-                _others(p.ambiguous_with), percent(p.share), "-", _p(p.p_value),
+                _others(p.ambiguous_with), percent(p.share), "-", _sure(p.how_sure),
             )
         )  # fmt: skip
     columns = (
         "effect", "joints", "value", "cannot be told from", "closes\nin its turn", "closes\nalone",
-        "p",
+        "how sure",
     )  # fmt: skip
     title = "which: effects the model lacks (value ± std)"
     return Table(title, columns, rows, names=columns[:3], words=columns[3:4])
@@ -244,10 +244,10 @@ def _others(names: tuple[str, ...]) -> str:
     return "\n".join(effect_words(name) for name in names) or "-"
 
 
-def _p(value: float | None) -> str:
+def _sure(value: float | None) -> str:
     if value is None:
         return "-"
-    return "< 0.001" if value < 1e-3 else f"{value:.3f}"
+    return "> 99 %" if value > 0.99 else f"{100 * value:.0f} %"
 
 
 STATUS = {
@@ -378,6 +378,19 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
                 lambda: gap_figures.budget_figure(d),
+            )
+        )
+    if any(f.planted for f in d.findings):
+        out.append(
+            Picture(
+                "planted",
+                "What this log would show, if what is left were noise: each cause, and its "
+                "likeliest others, are planted again into shuffled blocks of it, and sought. A "
+                "cause whose row is told as another cannot be told from it here; the curve says "
+                "from which size on the cause is told, alone or in a set. It is the best that can "
+                "be hoped for: what is left of a real arm holds other causes, too.",
+                "Shares of draws in which each planted cause is told, and by size of the cause.",
+                lambda: gap_figures.planted_figure(d),
             )
         )
     return out

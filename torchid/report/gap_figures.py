@@ -16,6 +16,9 @@ from torchid.statistics.jackknife import student_quantile
 WORST = 3
 """Joints that get a figure of their own."""
 
+MOST_PLANTED = 5
+"""Findings whose planting is shown, the largest ones."""
+
 _SMALL = 8
 _MOST_POINTS = 4000
 _SHORTEST = 12.0
@@ -30,6 +33,8 @@ def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     for j in worst_joints(diagnosis):
         out[f"gap_joint_{j + 1}"] = joint_figure(diagnosis, j)
     out["torque"] = torque_figure(diagnosis)
+    if any(f.planted for f in diagnosis.findings):
+        out["planted"] = planted_figure(diagnosis)
     return out
 
 
@@ -138,6 +143,42 @@ def budget_figure(diagnosis: Diagnosis) -> Figure:
     axes.grid(axis="y", visible=False)
     axes.xaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f}\u2009%")
     return finish(figure, f"{diagnosis.robot.name}: what closes the gap", axes, columns=3)
+
+
+def planted_figure(diagnosis: Diagnosis) -> Figure:
+    """A row a finding: which cause is told where it or another one is planted in this log, and from
+    which size on the finding itself is."""
+    shown = [(f, f.planted) for f in diagnosis.findings if f.planted is not None][:MOST_PLANTED]
+    figure = new_figure(9.6, 0.7 + 2.5 * len(shown))
+    rows = figure.subplots(len(shown), 2, width_ratios=(1.7, 1), squeeze=False)
+    for (finding, planted), (table, curve) in zip(shown, rows, strict=True):
+        words = [name.replace("_", " ") for name in planted.names]
+        shares = np.array(planted.told)
+        table.imshow(shares, cmap="Blues", vmin=0, vmax=1.6, aspect="auto")
+        for (y, x), share in np.ndenumerate(shares):
+            if share >= 0.005:
+                text = f"{100 * share:.0f}"
+                table.text(x, y, text, ha="center", va="center", fontsize=_SMALL, color=INK)
+        told = [*words, "none"]
+        table.set_xticks(range(len(told)), [w.replace(" ", "\n") for w in told])
+        table.set_yticks(range(len(words)), words)
+        ruled(table, len(words), len(told), 2)
+        where = ", ".join(str(j + 1) for j in finding.located)
+        table.set_title(
+            f"{words[0]}{f', joint {where}' if where else ''}: told (across) where planted (down), "
+            "% of draws",
+            fontsize=_SMALL, color=INK, loc="left",
+        )  # fmt: skip
+        styled(curve)
+        sizes, found = np.array(planted.found).T
+        curve.plot(sizes, 100 * found, "o-", color=AFTER, markersize=4)
+        curve.set_xscale("log", base=2)
+        curve.set_xticks(sizes, ["1" if s == 1 else f"1/{1 / s:.0f}" for s in sizes])
+        if planted.smallest is not None:
+            said = f"told in 80 % of draws from {planted.smallest:.2g} of it on"
+            curve.set_title(said, fontsize=_SMALL, color=INK, loc="left")
+        curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="told [%]")
+    return finish(figure, f"{diagnosis.robot.name}: what this log would show")
 
 
 def torque_figure(diagnosis: Diagnosis, joint: int | None = None) -> Figure:

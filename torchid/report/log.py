@@ -25,6 +25,7 @@ _CONSEQUENCES = {
     "ddq": "differentiated",
     "tau": "needed to identify, unless there is current and a drive gain",
     "current": "",
+    "ql": "",
 }
 
 

@@ -67,7 +67,7 @@ class Line:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
-        entry = {} if self.path[-1] == "set_size" else self.entry(scores)
+        entry = {} if self.path[-1] in ("set_size", "brier") else self.entry(scores)
         between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
@@ -85,6 +85,9 @@ class Line:
 LINES = (
     Line("false alarms, white noise", ("false_alarms", "white", "share"), high=0.03),
     Line("false alarms, coloured noise", ("false_alarms", "coloured", "share"), high=0.03),
+    Line(
+        "false alarms, noise that grows with speed", ("false_alarms", "growing", "share"), high=0.03
+    ),
     Line("false alarms, all", ("false_alarms", "all", "share"), high=0.03),
     Line("parameters only: other effect named", ("parameters", "structural", "share")),
     Line("one effect: detected", ("single", "detected", "share")),
@@ -98,6 +101,7 @@ LINES = (
     Line("one clear effect: in the first set", ("single_clear", "in_set", "share")),
     Line("one clear effect: family right", ("single_clear", "family", "share")),
     Line("one effect, any size: wrong family for sure", ("wrong_for_sure", "share")),
+    Line("how sure: Brier score", ("how_sure", "brier"), percent=False),
     Line("joints, F1", ("joints", "f1"), low=0.95, percent=False),
     Line("two effects, F1", ("several", "pairs", "with_sets", "f1"), low=0.9, percent=False),
     Line("two effects, F1, first names", ("several", "pairs", "strict", "f1"), percent=False),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import Figure, finish, new_figure, ruled, tiles
+from torchid.report.panels import Figure, finish, new_figure, ruled, styled, tiles
 
 _SMALL = 8
 _COLUMNS = 3
@@ -24,7 +24,26 @@ def figures(summary: Mapping[str, Any]) -> dict[str, Figure]:
         out["confusion"] = confusion_figure(scores["confusion"], scores["confusion_outside"])
     if scores["detection"]:
         out["detection"] = detection_figure(scores["detection"])
+    if scores["how_sure"]["curve"]:
+        out["reliability"] = reliability_figure(scores["how_sure"]["curve"])
     return out
+
+
+def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
+    """Shares of right names over the probability that was given, with 95 % intervals."""
+    figure = new_figure(4.2, 3.4)
+    axes = styled(figure.add_subplot())
+    axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, label="as often as said")
+    x, y = ([100 * point[name] for point in curve] for name in ("mean", "share"))
+    ends = np.array([[100 * e for e in point["ci95"]] for point in curve]).T
+    axes.errorbar(
+        x, y, np.abs(ends - np.array(y)), color=BLUE, marker="o", markersize=4, linewidth=1.2,
+        capsize=2, label="names (95 %)",
+    )  # fmt: skip
+    axes.set(xlim=(-2, 102), ylim=(-2, 102))
+    axes.set_xlabel("how sure it was said to be [%]", fontsize=_SMALL, color=INK)
+    axes.set_ylabel("right [%]", fontsize=_SMALL, color=INK)
+    return finish(figure, "How sure names were said to be, and how often they were right", axes)
 
 
 def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:

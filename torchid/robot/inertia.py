@@ -11,6 +11,7 @@ Others:
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -135,6 +136,12 @@ class InertialParameters:
     ) -> "InertialParameters":
         """A copy on another device or of another dtype."""
         return InertialParameters(self.pi.to(device=device, dtype=dtype))
+
+
+@cache
+def pseudo_inertia_basis() -> Float[Tensor, "10 4 4"]:
+    """Pseudo-inertias of the ten parameters, of which a body's is the sum; not to be changed."""
+    return InertialParameters(torch.eye(PARAMETERS_PER_LINK, dtype=torch.float64)).pseudo_inertia
 
 
 def symmetric(inertia: Inertia6) -> Matrix3:

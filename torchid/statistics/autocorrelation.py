@@ -24,7 +24,11 @@ def correlation_instants(
 
 
 def integrated_time(
-    x: Float[Tensor, "*batch N"], bounds: Sequence[slice] | None = None, *, centred: bool = True
+    x: Float[Tensor, "*batch N"],
+    bounds: Sequence[slice] | None = None,
+    *,
+    centred: bool = True,
+    along: Float[Tensor, "*batch N"] | None = None,
 ) -> Float[Tensor, "*batch"]:
     """Integrated autocorrelation time 1 + 2 sum_k rho_k (...) [rows] of each series, 1 at least.
 
@@ -35,22 +39,30 @@ def integrated_time(
     fewer than ten correlation times never shows its own; the largest partial sum is taken then,
     which is a lower bound in all likelihood.
 
+    What rows tell of a coefficient depends on its column c, too: noise r of variance s^2 gives c'r
+    the variance s^2 c'c (1 + 2 sum_k rho_k rho_k(c)) (Newey and West 1987). Slow noise hides a slow
+    column, and hardly a fast one.
+
     Args:
         x: (..., N) series, trajectories one after the other.
         bounds: the rows of each trajectory; one trajectory if None.
         centred: whether to take off the mean over all trajectories; else x is known to have
             mean zero.
+        along: (..., N) the columns; None for constant ones.
     """
     parts = [slice(0, x.shape[-1])] if bounds is None else bounds
     if centred:
         x = x - x.mean(-1, keepdim=True)
     longest = max(b.stop - b.start for b in parts)
     size = 2 ** math.ceil(math.log2(2 * max(1, longest)))
-    power = sum(torch.fft.rfft(x[..., b], n=size).abs().square() for b in parts)
-    covariance = torch.fft.irfft(power, n=size)[..., :longest]
-    variance = covariance[..., :1]
-    constant = variance <= 0
-    rho = covariance / torch.where(constant, 1.0, variance)
+
+    def correlations(x: Tensor) -> Tensor:
+        power = sum(torch.fft.rfft(x[..., b], n=size).abs().square() for b in parts)
+        covariance = torch.fft.irfft(power, n=size)[..., :longest]
+        return covariance / covariance[..., :1].clamp(min=1e-300)
+
+    rho = correlations(x) if along is None else correlations(x) * correlations(along)
+    constant = rho[..., :1] <= 0
     sums = 2 * rho.cumsum(-1) - 1  # over lags 0 to M of each M
     lags = torch.arange(longest, device=x.device)
     enough = (lags >= WINDOW * sums) & (2 * lags < longest)

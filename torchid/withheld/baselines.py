@@ -84,7 +84,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     columns = Columns(Model(robot, tuple(nominal_effects(robot))), samples)
     repeats = find_repeats(samples.segments)
     keep = sliding_only(columns, given.keep, samples.cutoff, repeats)
-    given, gap = replace(given, keep=keep), columns.gap()
+    given, gap = replace(given, keep=keep), columns.gap
     # In the band of the fit.
     share = (samples.cutoff / given.band) ** 2.5
     narrow = replace(given, band=samples.cutoff, positions=given.positions * share)

@@ -1,6 +1,6 @@
 """A set of cases on disk: what lies in its folder, and the sealed keys beside it; how it is made.
 
-    DIR/cases.json         {schema, seed, cases: [ID...], keys_sha256, version}
+    DIR/cases.json         {schema, seed, mix, cases: [ID...], keys_sha256, version}
     DIR/<ID>/robot.urdf    the nominal model: all that the diagnosis is told of the arm
     DIR/<ID>/log.parquet   what was measured
     DIR/<ID>/answer.json   what the diagnosis said
@@ -12,11 +12,11 @@ can check that no key was changed after the answers were known.
 
 import hashlib
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ from torchid.withheld.parallel import Progress, each
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"
+
+KEPT = ".keys"
+"""Of a set that is being made: keys of its cases so far."""
 
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
 
@@ -43,6 +46,7 @@ class CaseSet:
         ids: of the cases, in order of their numbers.
         keys_sha256: of the key file's bytes, in hexadecimal.
         version: of torchid that wrote it.
+        mix: of its kinds of cases, `mixed` or `release`.
     """
 
     folder: Path
@@ -50,6 +54,7 @@ class CaseSet:
     ids: tuple[str, ...]
     keys_sha256: str
     version: str
+    mix: str = "mixed"
 
     def robot(self, case: str) -> Path:
         """The nominal model of a case."""
@@ -97,6 +102,7 @@ def read_cases(folder: Path) -> CaseSet:
             tuple(str(case) for case in data["cases"]),
             str(data["keys_sha256"]),
             str(data["version"]),
+            str(data.get("mix", "mixed")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is incomplete or damaged.", got=str(error)) from error
@@ -147,19 +153,23 @@ def make(
     count: int,
     seed: int,
     *,
+    mix: str = "mixed",
     keys: Path | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> CaseSet:
     """Write the first `count` cases of a seed, and their keys apart.
 
-    A case depends on the seed and its number alone, so a smaller set is the beginning of a larger
-    one. A set appears in its place when it is complete, or not at all.
+    A case depends on seed, mix and number alone, so a smaller set is the beginning of a larger one.
+    A set appears in its place when it is complete, or not at all; one that was interrupted goes on
+    where it stopped.
 
     Args:
         folder: of the set; it must not exist yet, or be empty.
         count: cases.
         seed: of everything random.
+        mix: `mixed`: all kinds of cases, for development; `release`: of nineteen cases four without
+            an effect, eight with one, three with two or three, four outside the library.
         keys: file of the keys, outside the folder; `FOLDER.keys.json` if None.
         jobs: processes.
         progress: called with (stage, done, total).
@@ -187,24 +197,32 @@ def make(
     for above in (folder.resolve().parent, keys.resolve().parent):
         if not above.is_dir():
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
-    # A folder that takes the place of `folder` only when all went well.
-    with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.resolve().parent) as place:
-        os.chmod(place, 0o755)
-        write = partial(write_drawn, Path(place), seed)
-        found = each(write, range(count), jobs, "simulating cases", progress)
-        sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
-        made = CaseSet(folder, seed, tuple(map(case_id, range(count))), sealed, __version__)
-        data = {"schema": SCHEMA, **picked(made, "seed keys_sha256 version cases=ids")}
-        write_json(data, Path(place, CASES))
-        if folder.exists():
-            folder.rmdir()
-        os.replace(place, folder)
+    # It takes the place of `folder` when all are there; until then it keeps what is made.
+    place = folder.resolve().parent / f".{folder.name}-{seed}-{mix}"
+    (place / KEPT).mkdir(parents=True, exist_ok=True)
+    write = partial(write_drawn, place, seed, mix)
+    found = each(write, range(count), jobs, "simulating cases", progress)
+    sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
+    ids = tuple(map(case_id, range(count)))
+    made = CaseSet(folder, seed, ids, sealed, __version__, mix)
+    data = {"schema": SCHEMA, **picked(made, "seed mix keys_sha256 version cases=ids")}
+    write_json(data, place / CASES)
+    # What a longer run had begun is no part of this one.
+    shutil.rmtree(place / KEPT)
+    for left in {path.name for path in place.iterdir()} - {CASES, *ids}:
+        shutil.rmtree(place / left)
+    if folder.exists():
+        folder.rmdir()
+    os.replace(place, folder)
     return made
 
 
-def write_drawn(folder: Path, seed: int, number: int) -> dict[str, Any]:
-    """Draw one case of a seed, and write it; returns its key."""
-    return write_case(folder / case_id(number), seed, number)
+def write_drawn(folder: Path, seed: int, mix: str, number: int) -> dict[str, Any]:
+    """Draw one case of a seed, and write it; returns its key, which is kept until all are made."""
+    kept = folder / KEPT / f"{case_id(number)}.json"
+    if not kept.exists():
+        write_json(write_case(folder / case_id(number), seed, number, mix=mix), kept)
+    return read_json(kept, "a key")
 
 
 def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, Any]:

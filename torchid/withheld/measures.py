@@ -3,6 +3,7 @@
 Shares, F1 and medians come with 95 % intervals, as data; of nothing they are None.
 """
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -191,6 +192,36 @@ def coefficient_coverage(row: Row) -> list[bool]:
         for name, true in planted.coefficients.items()
         if name in same[0].coefficients
     ]
+
+
+def believed(row: Row) -> list[tuple[float, bool]]:
+    """Of every name that was given with a probability, this and whether the effect is there."""
+    return [
+        (c.how_sure, any(p.name == c.name and _meets(p, c) for p in row.planted))
+        for c in row.claims
+        if c.how_sure is not None
+    ]
+
+
+def _meets(planted: Planted, claim: Claim) -> bool:
+    return not planted.place or bool(set(planted.place) & set(claim.place or claim.joints))
+
+
+SURENESS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Ends of the ranges of probabilities that are compared with shares."""
+
+
+def reliability(pairs: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+    """How often names are right that were given with probabilities alike, and the mean square of
+    probability less truth (Brier 1950); None of nothing."""
+    curve = []
+    for low, high in itertools.pairwise(SURENESS):
+        own = [(p, right) for p, right in pairs if low < p <= high]
+        if own:
+            mean = sum(p for p, _ in own) / len(own)
+            curve.append({"from": low, "to": high, "mean": mean, **rate(r for _, r in own)})
+    brier = sum((p - right) ** 2 for p, right in pairs) / len(pairs) if pairs else None
+    return {"brier": brier, "names": len(pairs), "curve": curve}
 
 
 DRAWS = 1000

@@ -131,7 +131,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         from torchid.withheld.plant.case import draw_case, simulate_case
 
         number = cases.ids.index(job.case)
-        ideal = simulate_case(draw_case(cases.seed, number), ideal=True, fresh=True)
+        ideal = simulate_case(draw_case(cases.seed, number, mix=cases.mix), ideal=True, fresh=True)
         # The arm must be the one that was diagnosed.
         if ideal.urdf != job.robot.read_text(encoding="utf-8"):
             raise TorchidError(f"{job.case} is simulated differently now than when it was made.")

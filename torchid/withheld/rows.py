@@ -31,6 +31,7 @@ class Claim:
         ambiguous: names that the data do not tell it from.
         share: of the gap.
         coefficients: name -> (value, standard deviation), of effects without a shape.
+        how_sure: probability that was given; None where none was.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Claim:
     ambiguous: tuple[str, ...] = ()
     share: float = 0.0
     coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    how_sure: float | None = None
 
     @property
     def names(self) -> set[str]:
@@ -149,6 +151,7 @@ def _claim(found: Mapping[str, Any]) -> Claim:
         tuple(found["ambiguous_with"]),
         found.get("share") or 0.0,
         {c: (values[c], float(s)) for c, s in std.items() if s is not None and c in values},
+        found.get("how_sure"),
     )
 
 

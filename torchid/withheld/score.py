@@ -13,6 +13,7 @@ import numpy as np
 
 from torchid.effects.registry import FAMILIES
 from torchid.withheld.measures import (
+    believed,
     coefficient_coverage,
     joint_counts,
     matched,
@@ -21,6 +22,7 @@ from torchid.withheld.measures import (
     named,
     poor_verdict,
     rate,
+    reliability,
     verdict,
 )
 from torchid.withheld.rows import Row, row_of
@@ -48,6 +50,7 @@ class Scored:
     Attributes:
         case, kind: name and kind.
         colour_hz: cut-off of coloured torque noise [Hz]; None for white.
+        grows: by how much it is larger at speed than at rest, as a share.
         level: size that was asked for, in standard deviations of the noise; None without one.
         row: what was planted and said.
         closed: closed share of the closable gap; 0 where none was claimed.
@@ -58,6 +61,7 @@ class Scored:
     case: str
     kind: str
     colour_hz: float | None
+    grows: float
     level: float | None
     row: Row
     closed: float
@@ -79,6 +83,7 @@ def scored(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
         case=key["id"],
         kind=key["kind"],
         colour_hz=key.get("colour_hz"),
+        grows=float(key.get("noise_grows", 0.0)),
         level=key.get("level"),
         row=row_of(key, answer),
         closed=float(far.get("closed") or 0.0),
@@ -126,6 +131,7 @@ def scores(
         "wrong_for_sure": rate(
             verdict(c.row, FAMILIES, every=False) == "confident_wrong" for c in single + severity
         ),
+        "how_sure": reliability([pair for c in cases for pair in believed(c.row)]),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
         "several": _several(several),
         "outside": _outside(outside),
@@ -264,8 +270,13 @@ def _cause(case: Scored) -> str:
 
 
 def _by_noise(cases: Iterable[Scored]) -> dict[str, list[Scored]]:
-    groups = _by(cases, lambda c: "white" if c.colour_hz is None else "coloured")
-    return {noise: groups.get(noise, []) for noise in ("white", "coloured")}
+    def noise(c: Scored) -> str:
+        if c.grows:
+            return "growing"
+        return "white" if c.colour_hz is None else "coloured"
+
+    groups = _by(cases, noise)
+    return {noise: groups.get(noise, []) for noise in ("white", "coloured", "growing")}
 
 
 def _by(cases: Iterable[Scored], key: Callable[[Scored], str]) -> dict[str, list[Scored]]:

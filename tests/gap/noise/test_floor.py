@@ -38,7 +38,7 @@ def found_with(
     columns = Columns(Model(ROBOT, ()), samples)
     repeats = find_repeats(real) if repeats is None else repeats
     keep = moving_samples(samples)
-    gap = columns.gap() * keep
+    gap = columns.gap * keep
     data = replace(data_of(real), keep=keep, band=REPORT)
     return noise_of(columns, columns.model, gap, data, repeats, seed)
 
@@ -82,7 +82,7 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
     )
     columns = Columns(drifting, samples)
     data = replace(data_of(real), keep=keep, band=REPORT)
-    found = noise_of(columns, given, columns.gap() * keep, data, repeats, 0).floor
+    found = noise_of(columns, given, columns.gap * keep, data, repeats, 0).floor
     alone = found_with(segments, z).floor
     torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 

@@ -8,6 +8,7 @@ import torch
 from tests.gap.motions import ROBOT
 from tests.gap.problems import NOISE, measured, question_of, term, two_folds, wanted_of
 from torchid.design.columns import Columns, Model
+from torchid.design.gram import least_squares
 from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import LoadDependentFriction, StribeckFriction
@@ -15,7 +16,7 @@ from torchid.effects.gravity import EncoderOffset
 from torchid.effects.phase import TimeDelay
 from torchid.gap.data import Data
 from torchid.gap.search.evidence import Question
-from torchid.gap.search.solve import Solution, corrected, least_squares, solved
+from torchid.gap.search.solve import Solution, corrected, solved
 from torchid.gap.search.terms import Term
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.blocks import block_numbers

@@ -8,7 +8,7 @@ import pytest
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant.arms import arm_named
-from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY
+from torchid.withheld.plant.catalogue import FOREIGN, LIBRARY, REDRAWN
 from torchid.withheld.plant.draw import BLOCK, CASE_KINDS, EXCLUSIVE, LEVELS, draw_case
 
 
@@ -85,3 +85,16 @@ def test_what_is_given_is_not_drawn():
 def test_what_does_not_exist_is_refused(given, message):
     with pytest.raises(TorchidError, match=message):
         draw_case(0, 0, **given)
+
+
+def test_a_release_has_other_shares_other_physics_and_other_noise():
+    cases = [draw_case(8, k, mix="release") for k in range(190)]
+    kinds = Counter(c.kind for c in cases)
+    assert kinds == {"none": 40, "single": 80, "outside": 40, "several": 30}
+    assert {c.effects[0].name for c in cases if c.kind == "outside"} == set(REDRAWN)
+    quiet = [c.logger for c in cases if c.kind == "none"]
+    assert sum(x.colour_hz is not None for x in quiet) == sum(x.grows > 0 for x in quiet) == 10
+    assert all(min(c.viscous) > 0 for c in cases if c.kind == "several")
+    assert draw_case(8, 3) == draw_case(8, 3, mix="mixed")
+    with pytest.raises(TorchidError, match="unknown mix"):
+        draw_case(8, 3, mix="martini")

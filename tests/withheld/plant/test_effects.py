@@ -40,6 +40,10 @@ LOCAL = (
     "uneven_friction",
     "uneven_damping",
     "motor_ripple",
+    "random_load",
+    "random_resistance",
+    "creep",
+    "bursts",
 )
 """Effects that change their own joint's gap alone."""
 

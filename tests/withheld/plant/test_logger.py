@@ -78,3 +78,12 @@ def test_another_seed_is_other_noise():
     assert (one == same).all()
     assert (one != other).mean() > 0.9
     assert quiet().logger.encoder_bits == 45
+
+
+def test_noise_grows_with_speed_and_is_as_large_in_all():
+    logger = replace(LOGGER, jitter=0.0, grows=4.0)
+    made, clean = (log(x, std)["tau1"] for x, std in ((logger, 0.5), (logger, 0.0)))
+    left, speed = made - clean, np.abs(truth().dq[::4, 0])
+    assert abs(left.std() / 0.5 - 1) < 0.05
+    fast, slow = left[speed > 0.9].std(), left[speed < 0.1].std()
+    assert 3.0 < fast / slow < 7.0

@@ -191,7 +191,6 @@ def atlas(
 
     Raises:
         TorchidError: a covariance of another size, a level or slack out of range, an unknown name.
-        MissingExtraError: Clarabel is not installed.
     """
     if not 0 < level < 1 or not slack > 0:
         raise TorchidError("level lies in (0, 1), slack is positive.", got=f"{level}, {slack}")

@@ -159,9 +159,6 @@ class Certificate:
 def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str, ...]]:
     """The certificate under all conditions; under bounds and physics alone where no set meets
     them all, with that `conflict`. A note says so, or that the solver failed.
-
-    Raises:
-        MissingExtraError: Clarabel is not installed.
     """
     found = certificate(problem)
     if found.feasible:
@@ -196,9 +193,6 @@ def certificate(
         margin: smallest eigenvalue of the pseudo-inertias that feasible sets have for phi_min
             [kg m^2, kg]; 0 is physical consistency.
         explain: whether to find `released` and `forcing`, some dozens of solutions more.
-
-    Raises:
-        MissingExtraError: Clarabel is not installed.
     """
     begun = time.perf_counter()
     question = _Question(problem, with_conditions, com_bounds, inertia_bounds, margin)

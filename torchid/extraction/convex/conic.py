@@ -20,9 +20,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import clarabel  # type: ignore[import-untyped]
 import numpy as np
+from scipy import sparse
 
-from torchid.errors import MissingExtraError
+from torchid.design.bodies import triangle
 
 Cone = Literal["zero", "nonnegative", "second_order", "semidefinite"]
 Status = Literal["solved", "inexact", "infeasible", "unbounded", "failed"]
@@ -93,15 +95,7 @@ def minimise(
         rows: conditions; at least one.
         radius: (d,) bounds on |v|; infinite where nothing is known: then a hundred times the
             largest entry of the solution is taken.
-
-    Raises:
-        MissingExtraError: Clarabel is not installed.
     """
-    try:
-        import clarabel  # type: ignore[import-untyped]
-        from scipy import sparse
-    except ImportError as error:
-        raise MissingExtraError("clarabel", "sdp", "Convex optimisation over sets") from error
     matrix = np.concatenate([r.matrix for r in rows])
     offset = np.concatenate([r.offset for r in rows])
     d = len(cost)
@@ -157,12 +151,6 @@ _CONES: dict[Cone, str] = {
 def order_of(size: int) -> int:
     """Order of the symmetric matrix with a triangle of `size` entries."""
     return int((np.sqrt(8 * size + 1) - 1) / 2)
-
-
-def triangle(matrices: np.ndarray) -> np.ndarray:
-    """Triangles (..., k (k+1) / 2) of symmetric matrices (..., k, k), as the cone takes them."""
-    j, i = np.tril_indices(matrices.shape[-1])
-    return np.ascontiguousarray(matrices[..., i, j]) * np.where(i == j, 1.0, np.sqrt(2.0))
 
 
 def matrix_of(entries: np.ndarray) -> np.ndarray:

@@ -93,7 +93,6 @@ def nearest_feasible(
 
     Raises:
         TorchidError: a set that is not finite, or a margin or slack that is not positive.
-        MissingExtraError: Clarabel is not installed.
     """
     if not margin > 0 or not slack > 0:
         raise TorchidError("margin and slack are positive numbers.", got=f"{margin}, {slack}")

@@ -6,13 +6,13 @@ See `torchid.extraction.convex.sets` for what they are.
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
+from torchid.design.bodies import triangle
 from torchid.effects.base import JointEffect
-from torchid.extraction.convex.conic import Rows, triangle
+from torchid.extraction.convex.conic import Rows
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.conditions import Conditions
-from torchid.robot.inertia import InertialParameters
+from torchid.robot.inertia import pseudo_inertia_basis
 from torchid.robot.model import Robot
 
 AXES = "xyz"
@@ -55,8 +55,7 @@ class RowBuilder:
         for link in range(self.n):
             self.scale[link_columns(self.n, link)] = per_link
         self.rows: list[Rows] = []
-        pseudo = InertialParameters(torch.eye(10, dtype=torch.float64)).pseudo_inertia
-        self._pseudo = pseudo.numpy()
+        self._pseudo = pseudo_inertia_basis().numpy()
 
     def _row(self, entries: dict[int, float]) -> np.ndarray:
         row = np.zeros(self.size)

@@ -10,7 +10,7 @@ import torch
 
 from torchid.extraction.polish.region import Region
 from torchid.extraction.problem import Problem
-from torchid.robot.inertia import InertialParameters, second_moment
+from torchid.robot.inertia import InertialParameters, pseudo_inertia_basis, second_moment
 from torchid.typing import Float, Tensor
 
 _STARTS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 0.99, 1.0)
@@ -58,7 +58,7 @@ class Barrier:
         self._rest = box[10 * n :]
         self._linear, self._constant = _linear_slacks(box, n)
         # The pseudo-inertia is a sum over a link's ten parameters of these matrices.
-        self._basis = InertialParameters(torch.eye(10, dtype=torch.float64)).pseudo_inertia
+        self._basis = pseudo_inertia_basis()
         self._round = region.round_links & torch.tensor(region.physical)
         # r^2 m^2 - |A (m c - m c0)|^2 of the links with a cylinder or a sphere, in (m, m c).
         c, forms = problem.conditions, []

@@ -3,7 +3,7 @@
 Evidence ranks, held-out worth gates. A step needs positive evidence. Whether a cause is worth a
 name is asked of the finished explanation, for a true cause whose complement is missing looks
 worthless: one that lowers the held-out error of no joint by a share that the user finds worth
-having leaves, the least worthy first.
+having leaves, of several that which closes least in its turn.
 """
 
 import math
@@ -17,14 +17,16 @@ from torchid.gap.search.evidence import (
     Fitted,
     Offer,
     Question,
+    apart,
     cause_groups,
     common_names,
     cost,
     effective_samples,
     fit_terms,
+    in_turn,
     offers,
+    prior_of,
     refused,
-    ridge_of,
     risen,
     subset_of,
 )
@@ -52,7 +54,7 @@ Move = tuple[Term, ...]
 def fitted(question: Question, terms: Sequence[Term] = ()) -> Fitted:
     """Terms beside what is always fitted, with the effective samples of what they leave."""
     first = fit_terms(question, terms, torch.ones(question.candidates.gram.n).double())
-    effective = effective_samples(question, first.terms, first.x)
+    effective = effective_samples(question, first)
     return fit_terms(question, terms, effective, effective / first.losses.clamp(min=1e-300))
 
 
@@ -62,7 +64,7 @@ def climbed(question: Question, start: Sequence[Term]) -> Fitted:
     # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
     while True:
-        better = _added(question, fit) or _lighter(question, fit) or _swapped(question, fit)
+        better = _added(question, fit) or _lighter(question, fit) or swapped(question, fit)
         if better is None or _signature(better) in seen:
             return fit
         fit = better
@@ -161,36 +163,41 @@ def _lighter(question: Question, fit: Fitted) -> Fitted | None:
             (float(fit.x[rows] @ inner @ fit.x[rows]) - cost(question, [term], fit.effective), k)
         )
     weakest = [k for value, k in sorted(held)[:CLOSELY]]
-    found = [
-        fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight) for k in weakest
-    ]
-    best = max(found, key=lambda f: f.evidence, default=None)
-    return best if best is not None and best.evidence > fit.evidence else None
+    best: tuple[float, Fitted] | None = None
+    for k in weakest:
+        without = fit_terms(question, [*own[:k], *own[k + 1 :]], fit.effective, fit.weight)
+        now, then = apart(question, fit, without)
+        rise = then.evidence - now.evidence
+        if rise > 0 and (best is None or rise > best[0]):
+            best = rise, then
+    return None if best is None else best[1]
 
 
-def _swapped(question: Question, fit: Fitted) -> Fitted | None:
-    """With one term changed for another, if the evidence rises: another shape, or another
-    effect."""
+def swapped(question: Question, fit: Fitted, *, every: bool = False) -> Fitted | None:
+    """With one term changed for another, if the evidence rises: another shape, or another effect.
+    Those that promise more than the term to first order are tried, or every likely one."""
     own = _own(question, fit)
     best: Fitted | None = None
     for term in own:
         rest = tuple(t for t in own if t is not term)
         without = fit_terms(question, rest, fit.effective, fit.weight)
-        for _, move in moves(question, without, term)[:CLOSELY]:
-            if move[0] is term:
-                break  # nothing is better to first order
+        for _, move in moves(question, without, term)[: TRIED if every else CLOSELY]:
+            if move[0] is term and not every:
+                break
             if move[0].name == BASE:
                 continue
             other = fit_terms(question, (*rest, *move), fit.effective, fit.weight)
             if best is None or other.evidence > best.evidence:
                 best = other
-    return best if best is not None and best.evidence > fit.evidence + 1e-6 else None
+    if best is None:
+        return None
+    now, then = apart(question, fit, best)
+    return then if then.evidence > now.evidence + 1e-6 else None
 
 
 def _added(question: Question, fit: Fitted) -> Fitted | None:
-    """The best addition, if the evidence rises with it. Before and after are compared with the
-    effective samples of what the addition leaves: one that is true makes the rest less
-    dependent. Only the most likely additions are looked at so closely."""
+    """The best addition, if the evidence rises with it; what it leaves is the noise, for one that
+    is true makes the rest less dependent. Only the most likely are looked at so closely."""
     own = _own(question, fit)
     if len(cause_groups(own, question.joints)) >= question.settings.max_effects:
         return None
@@ -201,19 +208,19 @@ def _added(question: Question, fit: Fitted) -> Fitted | None:
     tried = [fit_terms(question, (*own, *move), rows, weight) for move in options]
     best: tuple[float, Fitted] | None = None
     for likely in sorted(tried, key=lambda f: -f.evidence)[:CLOSELY]:
-        # Both fits with the effective samples of the likely one.
-        after = effective_samples(question, likely.terms, likely.x)
-        weight = after / likely.losses.clamp(min=1e-300)
-        then = fit_terms(question, _own(question, likely), after, weight)
-        now = fit_terms(question, own, after, after / fit.losses.clamp(min=1e-300))
+        then, now = apart(question, likely, fit)
         rise = then.evidence - now.evidence
         # Of a step it is asked whether its torque is worth it on some joint, not yet whether the
         # error falls by as much: what is still missing may be larger.
         size = ((now.losses - then.losses).clamp(min=0) / rows.clamp(min=1.0)).sqrt()
         least = question.least(now.losses / rows.clamp(min=1.0))
-        if rise > 0 and bool((size >= least).any()) and (best is None or rise > best[0]):
+        worth = bool((size >= least).any()) or any(map(question.shows, _own(question, then)))
+        if rise > 0 and worth and (best is None or rise > best[0]):
             best = rise, then
-    return None if best is None else best[1]
+    if best is None:
+        return None
+    fit = best[1]
+    return fit_terms(question, _own(question, fit), fit.effective, fit.weight)
 
 
 def held_out_losses(
@@ -225,12 +232,12 @@ def held_out_losses(
     every = (*question.fixed, *terms)
     total = torch.zeros_like(fit.losses)
     # Coefficients of all data, for what a fold cannot foretell.
-    subset, ridge = subset_of(question.normal, every), ridge_of(every)
-    whole = question.normal.of(subset).solve(fit.weight, ridge).x
+    subset, prior = subset_of(question.normal, every), prior_of(every)
+    whole = prior.solve_of(question.normal.of(subset), fit.weight).x
     held = _energies(question.normal, every)
     # Each fold is judged by the coefficients of the others.
     for train, test in folds:
-        x = train.of(subset).solve(fit.weight, ridge).x
+        x = prior.solve_of(train.of(subset), fit.weight).x
         seen = _energies(train, every) >= FORETOLD * held
         total += test.of(subset).losses(torch.where(seen, x, whole))
     return total
@@ -251,7 +258,7 @@ def worthy(
     folds: Sequence[tuple[Normal, Normal]],
     fit: Fitted,
 ) -> tuple[Fitted, list[Term]]:
-    """Without the causes that are not worth a name, the least worthy first.
+    """Without the causes that are not worth a name; what closes least leaves first.
 
     Args:
         question: what is explained.
@@ -277,13 +284,24 @@ def worthy(
     def missed(term: Term) -> float:
         return float(falls([term])[0])
 
+    closes: dict[int, float] = {}
     while own := _own(question, fit):
         now = held_out_losses(question, folds, fit, own) / rows
         groups = cause_groups(own, question.joints)
         # What most joints have must be worth it on more than half of them.
-        worths = [float(falls(g)[len(g) // 2 if len(g) > 1 else 0]) for g in groups]
-        gone = groups[min(range(len(groups)), key=worths.__getitem__)]
-        if min(worths) >= 1:
+        worths = [
+            math.inf
+            if any(map(question.shows, g))
+            else float(falls(g)[len(g) // 2 if len(g) > 1 else 0])
+            for g in groups
+        ]
+        # Causes that stand for each other all look worthless: of these the one leaves that closes
+        # least in its turn.
+        weak = [g for g, worth in zip(groups, worths, strict=True) if worth < 1]
+        if weak and not closes:
+            closes = dict(zip(map(id, own), in_turn(question, fit, own)[0], strict=True))
+        gone = min(weak, key=lambda g: sum(closes[id(t)] for t in g), default=[])
+        if not gone:
             # A joint whose error does not fall has no part in what most joints have.
             gone = [t for g in groups if len(g) > 1 for t in g if missed(t) <= 0]
             if not gone:

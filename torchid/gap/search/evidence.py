@@ -1,12 +1,13 @@
 """One number for how good an explanation is, and what any candidate would add to it.
 
-    E(S) = sum_j n_j log(L_j(0) / L_j(S)) - |x / sigma|^2 - sum_k log n_k - 2 log(looks / alpha) c
+    E(S) = sum_j n_j log(L_j(0) / L_j(S)) - prior(x) - sum_k log n_k - 2 log(looks / alpha) c
 
 L_j(S) is the sum of squares that the terms S leave on joint j, n_j the effective number of samples
-there: samples divided by the autocorrelation time of what is left. Every coefficient and every
-shape that was searched costs log n (Schwarz 1978), every cause the logarithm of all candidates that
-were looked at; sigma is what is known of coefficients beforehand. What L leaves is the noise: while
-something is missing E is careful by itself.
+there: of two explanations as many as tell their torques apart in noise as slow as what the better
+one leaves, which hides slow torques and hardly fast ones. Every coefficient and every shape that
+was searched costs log n (Schwarz 1978), every cause the logarithm of all that were looked at; the
+prior is what is known of coefficients beforehand. What L leaves is the noise: while something is
+missing E is careful by itself.
 
 A cause is one term; or the same effect on most joints, where arms have it (dry friction, say).
 """
@@ -15,11 +16,12 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
 
+from torchid.design.bodies import Prior, together
 from torchid.design.columns import Place
 from torchid.design.gram import Normal, OnJoint, Solved, Subset
 from torchid.effects.registry import KINDS
@@ -28,6 +30,10 @@ from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
 from torchid.gap.settings import GapSettings
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
+
+ODDS = 20.0
+"""Odds against an alternative from which it is no longer told: exp of half the difference of the
+evidence. Half and double of it change the mean set size by less than 0.1."""
 
 VISIBLE = 0.01
 """Share of a column's square that must be left beside the model for it to be seen at all. Of less,
@@ -52,6 +58,7 @@ class Fitted:
         x: (K,) coefficients, term by term.
         root: (K, r) root of their covariance, in units of the weights.
         losses: (n,) sums of squares left.
+        known: the coefficients' distance from what is known beforehand, as `Prior.value`.
         evidence: E.
         effective: (n,) numbers of samples with which E was computed.
     """
@@ -61,6 +68,7 @@ class Fitted:
     x: Float[Tensor, " K"]
     root: Float[Tensor, "K r"]
     losses: Float[Tensor, " n"]
+    known: float
     evidence: float
     effective: Float[Tensor, " n"]
 
@@ -97,10 +105,11 @@ class Question:
         """Terms that are always in the model."""
         return self.candidates.fixed
 
-    @property
+    @cached_property
     def looks(self) -> float:
-        """Candidates that are looked at."""
-        return float(max(1, len(self.candidates.terms)))
+        """Causes that are looked at: every effect at every place. Its shapes have a price of their
+        own."""
+        return float(max(1, len({t.key for t in self.candidates.terms})))
 
     @cached_property
     def joints(self) -> int:
@@ -120,6 +129,11 @@ class Question:
         return torch.maximum(gap, self.settings.worthwhile_torque * self.torque.sqrt()).clamp(
             min=1e-300
         )
+
+    def shows(self, term: Term) -> bool:
+        """Whether another sensor than that of torque shows as much of a cause as is worth a
+        name."""
+        return term.seen is not None and term.seen.explained >= self.settings.worthwhile
 
     def price(self) -> float:
         """Of a cause."""
@@ -152,9 +166,16 @@ def subset_of(normal: Normal, terms: Sequence[Term]) -> Subset:
     return Subset(count, tuple(joints))
 
 
-def ridge_of(terms: Sequence[Term]) -> Float[Tensor, " K"]:
-    """Inverse variances of coefficients beforehand."""
-    return torch.cat([torch.zeros(0, dtype=torch.float64), *(t.ridge for t in terms)])
+def prior_of(terms: Sequence[Term]) -> Prior:
+    """What is known of the coefficients of terms beforehand."""
+    ridge, bodies, first = [torch.zeros(0, dtype=torch.float64)], [], 0
+    centre = [torch.zeros(0, dtype=torch.float64), *(t.centre for t in terms)]
+    for term in terms:
+        ridge.append(term.ridge if term.bodies is None else torch.zeros_like(term.ridge))
+        if term.bodies is not None:
+            bodies.append(term.bodies.shifted(first))
+        first += len(term.at)
+    return Prior(torch.cat(ridge), together(bodies), torch.cat(centre))
 
 
 def rows_of(question: Question, term: Term) -> Float[Tensor, "C m N"]:
@@ -182,13 +203,54 @@ def residual(
 
 
 def effective_samples(
-    question: Question, terms: Sequence[Term], x: Float[Tensor, " K"]
+    question: Question, fit: Fitted, other: Fitted | None = None
 ) -> Float[Tensor, " n"]:
-    """Samples of each joint divided by the autocorrelation time of what terms leave there."""
-    left = residual(question, terms, x)
+    """Independent samples (n,) among those of each joint, if what a fit leaves there is noise: as
+    many as tell of a constant torque; or of that by which another fit differs."""
+    left = residual(question, fit.terms, fit.x)
     bounds = question.candidates.columns.samples.bounds
     times = integrated_time(left, bounds, centred=False)
+    if other is not None:
+        along = residual(question, other.terms, other.x) - left
+        a, b = along.square(), left.square()
+        there = a.sum(1) > 0
+        slow = integrated_time(left, bounds, centred=False, along=along)
+        # Noise that is larger where the two differ more tells less of it (White 1980).
+        loud = (a * b).sum(1) * question.normal.rows / (a.sum(1) * b.sum(1)).clamp(min=1e-300)
+        times = (slow * loud.clamp(min=1.0)).where(there, times)
     return (question.normal.rows / times.clamp(min=1.0)).clamp(min=1e-9)
+
+
+def apart(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, Fitted]:
+    """Both fits with the evidence of as many samples as tell their torques apart in noise like what
+    the one leaves that leaves less: only so can they be compared."""
+    weight = question.normal.rows / fit.losses.clamp(min=1e-300)
+    less = float((weight * fit.losses).sum()) <= float((weight * other.losses).sum())
+    n = effective_samples(question, *((fit, other) if less else (other, fit)))
+
+    def again(f: Fitted) -> Fitted:
+        if f.evidence == -math.inf:  # refused, beside noise of another size
+            weight = n / f.losses.clamp(min=1e-300)
+            return fit_terms(question, f.terms[len(question.fixed) :], n, weight, 1)
+        evidence = evidence_of(question, f.terms, f.losses, f.known, n)
+        return replace(f, effective=n, evidence=evidence)
+
+    return again(fit), again(other)
+
+
+def evidence_of(
+    question: Question,
+    terms: Sequence[Term],
+    losses: Float[Tensor, " n"],
+    known: float,
+    effective: Float[Tensor, " n"],
+) -> float:
+    """E of terms, the fixed ones first: what is gained, less the distance from what is known
+    beforehand and the price of the others."""
+    nothing = torch.stack([g[-1, -1] for g in question.normal.g])
+    gain = float(risen(effective, nothing, losses).sum())
+    own = terms[len(question.fixed) :]
+    return gain - known - cost(question, own, effective)
 
 
 def fit_terms(
@@ -211,23 +273,20 @@ def fit_terms(
     normal = question.normal
     every = (*question.fixed, *terms)
     subset = subset_of(normal, every)
-    ridge = ridge_of(every)
+    prior = prior_of(every)
     if weight is None:
         weight = effective / torch.stack([g[-1, -1] for g in normal.g]).clamp(min=1e-300)
     # Each joint's weight is what it leaves; every round gains.
     equations = normal.of(subset)
     for _ in range(rounds):
-        solved = equations.solve(weight, ridge)
+        solved = prior.solve_of(equations, weight)
         losses = equations.losses(solved.x)
         weight = effective / losses.clamp(min=1e-300)
-    # Evidence: what is gained, less what is known beforehand and the price of the terms.
-    nothing = torch.stack([g[-1, -1] for g in normal.g])
-    gain = float(risen(effective, nothing, losses).sum())
-    prior = float((ridge * solved.x.square()).sum())
-    evidence = gain - prior - cost(question, terms, effective)
+    known = prior.value(solved.x)
+    evidence = evidence_of(question, every, losses, known, effective)
     if refused(every, solved):
         evidence = -math.inf
-    return Fitted(every, subset, solved.x, solved.root, losses, evidence, effective)
+    return Fitted(every, subset, solved.x, solved.root, losses, known, evidence, effective)
 
 
 def risen(
@@ -281,6 +340,29 @@ def common_names(terms: Iterable[Term], n: int) -> set[str]:
     return {name for name, k in count.items() if KINDS[name].on_all and 2 * k >= n}
 
 
+def in_turn(
+    question: Question, fit: Fitted, terms: Sequence[Term]
+) -> tuple[list[float], list[float]]:
+    """What each term closes of the gap when at every turn the one joins that closes most: shares
+    that add up to one, the curve of the answer. And the loss that each term leaves alone."""
+    weight = question.normal.rows / fit.losses.clamp(min=1e-300)
+    left = [float((weight * fit_terms(question, (), fit.effective, fit.weight).losses).sum())]
+    order: list[int] = []
+    alone: list[float] = []
+    while len(order) < len(terms):
+        joined = [terms[k] for k in order]
+        rest = [k for k in range(len(terms)) if k not in order]
+        fits = [fit_terms(question, (*joined, terms[k]), fit.effective, fit.weight) for k in rest]
+        losses = [float((weight * f.losses).sum()) for f in fits]
+        alone = alone or losses
+        order.append(rest[losses.index(min(losses))])
+        left.append(min(losses))
+    if left[-1] >= left[0]:  # what another sensor alone shows closes nothing
+        return [0.0] * len(terms), alone
+    drops = [(a - b) / (left[0] - left[-1]) for a, b in itertools.pairwise(left)]
+    return [drops[order.index(k)] for k in range(len(terms))], alone
+
+
 def cause_groups(terms: Sequence[Term], n: int) -> list[list[Term]]:
     """Terms by cause: what most joints have of an effect that arms have is one."""
     common = common_names(terms, n)
@@ -317,7 +399,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
     """
     normal = question.normal
     weight = normal.rows / fit.losses.clamp(min=1e-300)
-    solved = normal.of(fit.subset).solve(weight, ridge_of(fit.terms))
+    solved = prior_of(fit.terms).solve_of(normal.of(fit.subset), weight)
     common = question.candidates.gram.common
     k = solved.root.shape[1]
     # What the fit leaves, and what it holds, of every row of the joints' matrices; rows of
@@ -406,6 +488,7 @@ def _gains(
     # What the model leaves of the columns, in units of the columns themselves.
     square = gram.diagonal(dim1=1, dim2=2)
     left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
+    b = b + batch.ridge * batch.centre
     there = square > 1e-300
     size = torch.where(there, (square + batch.ridge).clamp(min=1e-300).sqrt(), math.inf)
     scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))

@@ -7,20 +7,29 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model, on_joint
-from torchid.design.gram import DETERMINED, Normal
+from torchid.design.gram import Normal
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.search.climb import allowed, climbed, fitted, held_out_losses, worthy
+from torchid.gap.search.climb import (
+    allowed,
+    climbed,
+    fitted,
+    held_out_losses,
+    swapped,
+    worthy,
+)
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (
+    VISIBLE,
     Fitted,
     Question,
+    apart,
     fit_terms,
     residual,
     rows_of,
 )
-from torchid.gap.search.solve import Solution, at_estimate, corrected, least_squares, solved
+from torchid.gap.search.solve import Solution, at_estimate, corrected, solved
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
 from torchid.typing import Int, Tensor
@@ -82,7 +91,7 @@ def explained(
     model = at = given.model
     extra: list[Effect] = []
     start: tuple[Term, ...] = ()
-    gap = given.gap()
+    gap = given.gap
 
     def asked(columns: Columns) -> Question:
         """Candidates at a model, for the gap of the model as given."""
@@ -113,6 +122,12 @@ def explained(
         # What is worth a name on data that was not fitted; bodies beside it, last.
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
+        # Where a cause has left, another one may say better what a third one said beside it.
+        while (other := swapped(question, fit, every=True)) is not None:
+            other, more = worthy(question, folds, other)
+            if better(question, [fit, other]) is fit:
+                break
+            fit, left = other, [*left, *more]
         fit = with_bodies(question, folds, fit)
         # Once more with the columns of the model found, if they are others.
         latest = corrected(model, fit.terms, fit.values(), wanted)
@@ -128,7 +143,7 @@ def explained(
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
     fit = fit_terms(question, fit.terms[len(question.fixed) :], fit.effective, fit.weight, 10)
-    solution = solved(given, fit.terms, fit.values(), data, wanted, block)
+    solution = solved(given, fit.terms, fit.values(), data, wanted, block, fit.effective)
     return Explanation(question, fitted(question), fit, tuple(left), solution)
 
 
@@ -142,15 +157,24 @@ def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
     ]
     starts = [start] if start else [(), friction] if friction else [()]
     found = [climbed(question, s) for s in starts]
+    best = better(question, found)
     # Several bodies at once: all base parameters may say it with less.
-    best = max(found, key=lambda f: f.evidence)
     own = best.terms[len(question.fixed) :]
     bodies = [t for t in own if t.inertial or t.name == PAYLOAD]
     base = [t for t in question.candidates.terms if t.name == BASE]
     if len(bodies) > 1 and base:
         others = [t for t in own if all(t is not b for b in bodies)]
         found.append(climbed(question, [*base, *others]))
-    return max(found, key=lambda f: f.evidence)
+    return better(question, found)
+
+
+def better(question: Question, found: Sequence[Fitted]) -> Fitted:
+    """Of several explanations that of most evidence; in doubt the first."""
+    best = found[0]
+    for other in found[1:]:
+        its, mine = apart(question, other, best)
+        best = other if its.evidence > mine.evidence else best
+    return best
 
 
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
@@ -163,7 +187,8 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
     more = fit_terms(question, beside, fit.effective, fit.weight, 10)
-    if more.evidence <= fit.evidence:
+    one, other = apart(question, more, fit)
+    if one.evidence <= other.evidence:
         return fit
     # They must be worth it on some joint, on data that was not fitted.
     rows = question.normal.rows.clamp(min=1.0)
@@ -181,7 +206,8 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
             allowed(question, fit_terms(question, r, more.effective, more.weight, 10)) for r in rest
         ]
         best = max(lighter, key=lambda f: f.evidence, default=more)
-        if best.evidence <= more.evidence:
+        one, other = apart(question, more, best)
+        if other.evidence <= one.evidence:
             return more
         more = best
 
@@ -197,7 +223,7 @@ def without_terms(
     start = found.solution.start
     columns = question.candidates.columns.at(start)
     wanted = found.solution.wanted
-    solution = solved(columns, less.terms, less.values(), data, wanted, block)
+    solution = solved(columns, less.terms, less.values(), data, wanted, block, less.effective)
     return Explanation(question, found.empty, less, found.unworthy, solution)
 
 
@@ -220,40 +246,37 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
 def _closest(
     question: Question, fit: Fitted, others: Sequence[Term], effect: Effect, columns: Columns
 ) -> Effect | None:
-    """The shape of an effect that leaves least beside the others."""
+    """The shape of an effect that explains most beside the others."""
     # What the other terms leave, on the joints that the effect is felt on, weighted.
     keep = question.candidates.keep
-    rest = fit_terms(question, others, fit.effective, fit.weight)
+    rest = fit_terms(question, others, fit.effective, fit.weight, 1)
     weight = fit.weight.sqrt().unsqueeze(1) * keep
     own = effect.joint if isinstance(effect, JointEffect) else None
     joints = slice(None) if own is None else slice(own, own + 1)
-    y = (residual(question, rest.terms, rest.x) * weight)[joints].flatten()
-    # Their columns there, made orthonormal, are taken out of it and of every shape's columns.
-    beside = []
+    weight = weight[joints]
+    y = (residual(question, rest.terms, rest.x)[joints] * weight).flatten()
+    # Their columns there, in units of their coefficients' covariance, which all joints determine.
+    beside = [y.new_zeros(0, len(y))]
     for term in rest.terms:
         rows = rows_of(question, term)
-        if term.place is None:
-            beside.append(rows[:, joints])
-        elif own is None:
-            beside.append(on_joint(rows[:, 0], term.place, columns.n))
-        elif term.place == own:
-            beside.append(rows)
-    # One QR of the columns beside; directions that rounding alone has are left out.
-    basis = torch.zeros(0, len(y), dtype=torch.float64)
-    if beside:
-        z = torch.cat([(b * weight[joints]).flatten(1) for b in beside])
-        q, r = torch.linalg.qr((z / z.norm(dim=1, keepdim=True).clamp(min=1e-300)).T)
-        basis = q[:, r.diagonal().abs() > DETERMINED].T
-    target = y - (y @ basis.T) @ basis
+        if term.place is not None:
+            rows = on_joint(rows[:, 0], term.place, columns.n)
+        beside.append((rows[:, joints] * weight).flatten(1))
+    others_hold = rest.root.T @ torch.cat(beside)
 
-    def left(x: Tensor) -> float:
-        """What columns (C, m, N) leave of the target."""
-        flat = (x * weight[joints]).flatten(1)
-        flat = flat - (flat @ basis.T) @ basis
-        return float((target - least_squares(flat, target) @ flat).square().sum())
+    def gained(x: Tensor) -> float:
+        """What columns (C, m, N) explain of it beside the other terms, which are fitted anew."""
+        flat = (x * weight).flatten(1)
+        size = flat.norm(dim=1).clamp(min=1e-300)
+        held = (flat @ others_hold.T) / size.unsqueeze(1)
+        values, vectors = torch.linalg.eigh(
+            (flat @ flat.T) / size / size.unsqueeze(1) - held @ held.T
+        )
+        along = vectors.T @ (flat @ y / size)
+        return float((along.square() / values)[values > VISIBLE].sum())
 
     # Each time the shapes around the best one are tried, three times more closely.
-    best, least = effect, left(columns.on_all_joints(effect)[:, joints])
+    best, most = effect, gained(columns.on_all_joints(effect)[:, joints])
     for level in range(FINEST):
         tried: Sequence[Effect]
         if isinstance(best, JointEffect):
@@ -267,10 +290,10 @@ def _closest(
             assert isinstance(best, Contact)
             tried = best.around(level, columns.samples.interval)
             rows = torch.stack([columns.on_all_joints(e) for e in tried])
-        losses = [left(x) for x in rows]
-        k = min(range(len(losses)), key=losses.__getitem__)
-        if losses[k] < least:
-            best, least = tried[k], losses[k]
+        gains = [gained(x) for x in rows]
+        k = max(range(len(gains)), key=gains.__getitem__)
+        if gains[k] > most:
+            best, most = tried[k], gains[k]
     if isinstance(best, JointEffect) and best.at_an_end(columns.motions):
         return None
     return best

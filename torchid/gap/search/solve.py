@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model
-from torchid.design.gram import DETERMINED
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
 from torchid.gap.data import Data
 from torchid.gap.search.climb import FORETOLD
+from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
@@ -38,6 +38,7 @@ class Solution:
         terms: fixed ones first, secants at the estimate.
         values, std: per term (C,): coefficients, and standard deviations by a block jackknife.
         model: corrected.
+        weight: (n,) of the joints' squares.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
         left: (n, N) what the corrected model leaves; likewise.
     """
@@ -48,6 +49,7 @@ class Solution:
     values: tuple[Float[Tensor, " _"], ...]
     std: tuple[Float[Tensor, " _"], ...]
     model: Model
+    weight: Float[Tensor, " n"]
     a: Float[Tensor, "K n N"]
     left: Float[Tensor, "n N"]
 
@@ -63,12 +65,12 @@ class Solution:
             float((s * fitted).sum(-1).max()) >= FORETOLD * float(s.sum(-1).max()) for s in squares
         ]
         free = torch.cat([torch.full((len(v),), h) for v, h in zip(self.values, held, strict=True)])
-        # One Gauss-Newton step of those from the solution, joints in units of what they leave.
-        size = self.left.square().sum(1).clamp(min=1e-300)
-        weight = (self.left.shape[1] / size).sqrt().unsqueeze(1) * fitted
-        y = self.left + torch.tensordot(x * free, self.a, 1)
-        again = x.clone()
-        again[free] = least_squares((self.a[free] * weight).flatten(1), (y * weight).flatten())
+        # One Gauss-Newton step of those from the solution, from what is known beforehand.
+        weight = self.weight.sqrt().unsqueeze(1) * fitted
+        y = ((self.left + torch.tensordot(x * free, self.a, 1)) * weight).flatten()
+        a = (self.a * free[:, None, None] * weight).flatten(1)
+        again = prior_of(self.terms).solve(a @ a.T, a @ y).x
+        again = torch.where(free, again, x)
         parts = again.split([len(v) for v in self.values])
         return corrected(self.start, self.terms, parts, self.wanted)
 
@@ -80,6 +82,7 @@ def solved(
     data: Data,
     wanted: Wanted,
     block: Int[Tensor, " N"],
+    effective: Float[Tensor, " n"] | None = None,
 ) -> Solution:
     """Fit terms together, from coefficients near the solution.
 
@@ -90,8 +93,12 @@ def solved(
         data: which samples count.
         wanted: what was looked for.
         block: (N,) block of every sample, for the standard deviations.
+        effective: (n,) independent samples, beside which counts what is known beforehand; as many
+            as there are if None.
     """
-    start = columns.model
+    start, known = columns.model, prior_of(terms)
+    rows = data.keep.sum(1).clamp(min=1).double()
+    share = torch.ones_like(rows) if effective is None else (effective / rows).clamp(max=1.0)
     taken, values = list(terms), list(x)
     best: Solution | None = None
     weight = torch.ones_like(data.keep, dtype=torch.float64)
@@ -101,46 +108,44 @@ def solved(
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
         model = corrected(start, taken, values, wanted)
         at = columns.at(model)
-        left = at.gap() * data.keep
+        left = at.gap * data.keep
         # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
         if step < 2:
-            weight = (
-                huber_weights(left) / left.square().mean(1, keepdim=True).clamp(min=1e-300).sqrt()
-            )
+            of_joint = share * rows / left.square().sum(1).clamp(min=1e-300)
+            weight = huber_weights(left) * of_joint.sqrt().unsqueeze(1)
         # A step that does not lower the loss is not taken, and ends the search.
-        loss = float((weight * left).square().sum())
+        whole = torch.cat([torch.zeros(0, dtype=torch.float64), *values])
+        loss = float((weight * left).square().sum()) + known.value(whole)
         if best is not None and not loss < last:
             break
         parts = [term_columns(at, t) for t in taken]
         # Columns at the corrected model, for the next step and for the standard deviations.
         a = torch.cat(parts) * data.keep if parts else left.new_zeros(0, *left.shape)
-        best = Solution(start, wanted, tuple(taken), tuple(values), (), model, a, left)
+        best = Solution(start, wanted, tuple(taken), tuple(values), (), model, of_joint, a, left)
         if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
-        # Gauss-Newton: the step that the columns see in what is left.
-        dx = least_squares((a * weight).flatten(1), (left * weight).flatten())
-        values = [v + d for v, d in zip(values, dx.split([len(v) for v in values]), strict=True)]
+        # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
+        flat = (a * weight).flatten(1)
+        gram = flat @ flat.T
+        whole = known.solve(gram, flat @ (left * weight).flatten() + gram @ whole).x
+        values = list(whole.split([len(v) for v in values]))
     assert best is not None
     if not len(best.a):
         return best
-    # Standard deviations from the spread of whole blocks of samples, all joints together.
-    rows, rest = (best.a * weight).flatten(1).T, (best.left * weight).flatten()
-    std = fit_statistics(rows, rest, block.repeat(len(best.left))).std
+    # Standard deviations from the spread of whole blocks of samples, all joints together; what is
+    # known beforehand is as many measurements more, of which each is a block of its own.
+    whole = torch.cat(best.values)
+    sizes, axes = torch.linalg.eigh(known.squares)
+    there = sizes > 1e-12 * sizes[-1:].clamp(min=1e-300)
+    before = axes[:, there].T * sizes[there].sqrt().unsqueeze(1)
+    table = torch.cat([(best.a * weight).flatten(1).T, before])
+    rest = torch.cat([(best.left * weight).flatten(), torch.ones(len(before)).double()])
+    own = int(block.max()) + 1 + torch.arange(len(before))
+    std = fit_statistics(table, rest, torch.cat([block.repeat(len(best.left)), own])).std
     # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
-    std = torch.hypot(std, data.gain_std * torch.cat(best.values))
+    std = torch.hypot(std, data.gain_std * whole)
     return replace(best, std=tuple(std.split([len(v) for v in best.values])))
-
-
-def least_squares(a: Float[Tensor, "K R"], y: Float[Tensor, " R"]) -> Float[Tensor, " K"]:
-    """Coefficients; directions that the rows do not determine stay at zero."""
-    gram, right = a @ a.T, a @ y
-    # Columns in units of their own size, so that one threshold suits all.
-    size = torch.where(gram.diagonal() > 0, gram.diagonal().sqrt(), torch.inf)
-    values, vectors = torch.linalg.eigh(gram / size / size.unsqueeze(1))
-    kept = values > DETERMINED * values[-1:]
-    inner = vectors[:, kept] / values[kept] @ vectors[:, kept].T
-    return inner @ (right / size) / size
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
@@ -158,7 +163,7 @@ def corrected(
     pi, effects = nominal.clone(), list[Valued](start.effects)
     for term, v in zip(terms, values, strict=True):
         if term.name == BASE:
-            pi.view(-1)[wanted.independent] += v
+            pi.view(-1)[term.at if term.bodies else wanted.independent] += v
         elif term.name == LINK:
             pi[term.effects[0].joints[0]] += v
         else:

@@ -8,9 +8,19 @@ from functools import cached_property
 
 import torch
 
+from torchid.design.bodies import (
+    Bodies,
+    body_sizes,
+    links_near,
+    some_body,
+    together,
+    usual_bodies,
+)
 from torchid.design.columns import Columns, Place
+from torchid.design.deflection import Compliance, compliance
 from torchid.design.gram import Gram
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
+from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
 from torchid.gap.data import Data
 from torchid.identification.base_parameters import BaseParameters
@@ -43,6 +53,9 @@ class Term:
         instead: (joint, term, coefficients) of the model's own effect that this one stands in the
             place of: the same effect with another shape.
         sigma: (C,) standard deviations of the coefficients before the log is seen; None: unknown.
+        bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
+            candidates are only ranked; None: nothing.
+        seen: what another sensor than that of torque says of it.
     """
 
     name: str
@@ -53,6 +66,8 @@ class Term:
     known: tuple[float, ...]
     instead: tuple[tuple[int, "Term", Tensor], ...] = ()
     sigma: Float[Tensor, " C"] | None = None
+    bodies: Bodies | None = None
+    seen: Compliance | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -68,6 +83,12 @@ class Term:
         """Inverse variances of the coefficients before the log is seen; zero where unknown."""
         unknown = torch.zeros(len(self.at), dtype=torch.float64)
         return unknown if self.sigma is None else self.sigma**-2
+
+    @cached_property
+    def centre(self) -> Float[Tensor, " C"]:
+        """Where the coefficients are expected: at what another sensor says."""
+        zero = torch.zeros(len(self.at), dtype=torch.float64)
+        return zero if self.seen is None else zero + self.seen.value - self.known[0]
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -100,6 +121,7 @@ class Batch:
     known: Float[Tensor, "M C"]
     largest: Float[Tensor, "M C"]
     ridge: Float[Tensor, "M C"]
+    centre: Float[Tensor, "M C"]
     shapes: Int[Tensor, " M"]
 
 
@@ -217,7 +239,11 @@ def candidates_of(
             own[place] += len(x)
         effect = effects[0]
         coefficients, known = effect.coefficients, _known(effects, given)
-        return Term(effect.name, effects, place, at, coefficients, known)
+        term = Term(effect.name, effects, place, at, coefficients, known)
+        seen = _lagging(columns, data, effect)
+        if seen is None:
+            return term
+        return replace(term, sigma=torch.tensor([seen.std], dtype=torch.float64), seen=seen)
 
     # Effects of the whole arm, and those that all joints share.
     for effect in _model_effects(wanted, data, columns, extra):
@@ -257,43 +283,55 @@ def candidates_of(
 
 
 def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
-    """Payload, links and all base parameters: rows of the regressor, link by link."""
+    """Payload, links and all base parameters: rows of the regressor, link by link. Links that are
+    bodies stay bodies, near to what they were; of numbers that no body has only the size is
+    known."""
     n, robot = columns.n, columns.model.robot
-    sigma = body_sigma(columns)
+    pi = robot.require_parameters("a diagnosis").pi.double()
+    sigma, usual = PRIOR * body_sizes(pi), usual_bodies(pi)
+    links = links_near(pi, usual, PRIOR)
     out = []
     for link in range(n):
         at = torch.arange(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
         if link == n - 1 and PAYLOAD in wanted.names:
             effect: Effect = KINDS[PAYLOAD]()
-            out.append(Term(PAYLOAD, (effect,), None, at, effect.coefficients, (0.0,) * len(at)))
+            known, body = (0.0,) * len(at), some_body(usual[-1])
+            out.append(Term(PAYLOAD, (effect,), None, at, effect.coefficients, known, bodies=body))
         if wanted.inertial and LINK in wanted.names:
             effect = KINDS[LINK](link)  # type: ignore[call-arg]
-            known = tuple(robot.require_parameters("a diagnosis").pi[link].tolist())
+            known, near = tuple(pi[link].tolist()), links[link] if links else None
             out.append(
-                Term(LINK, (effect,), None, at, effect.coefficients, known, sigma=sigma[link])
+                Term(LINK, (effect,), None, at, effect.coefficients, known, (), sigma[link], near)
             )
+    described = (Coefficient("", "", False, "a base parameter"),)
+    if links and not wanted.free:
+        # All links at once: whatever base parameters do, and no more.
+        at = torch.arange(n * PARAMETERS_PER_LINK)
+        every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(links)])
+        zero = (0.0,) * len(at)
+        out.append(Term(BASE, (), None, at, described * len(at), zero, (), sigma.flatten(), every))
+        return out
     # A base parameter's prior is that of the parameters grouped into it, link by link.
     numbers = wanted.independent
     grouping = wanted.base.grouping[: wanted.base.n_rigid, : wanted.base.n_rigid_parameters]
     spread = (grouping[:, paper_order(n).argsort()] * sigma.flatten()).norm(dim=1)
-    described = (Coefficient("", "", False, "a base parameter"),)
     base = Term(
         BASE, (), None, torch.tensor(numbers), described * len(numbers), (0.0,) * len(numbers)
     )
     return [*out, base if wanted.free else replace(base, sigma=spread)]
 
 
-def body_sigma(columns: Columns) -> Float[Tensor, "n 10"]:
-    """How far a model's parameters may be off: a share of the mass, of the mass at the radius of
-    gyration, and of the inertia at it; of a body without mass, that of a twentieth of the arm's."""
-    pi = columns.model.robot.require_parameters("a diagnosis").pi.double()
-    # A massless link may still have the mass of a twentieth of the others.
-    mass = pi[:, 0].abs().clamp(min=0.05 * float(pi[:, 0].abs().mean()) + 1e-9)
-    inertia = (0.5 * pi[:, [4, 7, 9]].sum(1)).abs()
-    # Radius of gyration of each link, five centimetres at least.
-    radius = (inertia / mass).sqrt().clamp(min=0.05)
-    sizes = [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
-    return PRIOR * torch.stack(sizes, 1)
+def _lagging(columns: Columns, data: Data, effect: Effect) -> Compliance | None:
+    """The compliance that a link's own encoder tells of a joint; None where there is none."""
+    if not isinstance(effect, JointElasticity) or data.lag is None:
+        return None
+    samples, joint = columns.samples, effect.joint
+    parts = [
+        torch.stack([m.require("torque", effect.name)[:, joint], m.q[:, joint]])
+        for m in columns.motions
+    ]
+    load, q = samples.of(parts)
+    return compliance(data.lag[joint], load, q, samples.bounds)
 
 
 def _model_effects(
@@ -385,5 +423,6 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             torch.tensor([t.known for t in own], dtype=torch.float64),
             torch.tensor([[c.largest for c in t.coefficients] for t in own], dtype=torch.float64),
             torch.stack([t.ridge for t in own]),
+            torch.stack([t.centre for t in own]),
             torch.tensor([t.shapes for t in own]),
         )

@@ -1,6 +1,5 @@
 """An explanation as a person and a file can use it: effects, joints, alternatives, shares."""
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,28 +12,30 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding, NotTestable, Parametric
+from torchid.gap.diagnosis import Finding, NotTestable, Parametric, Planted
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
+    ODDS,
     VISIBLE,
     Fitted,
     Question,
+    apart,
     common_names,
     directions,
     fit_terms,
+    in_turn,
     residual,
     risen,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.solve import Solution
+from torchid.gap.search.planting import planted
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Int, Tensor
 
-ODDS = 20.0
-"""Odds against an alternative from which it is no longer told: exp of half the difference of the
-evidence. Half and double of it change the mean set size by less than 0.1."""
+RIVALS = 5
+"""Others that are planted in the place of a cause."""
 
 LARGE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
@@ -72,33 +73,36 @@ def told(found: Explanation) -> Told:
         # What the others leave, refitted.
         rest = [t for t in found.terms if t is not term]
         without = fit_terms(question, rest, fit.effective, fit.weight, 10)
-        share, first = closes[k], (start - alone[k]) / closable
-        p = p_value(question, fit, without, term)
+        share, first = closes[k], max(0.0, (start - alone[k]) / closable)
+        with_it, without_it = apart(question, fit, without)
+        rise = without_it.evidence - with_it.evidence
         if term.name == PAYLOAD:
             # All base parameters hold whatever a load does, so it is tested without them.
             effects = [t for t in found.terms if t.name != BASE]
             lighter = [t for t in effects if t is not term]
-            with_it = fit_terms(question, effects, fit.effective, fit.weight, 10)
-            without_it = fit_terms(question, lighter, fit.effective, fit.weight, 10)
-            p = p_value(question, with_it, without_it, term)
-        others = alternatives(question, fit, without, term)
-        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for t in others))
+            both = (
+                fit_terms(question, e, fit.effective, fit.weight, 10) for e in (effects, lighter)
+            )
+            with_it, without_it = apart(question, *both)
+        p = p_value(question, with_it, without_it, term)
+        tried = likely(question, fit, without, term)
+        others = alternatives(question, fit, without, term, tried)
+        names = tuple(dict.fromkeys(LINK if t.name == BASE else t.name for _, t in others))
         # An alternative that leaves the same is the same: no data of this kind tell them apart.
-        apart = []
-        for other in others:
+        separable = []
+        for _, other in others:
             again = fit_terms(question, (*rest, other), fit.effective, fit.weight)
             differs = risen(fit.effective, again.losses, fit.losses)
             if other.name != BASE and float(differs.abs().sum()) >= 0.1:
-                apart.append(other)
+                separable.append(other)
+        sure = how_sure([rise, *(r for r, _ in others)])
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            parametric.append(Parametric(links, share, p, names))
+            parametric.append(Parametric(links, share, p, names, sure))
             continue
-        if apart:
-            undecided.append((term, apart[0]))
+        if separable:
+            undecided.append((term, separable[0]))
         values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
-        if term.name == PAYLOAD and any(t.name == BASE for t in found.terms):
-            values, std = beside_base(found.solution, fixed + k)
         own = found.solution.terms[fixed + k].effects
         findings.append(
             Finding(
@@ -108,10 +112,12 @@ def told(found: Explanation) -> Told:
                 ambiguous_with=names,
                 std=tuple(std.tolist()),
                 p_value=p,
+                how_sure=sure,
                 share=share,
                 first=first,
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
+                planted=_planted(question, fit, term, tried),
             )
         )
     return Told(
@@ -119,64 +125,34 @@ def told(found: Explanation) -> Told:
     )
 
 
-def beside_base(solution: Solution, k: int) -> tuple[Float[Tensor, " C"], Float[Tensor, " C"]]:
-    """Coefficients and standard deviations of term k, a load, beside corrected base parameters.
-
-    Whatever a load does, base parameters do, too: B x_B + P x_P depends on x_B + T x_P alone, where
-    P = B T. Of all loads with that sum it is the one beside which x_B is least in units of what
-    is known beforehand; as far as x_B is not known beforehand, neither is the load.
-    """
-    base = next(j for j, t in enumerate(solution.terms) if t.name == BASE)
-    parts = solution.a.flatten(1).split([len(v) for v in solution.values])
-    t = torch.linalg.lstsq(parts[base].T, parts[k].T, driver="gelsd").solution
-    sigma = solution.terms[base].sigma
-    assert sigma is not None, "a load is no candidate beside free base parameters"
-    inner = torch.linalg.pinv(t / sigma.unsqueeze(1))
-    total = solution.values[base] + t @ solution.values[k]
-    return inner @ (total / sigma), torch.hypot(inner.norm(dim=1), solution.std[k])
-
-
-def in_turn(
-    question: Question, fit: Fitted, terms: Sequence[Term]
-) -> tuple[list[float], list[float]]:
-    """What each term closes of the gap when at every turn the one joins that closes most: shares
-    that add up to one, the curve of the answer. And the loss that each term leaves alone."""
-    weight = question.normal.rows / fit.losses.clamp(min=1e-300)
-    left = [float((weight * fit_terms(question, (), fit.effective, fit.weight).losses).sum())]
-    order: list[int] = []
-    alone: list[float] = []
-    while len(order) < len(terms):
-        joined = [terms[k] for k in order]
-        rest = [k for k in range(len(terms)) if k not in order]
-        fits = [fit_terms(question, (*joined, terms[k]), fit.effective, fit.weight) for k in rest]
-        losses = [float((weight * f.losses).sum()) for f in fits]
-        alone = alone or losses
-        order.append(rest[losses.index(min(losses))])
-        left.append(min(losses))
-    drops = [(a - b) / max(left[0] - left[-1], 1e-12) for a, b in itertools.pairwise(left)]
-    return [drops[order.index(k)] for k in range(len(terms))], alone
-
-
 def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> float:
     """Family-wise p-value of a term beside the others: of the likelihood ratio with the effective
     number of samples (Wilks 1938), times all candidates. A joint of what most joints have was not
     searched for."""
     # Twice the logarithm of the likelihoods' ratio, over the directions that the term has.
-    ratio = risen(fit.effective, without.losses, fit.losses)
+    ratio = float(risen(fit.effective, without.losses, fit.losses).sum())
+    if term.seen is not None:
+        ratio += without.known - fit.known
     df = directions(question, term) + term.shapes
     searched = term.name not in common_names(fit.terms, question.joints)
     looks = question.looks if searched else 1.0
-    return min(1.0, looks * float(chi2.sf(max(0.0, float(ratio.sum())), df)))
+    return min(1.0, looks * float(chi2.sf(max(0.0, ratio), df)))
 
 
-def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Term]:
-    """Terms that explain as much in a term's place, the best first, one a name: those whose
-    evidence is within the odds; and base parameters that do as well, whatever they cost, for then
-    the effect stands only if the parameters are trusted."""
-    # Candidates in order of what they promise, until ten have failed.
-    limit = fit.evidence - 2 * math.log(ODDS)
+def how_sure(rises: Sequence[float]) -> float:
+    """Probability of a term, from the rises of the evidence with none in its place and with each
+    alternative: the odds are exp of half of them (Kass and Raftery 1995), for the evidence holds
+    what was known beforehand and counts independent samples only."""
+    return 1 / (1 + sum(math.exp(min(0.5 * rise, 500.0)) for rise in rises))
+
+
+def likely(
+    question: Question, fit: Fitted, without: Fitted, term: Term
+) -> list[tuple[float, Term]]:
+    """Terms in the place of one, with the rise of the evidence, the best first: in order of what
+    they promise, until ten are beyond the odds."""
     others = without.terms[len(question.fixed) :]
-    found: list[tuple[float, Term]] = []
+    tried: list[tuple[float, Term]] = []
     failed = 0
     for _, move in moves(question, without, term):
         if failed == TRIED:
@@ -184,38 +160,71 @@ def alternatives(question: Question, fit: Fitted, without: Fitted, term: Term) -
         if move[0].name == BASE or move[0].key == term.key:
             continue
         again = fit_terms(question, (*others, *move), fit.effective, fit.weight)
-        if again.evidence > limit:
-            found.append((again.evidence, move[0]))
-        else:
-            failed += 1
+        now, then = apart(question, fit, again)
+        tried.append((then.evidence - now.evidence, move[0]))
+        failed += tried[-1][0] <= -2 * math.log(ODDS)
+    return sorted(tried, key=lambda pair: -pair[0])
+
+
+def alternatives(
+    question: Question,
+    fit: Fitted,
+    without: Fitted,
+    term: Term,
+    tried: Sequence[tuple[float, Term]],
+) -> list[tuple[float, Term]]:
+    """Of the likely terms those that explain as much in a term's place, one a name: those within
+    the odds; and base parameters that do as well, whatever they cost, for then the effect stands
+    only if the parameters are trusted."""
+    others = without.terms[len(question.fixed) :]
+    found = [pair for pair in tried if pair[0] > -2 * math.log(ODDS)]
+    # A shape at the end of its range has become another effect, which is never left out.
+    alone = term.effects[0] if len(term.effects) == 1 else None
+    motions = question.candidates.columns.motions
+    if term.shapes and isinstance(alone, JointEffect) and alone.at_an_end(motions):
+        found += [f for f in tried[len(found) :] if f[1].name != term.name][:1]
     # One of each name, and all base parameters whatever they cost.
-    found.sort(key=lambda pair: -pair[0])
-    names: dict[str, Term] = {}
-    for _, other in found:
+    names: dict[str, tuple[float, Term]] = {}
+    for rise, other in found:
         if other.name != term.name:
-            names.setdefault(other.name, other)
+            names.setdefault(other.name, (rise, other))
     for base in question.candidates.terms:
-        if base.name == BASE and not term.inertial and LINK not in names:
+        if base.name == BASE and not (term.inertial or LINK in names or question.shows(term)):
             again = fit_terms(question, (*others, base), fit.effective, fit.weight, 10)
-            lost = risen(fit.effective, again.losses, fit.losses)
+            now, then = apart(question, fit, again)
+            lost = risen(now.effective, then.losses, now.losses)
             if float(lost.sum()) < 2 * math.log(ODDS):
-                names[LINK] = base
+                names[LINK] = then.evidence - now.evidence, base
     return list(names.values())
 
 
+def _planted(
+    question: Question, fit: Fitted, term: Term, tried: Sequence[tuple[float, Term]]
+) -> Planted | None:
+    """What the log would show of a term and the likeliest of other names; of one that replaces a
+    part of the model, or happened once, nothing."""
+    best: dict[str, Term] = {}
+    for rise, other in tried:
+        if other.name != term.name and not other.instead and rise > -math.inf:
+            best.setdefault(other.name, other)
+    if term.instead or any(e.event for e in term.effects):
+        return None
+    return planted(question, fit, [term, *list(best.values())[:RIVALS]])
+
+
 def _felt(found: Explanation, k: int, effects: Sequence[Effect]) -> tuple[int, ...]:
-    """The effect's joints; of a global one those whose torque it changes beyond what is left."""
+    """The effect's joints; of a global one those whose torque it changes by as much as is worth a
+    name."""
     if len(effects) == 1 and effects[0].joints:
         return effects[0].joints
     solution = found.solution
     first = sum(len(v) for v in solution.values[:k])
     values = solution.values[k]
-    # Torque of the effect on each joint, against the gap there and what chance would fit.
-    share = torch.tensordot(values, solution.a[first : first + len(values)], 1).square().sum(1)
+    # Where its torque is worth a name.
+    torque = torch.tensordot(values, solution.a[first : first + len(values)], 1)
     rows = found.question.normal.rows.clamp(min=1)
-    chance = solution.left.square().sum(1) * len(values) / rows
-    least = found.question.settings.worthwhile * found.empty.losses
-    return tuple(((share > least) & (share > chance)).nonzero().flatten().tolist())
+    felt = (torque.square().sum(1) / rows).sqrt() >= found.question.least(found.empty.losses / rows)
+    return tuple(felt.nonzero().flatten().tolist())
 
 
 def _notes(
@@ -233,8 +242,8 @@ def _notes(
         )
     if term.name == PAYLOAD:
         # Ten numbers are a body only if their pseudo-inertia is.
-        body = InertialParameters(values.unsqueeze(0)).pseudo_inertia
-        if float(torch.linalg.eigvalsh(body)[0, 0]) < 0:
+        margin = InertialParameters(values.unsqueeze(0)).consistency_margin()
+        if float(margin) < 0:
             out.append(
                 "these ten parameters have the right torque, but no body has them: "
                 "`torchid payload` gives one that does"
@@ -245,6 +254,12 @@ def _notes(
             out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
         if own:
             out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")
+    if term.seen is not None:
+        seen = term.seen
+        out.append(
+            f"the encoders of motor and link tell {seen.value:.3g} ± {seen.std:.2g}, which lowers "
+            f"a lag of {1e3 * seen.rms:.2g} mrad (mm) by {100 * seen.explained:.0f} %"
+        )
     if term.instead:
         out.append("it stands in the place of the model's own, whose shape is another")
     if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchid.design.bodies import triangle
 from torchid.effects.base import Motion
-from torchid.extraction.convex.conic import Rows, minimise, triangle
+from torchid.extraction.convex.conic import Rows, minimise
 from torchid.extraction.equal_torque.hit_and_run import Region, analytic_centre, interior_point
 from torchid.extraction.equal_torque.space import EqualTorqueSpace
 from torchid.robot.inertia import InertialParameters
@@ -72,9 +73,6 @@ def force_reach(
         space: of the reference.
         squares: see `force_squares`.
         kinds: of `KINDS`; one without any set, or without a condition to violate, is left out.
-
-    Raises:
-        MissingExtraError: Clarabel is not installed.
     """
     found = []
     for kind in kinds:

@@ -93,7 +93,6 @@ def equal_torque_setting(
     Raises:
         RobotError: no parameters, or no such bounds.
         TorchidError: no feasible set near the nominal one was found.
-        MissingExtraError: Clarabel is needed to find one, and not installed.
     """
     nominal = nominal_set(robot)
     geometry = geometry or corrected_group(robot, "normal")

@@ -20,7 +20,7 @@ import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
-from torchid.errors import MissingExtraError, TorchidError
+from torchid.errors import TorchidError
 from torchid.extraction.equal_torque.sample import (
     FEASIBLE,
     KINDS,
@@ -317,7 +317,7 @@ def equal_torque_study(
         )
         to_nominal = drawn.compared(resamples, seed, errors)
         offset = float(apart.force_rms.amax())
-    reach, warnings = _reach(setting, drawn.squares)
+    reach = _reach(setting, drawn.squares)
     truths, firm = other_truths(samples.kind, samples.degree, drawn.distances())
     found = statistics(samples, resamples=resamples, seed=seed)
     tau = inverse_dynamics(setting.robot, *motion.state, _first(setting.reference))
@@ -338,7 +338,7 @@ def equal_torque_study(
             if e.second == "feasible"
         }
         rho = compared.correlation.rho
-        far, _ = _reach(other, more.squares)
+        far = _reach(other, more.squares)
         variants.append(Variant(name, medians, deltas, (rho.value, rho.low, rho.high), far))
     tell("done", total, total)
     return EqualTorqueStudy(
@@ -356,19 +356,14 @@ def equal_torque_study(
         reference_to_nominal=offset,
         variants=tuple(variants),
         seed=seed,
-        warnings=(*setting.notes, *drawn.family.warnings, *warnings),
+        warnings=(*setting.notes, *drawn.family.warnings),
     )
 
 
-def _reach(
-    setting: Setting, squares: Float[Tensor, "n D D"]
-) -> tuple[tuple[ForceReach, ...], tuple[str, ...]]:
-    """Greatest errors; a warning instead where the solver is not installed."""
+def _reach(setting: Setting, squares: Float[Tensor, "n D D"]) -> tuple[ForceReach, ...]:
+    """Greatest errors."""
     space = equal_torque_space(setting.reference, setting.base, setting.conditions, setting.outer)
-    try:
-        return force_reach(space, squares), ()
-    except MissingExtraError as error:
-        return (), (f"no greatest errors: {error.problem}",)
+    return force_reach(space, squares)
 
 
 def _first(one: ParameterSets) -> InertialParameters:

@@ -21,6 +21,9 @@ __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 FINE = 2.5e-4
 """Step of the simulation that is logged [s]."""
 
+FELT = 0.01
+"""Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
+
 _FINEST = 48
 """Bits of an encoder that rounds nothing."""
 
@@ -82,12 +85,13 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False, fresh: bool = False) -
             own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
             moved = simulated(scene, alone, own_nominal, FINE * 2)
             sizes[k] = size_of(scene, alone, own_nominal, moved)
+    noise_std, torque = scene.noise, scene.torque
     effects = [
         {
             "name": effect.name,
             **picked(kind_named(effect.name), "family acceptable=akin"),
             "joints": [j + 1 for j in effect.joints],
-            "felt_by": [j + 1 for j in np.flatnonzero(size > 1.0).tolist()],
+            "felt_by": [j + 1 for j in np.flatnonzero(size * noise_std > FELT * torque).tolist()],
             "parameters": own,
             "size": float(size.max()),
         }
@@ -107,6 +111,7 @@ def _key(
 ) -> dict[str, Any]:
     return {
         **picked(spec, "kind arm rate_hz=logger.rate_hz colour_hz=logger.colour_hz"),
+        "noise_grows": spec.logger.grows,
         "repeats": len(set(spec.motion.shapes)) < len(spec.motion.shapes),
         "level": spec.level,
         "effects": effects,

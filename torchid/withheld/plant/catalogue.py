@@ -244,13 +244,37 @@ KINDS: dict[str, Kind] = {
         OUTSIDE, mechanics.fluid, _fixed(50.0), _fixed(1200.0), _uniform(), place="arm",
         akin=("speed",),
     ),
+    "random_load": Kind(
+        OUTSIDE, friction.random_load, _column(lambda s, e, j: 1.0), _EVER,
+        _uniform(seed=(0.0, 2.0**31)),
+        akin=("gravity", "periodic", "constant"),
+    ),
+    "random_resistance": Kind(
+        OUTSIDE, friction.random_resistance, _column(lambda s, e, j: 1.0), _EVER,
+        _uniform(seed=(0.0, 2.0**31)),
+        akin=("speed", "sign", "gravity", "periodic", "constant"),
+    ),
+    "creep": Kind(
+        OUTSIDE, friction.creep,
+        _column(lambda s, e, j: s.moving_rms[j] * e.draws["seconds"]), _EVER,
+        _uniform(seconds=(0.1, 1.0)),
+        akin=("hysteresis", "phase"),
+    ),
+    "bursts": Kind(
+        OUTSIDE, friction.bursts, _column(lambda s, e, j: 0.4), _EVER,
+        _uniform(rate=(0.4, 1.2), seed=(0.0, 2.0**31)),
+        akin=("transient",),
+    ),
 }  # fmt: skip
 
 LIBRARY = tuple(name for name, kind in KINDS.items() if kind.family != OUTSIDE)
 """Those that torchid has, by torchid's names."""
 
-FOREIGN = tuple(name for name, kind in KINDS.items() if kind.family == OUTSIDE)
-"""Those that it has not."""
+FOREIGN = ("uneven_friction", "uneven_damping", "motor_ripple", "flexible_base", "fluid_drag")
+"""Those that it had not when the benchmark was made: the mixed sets'."""
+
+REDRAWN = ("random_load", "random_resistance", "creep", "bursts", "flexible_base", "fluid_drag")
+"""Those that it has not, most of them random physics: the release sets'."""
 
 
 def kind_named(name: str) -> Kind:

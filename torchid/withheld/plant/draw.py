@@ -8,7 +8,14 @@ import numpy as np
 
 from torchid.errors import TorchidError
 from torchid.withheld.plant.arms import ARMS, arm_named
-from torchid.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effect, kind_named
+from torchid.withheld.plant.catalogue import (
+    FOREIGN,
+    KINDS,
+    LIBRARY,
+    REDRAWN,
+    drawn_effect,
+    kind_named,
+)
 from torchid.withheld.plant.logger import Logger
 from torchid.withheld.plant.motion import MotionPlan
 from torchid.withheld.plant.plan import EffectSpec
@@ -27,6 +34,12 @@ BLOCK = (
 """Kinds of twenty cases in a row, in an order of their own."""
 
 CASE_KINDS = tuple(dict.fromkeys(BLOCK))
+
+RELEASE = (*["none"] * 4, *["single"] * 8, *["outside"] * 4, *["several"] * 3)
+"""Kinds of nineteen cases in a row of a release, whose effects outside the library are others, and
+half of whose cases without an effect have noise that is coloured or grows with speed."""
+
+MIXES = {"mixed": BLOCK, "release": RELEASE}
 
 LEVEL = 5.0
 """Size of an effect, in standard deviations of the torque noise."""
@@ -109,12 +122,14 @@ def draw_case(
     effects: Sequence[str] | None = None,
     level: float | None = None,
     arm: str | None = None,
+    mix: str = "mixed",
 ) -> CaseSpec:
     """A case from a seed and its number; what is given is not drawn.
 
     Args:
         seed: of the set.
         number: of the case, from 0.
+        mix: of the set: `mixed`, or `release`.
         kind: of the case.
         effects: names of the effects to plant.
         level: their size, in standard deviations of the noise.
@@ -125,16 +140,21 @@ def draw_case(
     """
     if kind is None and effects is not None:
         kind = ("none", "single")[len(effects)] if len(effects) < 2 else "several"
-    kind = kind or _in_turn(seed, number, BLOCK, 101)
+    if mix not in MIXES:
+        raise TorchidError(f"unknown mix of cases '{mix}'.", available=list(MIXES))
+    block, foreign = MIXES[mix], FOREIGN if mix == "mixed" else REDRAWN
+    kind = kind or _in_turn(seed, number, block, 101)
     if kind not in CASE_KINDS:
         raise TorchidError(f"unknown kind of case '{kind}'.", available=list(CASE_KINDS))
     rng = np.random.default_rng([seed, number, 1])
     name = arm or str(rng.choice(list(ARMS)))
     n = arm_named(name).n
-    planted = _effects(np.random.default_rng([seed, number, 2]), seed, number, kind, n, effects)
+    turn = _turn(seed, number, kind, block)
+    rng = np.random.default_rng([seed, number, 2])
+    planted = _effects(rng, seed, turn, kind, n, effects, foreign)
     wanted = level or LEVEL if planted else None
     if planted and not level and kind == "severity":
-        wanted = _in_turn(seed, _turn(seed, number, kind), LEVELS, 102)
+        wanted = _in_turn(seed, turn, LEVELS, 102)
     motion = _motion(np.random.default_rng([seed, number, 3]), n)
     poor, excitation = None, "rich"
     if kind == "poor":
@@ -152,7 +172,8 @@ def draw_case(
             moving = tuple(sorted(int(j) for j in rng.choice(n, count, replace=False)))
         poor, excitation = replace(motion, levels=levels, moving=moving, reach=reach), what
     quiet = np.random.default_rng([seed, number, 5])
-    knows = quiet.random() < 0.7
+    # In a release several effects stand on friction that is known.
+    knows = quiet.random() < 0.7 or (mix == "release" and kind == "several")
     viscous, coulomb = (quiet.uniform(0.003, 0.02, n) * knows for _ in range(2))
     rng = np.random.default_rng([seed, number, 6])
     logger = Logger(
@@ -165,6 +186,11 @@ def draw_case(
         clock=float(rng.uniform(0, 1000).__round__(3)),
         seed=int(rng.integers(2**31)),
     )
+    if mix == "release" and kind == "none":
+        # White, white, coloured, growing with speed, in turn.
+        noise = turn % 4
+        grows = float(rng.uniform(1.0, 4.0)) if noise == 3 else 0.0
+        logger = replace(logger, colour_hz=5.0 if noise == 2 else None, grows=grows)
     return CaseSpec(
         seed, number, kind, name, planted, wanted, motion, poor, excitation,
         tuple(viscous.tolist()), tuple(coulomb.tolist()),
@@ -175,12 +201,12 @@ def draw_case(
     )  # fmt: skip
 
 
-def _turn(seed: int, number: int, kind: str) -> int:
+def _turn(seed: int, number: int, kind: str, kinds: Sequence[str]) -> int:
     """How many cases of a kind came before this one."""
-    block, place = divmod(number, len(BLOCK))
-    order = np.random.default_rng([seed, block, 101]).permutation(len(BLOCK))
-    before = sum(BLOCK[k] == kind for k in order[:place])
-    return block * BLOCK.count(kind) + before
+    block, place = divmod(number, len(kinds))
+    order = np.random.default_rng([seed, block, 101]).permutation(len(kinds))
+    before = sum(kinds[k] == kind for k in order[:place])
+    return block * kinds.count(kind) + before
 
 
 def _in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
@@ -193,10 +219,11 @@ def _in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
 def _effects(
     rng: np.random.Generator,
     seed: int,
-    number: int,
+    turn: int,
     kind: str,
     n: int,
     wanted: Sequence[str] | None,
+    foreign: Sequence[str],
 ) -> tuple[EffectSpec, ...]:
     if wanted is not None:
         for name in wanted:
@@ -209,7 +236,6 @@ def _effects(
                 hint="an arm with more joints",
             )
         return found
-    turn = _turn(seed, number, kind)
     if kind == "none":
         return ()
     if kind == "parameters":
@@ -229,7 +255,7 @@ def _effects(
             if found is not None:
                 return found
     if kind == "outside":
-        return (drawn_effect(rng, _in_turn(seed, turn, FOREIGN, 103), n),)
+        return (drawn_effect(rng, _in_turn(seed, turn, foreign, 103), n),)
     if kind == "single":
         return (drawn_effect(rng, _in_turn(seed, turn, LIBRARY, 104), n),)
     return (drawn_effect(rng, str(rng.choice(LIBRARY)), n),)

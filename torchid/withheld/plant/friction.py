@@ -1,5 +1,5 @@
-"""Effects of friction and of torque at the joints, the last three of them outside of torchid's
-library: how each is planted at a scale.
+"""Effects of friction and of torque at the joints, the last ones of them outside of
+torchid's library: how each is planted at a scale.
 
 Every function takes (scene, plan, effect, s) and returns the plan with the effect, and its
 parameters in physical units. s is the coefficient that decides the effect's size.
@@ -13,12 +13,15 @@ import numpy as np
 
 from torchid.withheld.plant.laws import (
     bristles,
+    bursting,
+    creeping,
     loaded_bristles,
     one_sided_bristles,
     resisting,
     rippling_motor,
     slip_elements,
     varying,
+    waves,
 )
 from torchid.withheld.plant.model import Spring
 from torchid.withheld.plant.plan import EffectSpec, Law, Parameters, Plan, Scene, sign
@@ -208,3 +211,41 @@ def motor_ripple(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Plan
     k = wave_number(scene, joint, effect.draws["frequency"])
     law = rippling_motor(joint, s, k, phase)
     return with_law(plan, law), {"share": s, "wave_number": k, "phase": phase}
+
+
+def random_load(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """A smooth random function of the joint's position and a neighbour's, as of cables."""
+    return _random(scene, plan, effect, s, with_neighbour=True)
+
+
+def random_resistance(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """A smooth random function of the joint's position and speed."""
+    return _random(scene, plan, effect, s, with_neighbour=False)
+
+
+def _random(
+    scene: Scene, plan: Plan, effect: EffectSpec, s: float, *, with_neighbour: bool
+) -> Planted:
+    """Five plane waves (Rahimi and Recht 2007): a draw of a Gaussian process."""
+    joint = effect.joints[0]
+    rng = np.random.default_rng(int(effect.draws["seed"]))
+    widths = (1.5, 1.5) if with_neighbour else (1.0, 2.0)
+    numbers = (rng.standard_normal((5, 2)) * widths).tolist()
+    wave = [(0.63, k, m, float(rng.uniform(0, 2 * np.pi))) for k, m in numbers]
+    other = (joint + 1 if joint + 1 < scene.n else joint - 1) if with_neighbour else None
+    unit = 1.0 if with_neighbour else float(scene.speed[joint])
+    law = waves(joint, s, wave, other, unit)
+    return with_law(plan, law), {"torque": s, "seed": effect.draws["seed"]}
+
+
+def creep(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """A spring whose far end follows slowly."""
+    seconds = effect.draws["seconds"]
+    law = creeping(effect.joints[0], s, seconds)
+    return with_law(plan, law), {"stiffness": s, "seconds": seconds}
+
+
+def bursts(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
+    """Torque that comes and goes at random."""
+    rate, seed = effect.draws["rate"], int(effect.draws["seed"])
+    return with_law(plan, bursting(effect.joints[0], s, rate, seed)), {"torque": s, "rate": rate}

@@ -4,8 +4,8 @@ Each function returns a law: started with a trajectory it returns what to do bef
 work on single numbers, for speed. `dof` is the motor's, for what resists in gear and motor.
 """
 
-from collections.abc import Callable
-from math import copysign, exp
+from collections.abc import Callable, Sequence
+from math import copysign, exp, sin
 
 import numpy as np
 
@@ -169,6 +169,66 @@ def varying(
             now = wave(float(q[dof]), float(t[step]))
             fields[0][dof] = mean[0] + damping * now
             fields[1][dof] = mean[1] + friction * now
+
+        return act
+
+    return start
+
+
+Wave = tuple[float, float, float, float]
+"""Amplitude, wave numbers along two coordinates, and phase."""
+
+
+def waves(joint: int, torque: float, terms: Sequence[Wave], other: int | None, unit: float) -> Law:
+    """A torque [N m] against the motor's motion that is a sum of plane waves: over its position and
+    another motor's [rad], or over its position and its speed in units of `unit` [rad/s]."""
+
+    def start(live: Live) -> Act:
+        dof, q, dq, applied = int(live.motors[joint]), live.q, live.dq, live.applied
+        second, at = (dq, dof) if other is None else (q, int(live.motors[other]))
+
+        def act(step: int) -> None:
+            x, y = float(q[dof]), float(second[at]) / unit
+            applied[dof] -= torque * sum(a * sin(k * x + m * y + c) for a, k, m, c in terms)
+
+        return act
+
+    return start
+
+
+def creeping(joint: int, stiffness: float, seconds: float) -> Law:
+    """A spring to where the motor was some time ago, as of rubber: its far end follows slowly."""
+
+    def start(live: Live) -> Act:
+        dof, q, applied = int(live.motors[joint]), live.q, live.applied
+        keep = exp(-live.step / seconds)
+        end = float(q[dof])
+
+        def act(step: int) -> None:
+            nonlocal end
+            end = float(q[dof]) + (end - float(q[dof])) * keep
+            applied[dof] -= stiffness * (float(q[dof]) - end)
+
+        return act
+
+    return start
+
+
+def bursting(joint: int, torque: float, rate: float, seed: int) -> Law:
+    """Half sines of torque [N m] at random instants, of random length and sign, so many a
+    second."""
+
+    def start(live: Live) -> Act:
+        dof, applied, t = int(live.motors[joint]), live.applied, live.t
+        rng = np.random.default_rng([seed, abs(round(1000 * float(t[0])))])
+        total = np.zeros(len(t))
+        for _ in range(max(2, round(rate * float(t[-1] - t[0])))):
+            begin, length = rng.uniform(t[0], t[-1]), rng.uniform(0.15, 0.8)
+            phase = np.clip((t - begin) / length, 0, 1) * np.pi
+            total += torque * rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5) * np.sin(phase)
+
+        def act(step: int) -> None:
+            applied[dof] -= total[step]
 
         return act
 

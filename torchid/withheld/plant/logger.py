@@ -24,6 +24,8 @@ class Logger:
         velocity_noise: of those [rad/s].
         clock: stamp of the first trajectory's beginning [s].
         seed: of noise and jitter.
+        grows: by how much the torque noise is larger at the joint's RMS speed than at rest, as a
+            share.
     """
 
     rate_hz: int
@@ -34,6 +36,7 @@ class Logger:
     velocity_noise: float
     clock: float
     seed: int
+    grows: float = 0.0
 
 
 def logged(
@@ -53,7 +56,11 @@ def logged(
         fine = (reading.t[-1] - reading.t[0]) / (len(reading.t) - 1)
         every = round(1 / logger.rate_hz / fine)
         t, q, dq, tau = (x[::every] for x in (reading.t, reading.q, reading.dq, reading.tau))
-        tau = tau + noise_std * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
+        # As large in all as it is said to be, whatever its share at speed.
+        usual = np.sqrt((reading.dq**2).mean(0))
+        size = 1 + logger.grows * np.abs(dq) / np.maximum(usual, 1e-9)
+        size = noise_std * size / np.sqrt((size**2).mean(0))
+        tau = tau + size * noise(rng, tau.shape, logger.rate_hz, logger.colour_hz)
         tau = hold(tau, t, plan.held, number)
         tick = 2 * np.pi / 2**logger.encoder_bits
         # Bounded, so that stamps never go backwards.

@@ -7,6 +7,7 @@ from functools import reduce
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from torchid.errors import TorchidError
 from torchid.withheld.plant.bodies import Array
 from torchid.withheld.plant.catalogue import kind_named
 from torchid.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene, Signals
@@ -89,6 +90,9 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
         scene, base, nominal: the arm without effects.
         effect: to plant.
         level: wanted size, the largest of all joints.
+
+    Raises:
+        TorchidError: the arm bears the effect at no size that was tried.
     """
     kind = kind_named(effect.name)
     largest = kind.largest(scene, effect)
@@ -101,7 +105,12 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
             still = still or simulated(scene, base, nominal, COARSE)
             traces = still
         else:
-            traces = simulated(scene, plan, nominal, COARSE)
+            try:
+                traces = simulated(scene, plan, nominal, COARSE)
+            except TorchidError:
+                # More than the controllers bear.
+                largest = scale = 0.5 * scale
+                continue
         size = size_of(scene, plan, nominal, traces)
         tried.append(Sized(scale, parameters, size))
         if abs(size.max() / level - 1) < _CLOSE:
@@ -110,6 +119,8 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
         if abs(following / scale - 1) < 0.01:
             break
         scale = following
+    if not tried:
+        raise TorchidError(f"{effect.name} is more than the arm bears at any size.")
     return min(tried, key=lambda s: abs(np.log(s.size.max() / level)))
 
 

@@ -1,0 +1,234 @@
+"""Least squares of which some coefficients are corrections of bodies' inertial parameters.
+
+    x'Hx - 2 b'x + sum_k x_k^2 / sigma_k^2 + sum_bodies tr((R^-1 P(x))^2) / sigma^2,  P(p + x) >= 0
+
+P is a body's pseudo-inertia [[S, m c], [m c', m]], linear in its ten parameters, and positive
+definite of bodies alone. The metric is that of Lee, Wensing and Park (2020) at a reference R: the
+squared relative change of a body, which depends on no frame. What least squares leave a body is the
+solution; else a conic program is solved (Clarabel, Goulart and Chen 2024).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import clarabel  # type: ignore[import-untyped]
+import numpy as np
+import torch
+from scipy import sparse
+
+from torchid.design.gram import Equations, Solved, inverse_root
+from torchid.errors import TorchidError
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
+from torchid.typing import Float, Int, Tensor
+
+INSIDE = 1e-3
+"""Share of a small body that every body holds at least: none is flat or without mass."""
+
+WIDTH = 0.03
+"""Radius that a link's mass is spread over at least, where a change of it is measured [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies whose parameters are corrected by coefficients.
+
+    Attributes:
+        at: (B, 10) which coefficients correct each.
+        base: (B, 10) parameters without a correction, and more where they are not quite known.
+        least: (B, 10) of the body that each of them holds.
+        metric: (B, 10, 10) squares of a correction, in units of what is known beforehand.
+        triangles: (B, 10, 10) what each parameter adds to the triangle of the pseudo-inertia in
+            units of the small body, see `_triangles`.
+    """
+
+    at: Int[Tensor, "B 10"]
+    base: Float[Tensor, "B 10"]
+    least: Float[Tensor, "B 10"]
+    metric: Float[Tensor, "B 10 10"]
+    triangles: Float[Tensor, "B 10 10"]
+
+    def shifted(self, by: int) -> "Bodies":
+        """The same of coefficients that stand so many places further."""
+        return replace(self, at=self.at + by)
+
+    def are(self, x: Float[Tensor, " K"]) -> bool:
+        """Whether coefficients leave all of them bodies."""
+        rest = (self.base - self.least + x[self.at]) @ pseudo_inertia_basis().flatten(1)
+        return not bool(torch.linalg.cholesky_ex(rest.view(-1, 4, 4))[1].any())
+
+    def squares(self, count: int) -> Float[Tensor, "K K"]:
+        """The metric of so many coefficients."""
+        out = torch.zeros(count * count, dtype=torch.float64)
+        where = self.at.unsqueeze(2) * count + self.at.unsqueeze(1)
+        return out.index_add_(0, where.flatten(), self.metric.flatten()).view(count, count)
+
+
+@cache
+def _settings() -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    return settings
+
+
+def triangle(matrices: np.ndarray) -> np.ndarray:
+    """Triangles (..., k (k+1) / 2) of symmetric matrices (..., k, k), as Clarabel takes them: by
+    columns, off-diagonal entries times the root of two."""
+    j, i = np.tril_indices(matrices.shape[-1])
+    return np.ascontiguousarray(matrices[..., i, j]) * np.where(i == j, 1.0, np.sqrt(2.0))
+
+
+def _triangles(small: Float[Tensor, "B 10"]) -> Float[Tensor, "B 10 10"]:
+    """What each parameter of bodies adds to the triangle of their pseudo-inertia, in units of these
+    small bodies'."""
+    root = torch.linalg.cholesky(InertialParameters(small).pseudo_inertia)
+    inner = torch.linalg.inv(root).unsqueeze(1)
+    return torch.from_numpy(triangle((inner @ pseudo_inertia_basis() @ inner.mT).numpy()))
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of K coefficients before the data are seen.
+
+    Attributes:
+        ridge: (K,) inverse variances; zero where nothing is known.
+        bodies: those that coefficients correct; None without any.
+        centre: (K,) where they are expected; at zero if None.
+    """
+
+    ridge: Float[Tensor, " K"]
+    bodies: Bodies | None = None
+    centre: Float[Tensor, " K"] | None = None
+
+    @cached_property
+    def squares(self) -> Float[Tensor, "K K"]:
+        """Inverse covariance of the coefficients."""
+        out = torch.diag(self.ridge)
+        return out if self.bodies is None else out + self.bodies.squares(len(out))
+
+    @cached_property
+    def pull(self) -> Float[Tensor, " K"]:
+        """Towards where they are expected."""
+        zero = torch.zeros_like(self.ridge)
+        return zero if self.centre is None else self.squares @ self.centre
+
+    def value(self, x: Float[Tensor, " K"]) -> float:
+        """Of coefficients, in squares of standard deviations; more than of zeros. Zeros far from
+        where they are expected make it negative."""
+        return float(x @ self.squares @ x - 2 * x @ self.pull)
+
+    def solve(self, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]) -> Solved:
+        """The minimum beside normal equations; the root is that of free coefficients.
+
+        Raises:
+            TorchidError: the conic program has no solution.
+        """
+        matrix, right = matrix + self.squares, right + self.pull
+        root = inverse_root(matrix, known=self.squares)
+        x = root @ (root.T @ right)
+        if self.bodies is not None and not self.bodies.are(x):
+            # Beside the bodies' own coefficients all others follow.
+            own = self.bodies.at.unique()
+            rest = torch.ones(len(x), dtype=torch.bool)
+            rest[own] = False
+            inner, across = inverse_root(matrix[rest][:, rest]), matrix[rest][:, own]
+            held = inner.T @ across
+            alone = matrix[own][:, own] - held.T @ held
+            pull = right[own] - held.T @ (inner.T @ right[rest])
+            bodies = replace(self.bodies, at=torch.searchsorted(own, self.bodies.at))
+            x[own] = _within(bodies, alone, pull)
+            x[rest] = inner @ (inner.T @ (right[rest] - across @ x[own]))
+        return Solved(x, root)
+
+    def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
+        """The minimum of joints' normal equations with these weights (n,)."""
+        return self.solve(*equations.weighted(weight))
+
+
+def _within(
+    bodies: Bodies, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
+) -> Float[Tensor, " K"]:
+    """The minimum over coefficients that all belong to bodies, among those that leave them so."""
+    # Columns of length one, and every body in units of the small one that it holds.
+    size = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().max())).sqrt()
+    count = len(bodies.at)
+    base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
+    columns = torch.zeros(count, 10, len(right), dtype=torch.float64)
+    columns.scatter_(2, bodies.at.unsqueeze(1).expand(-1, 10, -1), bodies.triangles.mT)
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix((2 * matrix / size / size.unsqueeze(1)).triu().numpy()),
+        (-2 * right / size).numpy(),
+        sparse.csc_matrix((-columns.flatten(0, 1) / size).numpy()),
+        base.flatten().numpy(),
+        [clarabel.PSDTriangleConeT(4)] * count,
+        _settings(),
+    )
+    found = solver.solve()
+    x = np.array(found.x)
+    if "Solved" not in str(found.status) and not np.isfinite(x).all():
+        raise TorchidError("no bodies were found that fit.", got=str(found.status))
+    return torch.from_numpy(x) / size
+
+
+def links_near(
+    pi: Float[Tensor, "n 10"], usual: Float[Tensor, "n 10"], deviation: float
+) -> "tuple[Bodies, ...] | None":
+    """Links that are bodies and stay bodies, near to what they were; None where one is none before.
+
+    Args:
+        pi: parameters as they were.
+        usual: a small body of each link's own size, beside which a change counts: placeholders in
+            a file are no knowledge.
+        deviation: standard deviation of a relative change.
+    """
+    p = InertialParameters(pi).pseudo_inertia
+    lowest = torch.linalg.eigvalsh(p)[:, 0]
+    if bool((lowest < -1e-6 * p.diagonal(dim1=1, dim2=2).sum(1)).any()):
+        return None
+    reference = InertialParameters(pi + usual).pseudo_inertia
+    inner = torch.linalg.inv(reference).unsqueeze(1) @ pseudo_inertia_basis()
+    metric = torch.einsum("kaij,kbji->kab", inner, inner) / deviation**2
+    at = torch.arange(PARAMETERS_PER_LINK).unsqueeze(0)
+    each = (pi, INSIDE * usual, metric, _triangles(usual))
+    parts = zip(*(x.split(1) for x in each), strict=True)
+    return tuple(Bodies(at, *own) for own in parts)
+
+
+def some_body(usual: Float[Tensor, " 10"]) -> Bodies:
+    """A body of which nothing is known but that it is one, up to a small one: so well at most is
+    known what it is fixed to."""
+    least = INSIDE * usual.unsqueeze(0)
+    zero = torch.zeros(1, PARAMETERS_PER_LINK, PARAMETERS_PER_LINK, dtype=torch.float64)
+    at = torch.arange(PARAMETERS_PER_LINK).unsqueeze(0)
+    return Bodies(at, usual.unsqueeze(0), least, zero, _triangles(usual.unsqueeze(0)))
+
+
+def together(bodies: "list[Bodies]") -> Bodies | None:
+    """All of them; None of none."""
+    if not bodies:
+        return None
+    names = ("at", "base", "least", "metric", "triangles")
+    return Bodies(*(torch.cat([getattr(b, name) for b in bodies]) for name in names))
+
+
+def usual_bodies(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
+    """Of each link a small body about its centre: a twentieth of the links' mean mass, three
+    centimetres of the link's own mass wide."""
+    mass, com = pi[:, 0].abs(), InertialParameters(pi).com
+    small = torch.full_like(mass, 0.05 * float(mass.mean()) + 1e-9)
+    wide = torch.maximum(mass, small) * WIDTH**2
+    # A second moment of `wide` along each axis is an inertia of twice that about each.
+    zero = torch.zeros_like(wide)
+    inertia = torch.stack([2 * wide, zero, zero, 2 * wide, zero, 2 * wide], 1)
+    return InertialParameters.from_com(small, com, inertia).pi
+
+
+def body_sizes(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
+    """How large the parameters of links are: the mass, the mass at the radius of gyration, and the
+    inertia at it; of a link without mass, those of a twentieth of the others'."""
+    # A massless link may still have the mass of a twentieth of the others.
+    mass = pi[:, 0].abs().clamp(min=0.05 * float(pi[:, 0].abs().mean()) + 1e-9)
+    inertia = (0.5 * pi[:, [4, 7, 9]].sum(1)).abs()
+    # Radius of gyration of each link, five centimetres at least.
+    radius = (inertia / mass).sqrt().clamp(min=0.05)
+    sizes = [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
+    return torch.stack(sizes, 1)

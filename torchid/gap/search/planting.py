@@ -1,0 +1,133 @@
+"""What this log would show of a cause, and of others in its place: they are planted and sought.
+
+The gap is made anew: what the other terms explain, the torque of one cause as it was fitted, and
+blocks of what the answer leaves, drawn at random (Politis and Romano 1992, circular blocks). In
+each draw the cause of most evidence is told, or none. So the confusion of causes, and the size from
+which one is found, are those of this motion and of noise like what is left. They are the best that
+can be hoped for: what is left of a real arm holds other causes, too.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torchid.design.gram import inverse_root
+from torchid.gap.diagnosis import Planted
+from torchid.gap.search.evidence import (
+    ODDS,
+    Fitted,
+    Question,
+    cost,
+    fit_terms,
+    prior_of,
+    residual,
+    rows_of,
+    subset_of,
+)
+from torchid.gap.search.terms import Term
+from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.blocks import block_length
+from torchid.typing import Float, Int, Tensor
+
+DRAWS = 200
+"""Draws of each: a share of 5 % is then known to 1.5 %."""
+
+SAME = 1e-3
+"""Difference of the evidence that is rounding."""
+
+SIZES = tuple(2.0**k for k in range(-6, 1))
+"""Sizes of the cause, as shares of the fitted one."""
+
+
+def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
+    """Plant a told term, and others in its place.
+
+    Args:
+        question: what was explained.
+        fit: what is told.
+        rivals: the told term first; none that stands in the place of another.
+    """
+    rest = [t for t in fit.terms[len(question.fixed) :] if t is not rivals[0]]
+    explanations = [*([*rest, t] for t in rivals), rest]
+    # All their columns; of each explanation the numbers of its own.
+    union = (*question.fixed, *rest, *rivals)
+    ends = list(itertools.accumulate((len(t.at) for t in union), initial=0))
+    of_rival = [torch.arange(a, b) for a, b in itertools.pairwise(ends[-len(rivals) - 1 :])]
+    common = torch.arange(ends[-len(rivals) - 1])
+    numbers = [*(torch.cat([common, r]) for r in of_rival), common]
+    # On every joint: their products, and what draws of what is left add to the right side (k, B)
+    # and to the target's square (B,).
+    equations = question.normal.of(subset_of(question.normal, union))
+    left, keep = residual(question, fit.terms, fit.x), question.candidates.keep
+    draws = _draws(left, question.candidates.columns.samples.bounds, question.settings.seed)
+    pulled, noise = [], []
+    for j in range(len(left)):
+        felt = [t for t in union if t.place in (None, j)]
+        rows = [rows_of(question, t)[:, j if t.place is None else 0] for t in felt]
+        columns = torch.cat([left.new_zeros(0, left.shape[1]), *rows])
+        drawn = left[j][draws] * keep[j]
+        pulled.append((columns * keep[j]) @ drawn.T)
+        noise.append(drawn.square().sum(1))
+    # Each explanation's coefficients are linear in the right side.
+    matrix, _ = equations.weighted(fit.weight)
+    priors = [prior_of((*question.fixed, *e)) for e in explanations]
+    roots = [
+        inverse_root(matrix[own.unsqueeze(1), own] + p.squares, known=p.squares)
+        for own, p in zip(numbers, priors, strict=True)
+    ]
+    paid = [cost(question, e, fit.effective) for e in explanations]
+
+    def evidence(rival: int, size: float) -> Float[Tensor, "_ B"]:
+        """Of every explanation, but for what all have, with one rival at this size."""
+        x = torch.zeros(equations.count, dtype=torch.float64)
+        x[numbers[rival]] = fit_terms(question, explanations[rival], fit.effective, fit.weight).x
+        x[of_rival[rival]] *= size
+        # Right sides and targets' squares of the draws.
+        right, square, total = [], [], torch.zeros(len(x), len(draws), dtype=torch.float64)
+        for w, c, e, (of, g, *_) in zip(
+            fit.weight.tolist(), pulled, noise, equations.joints, strict=True
+        ):
+            right.append((g @ x[of]).unsqueeze(1) + c)
+            square.append(x[of] @ g @ x[of] + 2 * (x[of] @ c) + e)
+            total.index_add_(0, of, w * right[-1])
+        out = []
+        for own, prior, root, price in zip(numbers, priors, roots, paid, strict=True):
+            found = root @ (root.T @ (total[own] + prior.pull.unsqueeze(1)))
+            y = torch.zeros_like(total).index_copy_(0, own, found)
+            known = (found * (prior.squares @ found - 2 * prior.pull.unsqueeze(1))).sum(0)
+            value = -known - price
+            for n, b, s, (of, g, *_) in zip(
+                fit.effective.tolist(), right, square, equations.joints, strict=True
+            ):
+                loss = s + (y[of] * (g @ y[of] - 2 * b)).sum(0)
+                value = value - n * loss.clamp(min=1e-300).log()
+            out.append(value)
+        return torch.stack(out)
+
+    told = []
+    for k in range(len(rivals)):
+        # What has the same torque as the planted one is not told instead.
+        values = evidence(k, 1.0)
+        values[k] += SAME
+        first = values.argmax(0)
+        shares = first.bincount(minlength=len(explanations)).double() / DRAWS
+        told.append(tuple(shares.tolist()))
+    found = []
+    for size in SIZES:
+        # Told, alone or in a set: as good as any but for the odds, and better than none.
+        values = evidence(0, size)
+        there = values[0] > torch.maximum(values.amax(0) - 2 * math.log(ODDS), values[-1])
+        found.append((size, float(there.double().mean())))
+    return Planted(tuple(t.name for t in rivals), tuple(told), tuple(found))
+
+
+def _draws(left: Float[Tensor, "n N"], bounds: Sequence[slice], seed: int) -> Int[Tensor, "B N"]:
+    """Which sample stands in the place of each: blocks as long as what is left is dependent."""
+    count = left.shape[1]
+    length = block_length(count, float(integrated_time(left, bounds, centred=False).max()))
+    generator = torch.Generator().manual_seed(seed)
+    starts = torch.randint(count, (DRAWS, -(-count // length)), generator=generator)
+    index = (starts.unsqueeze(2) + torch.arange(length)) % count
+    return index.flatten(1)[:, :count]
