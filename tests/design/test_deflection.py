@@ -83,3 +83,10 @@ def test_a_link_side_encoder_shows_what_torques_do_not():
     # The torques alone do not show it.
     assert named(diagnose(ROBOT, log.replace(ql=None), settings=settings)) == []
     assert named(diagnose(ROBOT, flexible(0.0), settings=settings)) == []
+
+
+def test_encoders_that_agree_exactly_tell_nothing():
+    motion = motion_at(times())
+    load = inverse_dynamics(ROBOT, *motion.state)[:, JOINT]
+    q = motion.q[:, JOINT]
+    assert compliance(torch.zeros_like(q), load, q, [slice(0, len(q))]) is None

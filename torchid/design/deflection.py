@@ -12,12 +12,9 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.design.gram import least_squares
+from torchid.design.gram import VISIBLE, least_squares
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.typing import Float, Tensor
-
-VISIBLE = 0.01
-"""Share of the torque's square that must not be a combination of the encoders' errors."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ def compliance(
     bounds: Sequence[slice],
 ) -> Compliance | None:
     """Of one joint, from samples of its lag [rad; m], model torque [N m; N] and position [rad; m];
-    None where the torque cannot be told from the encoders' errors.
+    None where the torque cannot be told from the encoders' errors, or the encoders agree exactly.
 
     Args:
         lag, load, q: (N,) low-passed alike.
@@ -53,7 +50,7 @@ def compliance(
     own = torch.stack([torch.ones_like(q), q - q.mean(), torch.sin(q), torch.cos(q)])
     y, x = (s - least_squares(own, s) @ own for s in (lag, load))
     square = float(x.square().sum())
-    if not square > VISIBLE * float(load.square().sum()):
+    if not square > VISIBLE * float(load.square().sum()) or not bool(y.any()):
         return None
     # What is left is as slow as it is; noise hides a slow torque (Newey and West 1987).
     value = float(x @ y) / square

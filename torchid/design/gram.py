@@ -52,6 +52,29 @@ def least_squares(
     return root @ (root.T @ (a @ y))
 
 
+VISIBLE = 0.01
+"""Share of a column's square that must be left beside the model for it to be seen at all. Of less,
+what is left is noise of the columns and the misfit of what is there: the coefficient would be large
+and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are
+unseen."""
+
+
+def visible_root(
+    left: Float[Tensor, "*M C C"], square: Float[Tensor, "*M C"]
+) -> Float[Tensor, "*M C C"]:
+    """A root of the inverse of what a model leaves of columns, zero where it leaves too little.
+
+    Args:
+        left: products of what it leaves of them.
+        square: of the columns themselves; 0 of those that are nowhere.
+    """
+    size = torch.where(square > 0, square.sqrt(), torch.inf)
+    values, vectors = torch.linalg.eigh(left / (size.unsqueeze(-1) * size.unsqueeze(-2)))
+    seen = values > VISIBLE
+    safe = torch.where(seen, values, torch.ones_like(values))
+    return vectors * (seen / safe.sqrt()).unsqueeze(-2) / size.unsqueeze(-1)
+
+
 class Gram:
     """Normal equations of n joints in P parts of the data; the one mutable value of this room.
 

@@ -6,7 +6,7 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import Diagnosis, Regime, Trace
+from torchid.gap.diagnosis import OFTEN, Diagnosis, Regime, Trace
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import CLEAR, regime_words
 from torchid.report.panels import Figure, finish, new_figure, panel, ruled, styled
@@ -175,7 +175,7 @@ def planted_figure(diagnosis: Diagnosis) -> Figure:
         curve.set_xscale("log", base=2)
         curve.set_xticks(sizes, ["1" if s == 1 else f"1/{1 / s:.0f}" for s in sizes])
         if planted.smallest is not None:
-            said = f"told in 80 % of draws from {planted.smallest:.2g} of it on"
+            said = f"told in {100 * OFTEN:.0f} % of draws from {planted.smallest:.2g} of it on"
             curve.set_title(said, fontsize=_SMALL, color=INK, loc="left")
         curve.set(ylim=(-4, 104), xlabel="size, as a share of the one found", ylabel="told [%]")
     return finish(figure, f"{diagnosis.robot.name}: what this log would show")

@@ -1,7 +1,5 @@
 """A flexible predictor: nothing in noise, much in what is a function of the motion."""
 
-import time
-
 import pytest
 import torch
 
@@ -108,15 +106,3 @@ def test_short_logs_do_not_break_it(duration):
     found = predict_out_of_fold(motions(segments), samples, noise)
     assert bool(found.prediction.isfinite().all())
     assert float(found.r2.max()) < 0.3
-
-
-@pytest.mark.slow
-def test_seven_joints_take_three_seconds():
-    segments = segments_of_seed(0, "kuka_lwr4")
-    samples = Samples(segments, 8.0)
-    noise = samples.of([x.T for x in noises(segments, 0)])
-    assert len(samples) > 1200
-    # Processor time of all threads: neither another process nor more threads than one count.
-    start = time.process_time()
-    predict_out_of_fold(motions(segments), samples, noise)
-    assert time.process_time() - start < 3

@@ -23,7 +23,7 @@ import torch
 
 from torchid.design.bodies import Prior, together
 from torchid.design.columns import Place
-from torchid.design.gram import Normal, OnJoint, Solved, Subset
+from torchid.design.gram import VISIBLE, Normal, OnJoint, Solved, Subset, visible_root
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
 from torchid.gap.search.terms import Batch, Candidates, Term, term_columns
@@ -34,12 +34,6 @@ from torchid.typing import Float, Tensor
 ODDS = 20.0
 """Odds against an alternative from which it is no longer told: exp of half the difference of the
 evidence. Half and double of it change the mean set size by less than 0.1."""
-
-VISIBLE = 0.01
-"""Share of a column's square that must be left beside the model for it to be seen at all. Of less,
-what is left is noise of the columns and the misfit of what is there: the coefficient would be large
-and cancel against theirs. At half of it cancelling pairs appear, at double some offsets are
-unseen."""
 
 LOOKED_AT = 24
 """Terms of one place and number of columns that are offered at most; more than all effects
@@ -488,24 +482,15 @@ def _gains(
     # What the model leaves of the columns, in units of the columns themselves.
     square = gram.diagonal(dim1=1, dim2=2)
     left = gram - held @ held.transpose(1, 2) + torch.diag_embed(batch.ridge)
-    b = b + batch.ridge * batch.centre
-    there = square > 1e-300
-    size = torch.where(there, (square + batch.ridge).clamp(min=1e-300).sqrt(), math.inf)
-    scaled = left / (size.unsqueeze(-1) * size.unsqueeze(-2))
-    values, vectors = torch.linalg.eigh(scaled)
     # Least squares along the directions that are seen; the rest is noise of the columns.
-    seen = values > VISIBLE
-    along = (vectors.transpose(1, 2) @ (b / size).unsqueeze(-1)).squeeze(-1)
-    safe = torch.where(seen, values, torch.ones_like(values))
-    along = torch.where(seen, along, torch.zeros_like(along))
-    gain = (along.square() / safe).sum(-1)
-    x = (vectors @ (along / safe).unsqueeze(-1)).squeeze(-1) / size
+    root = visible_root(left, torch.where(square > 1e-300, square + batch.ridge, 0.0))
+    along = root.transpose(1, 2) @ (b + batch.ridge * batch.centre).unsqueeze(-1)
+    gain = along.square().sum((1, 2))
+    x, std = (root @ along).squeeze(-1), root.norm(dim=-1)
     # A sign counts only where the coefficient is determined, and is no noise.
-    squares = vectors.square() * seen.unsqueeze(-2)
-    sure = squares.sum(-1) > 0.99
-    std = (squares / safe.unsqueeze(-2)).sum(-1).sqrt() / size
+    sure = (root @ (root.transpose(1, 2) @ left)).diagonal(dim1=1, dim2=2) > 0.99
     # A friction that drives, or a coefficient larger than on any arm, is no gain.
     low = (x + batch.known < -SURE * std) & batch.signed
     high = x.abs() > batch.largest + SURE * std
     wrong = (sure & (low | high)).any(-1)
-    return torch.where(wrong, torch.zeros_like(gain), gain), seen.sum(-1)
+    return torch.where(wrong, torch.zeros_like(gain), gain), root.any(-2).sum(-1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchid.design.columns import Columns, Model, on_joint
-from torchid.design.gram import Normal
+from torchid.design.gram import Normal, visible_root
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
@@ -21,7 +21,6 @@ from torchid.gap.search.climb import (
 )
 from torchid.gap.search.events import contacts
 from torchid.gap.search.evidence import (
-    VISIBLE,
     Fitted,
     Question,
     apart,
@@ -267,13 +266,9 @@ def _closest(
     def gained(x: Tensor) -> float:
         """What columns (C, m, N) explain of it beside the other terms, which are fitted anew."""
         flat = (x * weight).flatten(1)
-        size = flat.norm(dim=1).clamp(min=1e-300)
-        held = (flat @ others_hold.T) / size.unsqueeze(1)
-        values, vectors = torch.linalg.eigh(
-            (flat @ flat.T) / size / size.unsqueeze(1) - held @ held.T
-        )
-        along = vectors.T @ (flat @ y / size)
-        return float((along.square() / values)[values > VISIBLE].sum())
+        gram, held = flat @ flat.T, flat @ others_hold.T
+        root = visible_root(gram - held @ held.T, gram.diagonal())
+        return float((root.T @ (flat @ y)).square().sum())
 
     # Each time the shapes around the best one are tried, three times more closely.
     best, most = effect, gained(columns.on_all_joints(effect)[:, joints])

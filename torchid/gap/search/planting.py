@@ -51,6 +51,7 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
     """
     rest = [t for t in fit.terms[len(question.fixed) :] if t is not rivals[0]]
     explanations = [*([*rest, t] for t in rivals), rest]
+    fits = [fit_terms(question, e, fit.effective, fit.weight).x for e in explanations[:-1]]
     # All their columns; of each explanation the numbers of its own.
     union = (*question.fixed, *rest, *rivals)
     ends = list(itertools.accumulate((len(t.at) for t in union), initial=0))
@@ -82,7 +83,7 @@ def planted(question: Question, fit: Fitted, rivals: Sequence[Term]) -> Planted:
     def evidence(rival: int, size: float) -> Float[Tensor, "_ B"]:
         """Of every explanation, but for what all have, with one rival at this size."""
         x = torch.zeros(equations.count, dtype=torch.float64)
-        x[numbers[rival]] = fit_terms(question, explanations[rival], fit.effective, fit.weight).x
+        x[numbers[rival]] = fits[rival]
         x[of_rival[rival]] *= size
         # Right sides and targets' squares of the draws.
         right, square, total = [], [], torch.zeros(len(x), len(draws), dtype=torch.float64)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from scipy.stats import chi2
 
+from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS
@@ -16,7 +17,6 @@ from torchid.gap.diagnosis import Finding, NotTestable, Parametric, Planted
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
     ODDS,
-    VISIBLE,
     Fitted,
     Question,
     apart,
