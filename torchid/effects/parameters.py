@@ -30,8 +30,8 @@ class Coefficient:
         unit: for a revolute joint; for a prismatic one N replaces N m and m replaces rad.
         non_negative: whether physics forbids a negative value.
         meaning: one line.
-        largest: size that it hardly exceeds on any arm, in `unit`; what seems larger is something
-            else.
+        largest: size that it hardly exceeds on any arm, in `unit`: two standard deviations of what
+            is expected before a log is seen; what seems larger is something else.
     """
 
     name: str

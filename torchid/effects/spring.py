@@ -82,6 +82,11 @@ class JointSpring(JointEffect):
         c, s = stumpff(curvature * motion.q**2)
         return torch.stack((motion.q * s, c), -1)
 
+    def stiffness(self, values: Sequence[float], q: Tensor) -> Tensor:
+        """dtau/dq [N m/rad; N/m] at positions q [rad; m] of its joint, in q's shape."""
+        c, s = stumpff(self.curvature * q**2)
+        return values[0] * c - self.curvature * values[1] * q * s
+
     def c_code(self, values: Sequence[float]) -> list[str]:
         """The equation as C."""
         q, k, c0 = f"q[{self.joint}]", number(values[0]), number(values[1])

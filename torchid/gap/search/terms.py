@@ -239,11 +239,11 @@ def candidates_of(
             own[place] += len(x)
         effect = effects[0]
         coefficients, known = effect.coefficients, _known(effects, given)
-        term = Term(effect.name, effects, place, at, coefficients, known)
+        # Another sensor says what a coefficient is, or else physics how large it can be.
         seen = _lagging(columns, data, effect)
-        if seen is None:
-            return term
-        return replace(term, sigma=torch.tensor([seen.std], dtype=torch.float64), seen=seen)
+        sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
+        sigma = torch.tensor(sizes, dtype=torch.float64)
+        return Term(effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen)
 
     # Effects of the whole arm, and those that all joints share.
     for effect in _model_effects(wanted, data, columns, extra):

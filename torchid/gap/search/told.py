@@ -11,6 +11,7 @@ from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
 from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import KINDS
+from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding, NotTestable, Parametric, Planted
@@ -262,6 +263,14 @@ def _notes(
         )
     if term.instead:
         out.append("it stands in the place of the model's own, whose shape is another")
+    if isinstance(effect, JointSpring) and effect.curvature:
+        samples = found.question.candidates.columns.samples
+        q = samples.of([s.motion.q[:, [effect.joint]].T for s in samples.segments])[0]
+        least, most = torch.aminmax(effect.stiffness(values.tolist(), q))
+        out.append(
+            f"k is the stiffness at q = 0; where the joint moved, from {float(q.min()):.3g} to "
+            f"{float(q.max()):.3g}, it is {float(least):.3g} to {float(most):.3g}"
+        )
     if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
         segments = found.question.candidates.columns.samples.segments
         name, start = when(segments, effect.start)
