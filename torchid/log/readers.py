@@ -132,9 +132,20 @@ def write_log(log: Log, path: str | Path) -> None:
 
     The values are written in full precision. Names, source and warnings are not kept.
 
+    Args:
+        log: one or several trajectories.
+        path: the file.
+
     Raises:
         LogError: unknown suffix.
         TorchidError: the folder does not exist, or the file cannot be written.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> log = Log(t=[0.0, 0.01], q=[[0.1, 0.2], [0.3, 0.4]])
+    >>> with TemporaryDirectory() as folder:
+    ...     write_log(log, Path(folder) / "run.parquet")
+    ...     read_log(Path(folder) / "run.parquet").q.tolist()
+    [[0.1, 0.2], [0.3, 0.4]]
     """
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())
