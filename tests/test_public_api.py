@@ -159,3 +159,35 @@ def test_defaults_of_the_commands_are_those_of_the_functions() -> None:
     for name, parameter in inspect.signature(torchid.excite).parameters.items():
         if name in ("duration", "harmonics", "restarts", "usage", "seed"):
             assert parameter.default == getattr(asked, name), name
+
+
+def _messages(source: str) -> list[str]:
+    """Strings of a module that are no documentation; what stands in the braces left out."""
+    found, skipped = [], set()
+    for node in ast.walk(ast.parse(source)):  # parents before children
+        if isinstance(node, ast.Expr):
+            skipped.add(node.value)
+        elif isinstance(node, ast.JoinedStr):
+            parts = [p for p in node.values if isinstance(p, ast.Constant)]
+            skipped |= set(parts)
+            found.append("".join(p.value for p in parts))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found += [node.value] if node not in skipped else []
+    return found
+
+
+def test_messages_speak_of_arguments() -> None:
+    """Only the command line has options; a message elsewhere names one in a whole command, or
+    beside what it is in Python."""
+    modules = list(Path(torchid.__file__).parent.rglob("*.py"))
+    below = [p for p in modules if not {"app", "report"} & set(p.parts)]
+    assert len(below) > 200
+    option = re.compile(r"(?<![\w-])--[a-z]")
+    both = ("torchid ", "on the command line", "Log.with_torque", "xcode-select")
+    wrong = [
+        f"{path.name}: {text}"
+        for path in below
+        for text in _messages(path.read_text())
+        if option.search(text) and not any(words in text for words in both)
+    ]
+    assert wrong == []

@@ -88,7 +88,7 @@ def open_logs(paths: Sequence[Path], request: Request) -> list[tuple[Table | Non
     except AbsentColumnError as error:
         if len(paths) == 1:
             raise
-        raise with_hint(error, one_for_all("--columns")) from None
+        raise with_hint(error, one_for_all("columns")) from None
 
 
 def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
@@ -107,8 +107,8 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
-                got=f"--topic {request.topic}",
-                hint=one_for_all("--topic"),
+                got=f'`topic="{request.topic}"`',
+                hint=one_for_all("topic"),
             )
         return table, log_from_table(table, request.columns, request.joints)
     except OSError as error:

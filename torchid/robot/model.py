@@ -80,7 +80,7 @@ class Limits:
                 f"which {purpose} needs.",
                 expected="limits: {position: [...], velocity: [...], acceleration: [...]}",
                 hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
-                "--max-acceleration on the command line",
+                "Robot.with_limits, --max-acceleration on the command line",
             )
 
 
