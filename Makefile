@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real calibration lint format docs bench clean
+.PHONY: demo test test-all test-real calibration lint format docs docs-site bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -38,6 +38,9 @@ docs: $(VENV)/.dev
 	$(BIN)/torchid effects --out docs
 	$(BIN)/python docs/draw_concepts.py
 
+docs-site: $(VENV)/.dev
+	$(BIN)/python -m sphinx -b html -E -W --keep-going -q -c docs . build/site
+
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/dynamics.py
 	$(BIN)/python benchmarks/streaming.py
@@ -58,4 +61,4 @@ $(VENV)/.dev: $(VENV)/bin/python pyproject.toml constraints.txt
 	@touch $@ $(VENV)/.core
 
 clean:
-	rm -rf demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf build demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

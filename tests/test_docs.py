@@ -1,5 +1,6 @@
 """Links lead somewhere, pictures exist and are used, and every command on a page is one."""
 
+import doctest
 import re
 from pathlib import Path
 
@@ -82,3 +83,15 @@ def test_python_compiles_and_its_imports_exist(page: Path) -> None:
         for line in code.splitlines():
             if line.startswith(("import ", "from ")):
                 exec(line, {})
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if blocks(p, "pycon")], ids=lambda page: page.name
+)
+@pytest.mark.usefixtures("types_unchecked")
+def test_examples_run(page: Path) -> None:
+    """All examples of a page one after the other, as a reader types them."""
+    text = "\n".join(blocks(page, "pycon"))
+    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    assert len(test.examples) > 1
+    assert not doctest.DocTestRunner().run(test).failed

@@ -2,22 +2,38 @@
 
 import ast
 import doctest
+import inspect
 import os
+import re
 import subprocess
 import sys
+import typing
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import torchid
+from tests.documents import ROOT
+from torchid.app import excite as excite_command
+from torchid.app import withheld as withheld_command
+from torchid.excitation.design import EXCITED_EFFECTS
+from torchid.robot.model import Robot
+from torchid.withheld.own import PLANTED
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
+LONG = ("withheld_own",)
+"""Names whose example takes more than a few seconds."""
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in NAMES]
+)
+@pytest.mark.usefixtures("types_unchecked")
 def test_example_runs(name: str) -> None:
-    """As a user runs it: with torch's own default dtype."""
+    """As a user runs it: types unchecked, with torch's own default dtype."""
     torch.set_default_dtype(torch.float32)
     thing = getattr(torchid, name)
     module = sys.modules[thing.__module__]
@@ -58,3 +74,120 @@ def test_import_is_quick_and_loads_no_numerics() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = torchid.no_such_name
+
+
+def _held(thing: object) -> set[type]:
+    """Torchid's classes in the annotations of a function, or of a class's fields and methods."""
+    own = [thing]
+    if inspect.isclass(thing):
+        own += [
+            member.fget if isinstance(member, property) else getattr(thing, name)
+            for name, member in vars(thing).items()
+            if not name.startswith("_")
+        ]
+    found: set[type] = set()
+    for one in own:
+        try:
+            hints = list(typing.get_type_hints(one).values())
+        except (TypeError, NameError):  # no annotations, or of what is imported by type checkers
+            continue
+        while hints:
+            hint = hints.pop()
+            hints += typing.get_args(hint)
+            if inspect.isclass(hint) and hint.__module__.startswith("torchid."):
+                found.add(hint)
+    return found
+
+
+def test_reference_has_every_name_and_what_it_takes_and_returns() -> None:
+    """All classes that a user can meet on the way from a public name have one entry each."""
+    pages = "\n".join(page.read_text() for page in (ROOT / "docs/api").glob("*.rst"))
+    written = re.findall(r"^\.\. auto(?:class|function):: (\S+)$", pages, re.MULTILINE)
+    assert len(set(written)) == len(written)
+    public = {getattr(torchid, name): f"torchid.{name}" for name in NAMES}
+    seen: set[object] = set()
+    todo: set[object] = set(public)
+    while todo:
+        thing = todo.pop()
+        seen.add(thing)
+        todo |= _held(thing) - seen
+    wanted = {public.get(t) or f"{t.__module__}.{t.__qualname__}" for t in seen}  # type: ignore[attr-defined]
+    assert len(wanted) > 2 * len(NAMES)
+    assert not wanted - set(written)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_says_what_it_takes_returns_and_raises(name: str) -> None:
+    thing = getattr(torchid, name)
+    text = inspect.getdoc(thing) or ""
+    if inspect.isclass(thing):
+        return
+    for argument in inspect.signature(thing).parameters:
+        assert re.search(rf"^ +(\w+, )*{argument}(, \w+)*: ", text, re.MULTILINE), argument
+    assert "\nRaises:\n" in text
+
+
+@pytest.mark.parametrize(
+    ("function", "signals"),
+    [
+        (torchid.inverse_dynamics, 3),
+        (torchid.joint_wrenches, 3),
+        (torchid.forward_dynamics, 3),
+        (torchid.regressor, 3),
+        (torchid.mass_matrix, 1),
+        (torchid.tool_pose, 1),
+    ],
+)
+def test_arrays_and_lists_are_taken_for_tensors(
+    robot: Robot, function: Callable[..., torch.Tensor], signals: int
+) -> None:
+    given = torch.rand(signals, 4, robot.n, dtype=torch.float64).unbind()
+    wanted = function(robot, *given)
+    for form in (torch.Tensor.numpy, torch.Tensor.tolist):
+        assert torch.equal(function(robot, *(form(x) for x in given)), wanted)
+    single = function(robot, *(x.numpy().astype(np.float32) for x in given))
+    assert single.dtype == torch.float64
+    with pytest.raises(torchid.TorchidError, match="one column a joint"):
+        function(robot, *(x[:, 1:].numpy() for x in given))
+
+
+def test_defaults_of_the_commands_are_those_of_the_functions() -> None:
+    """Where a command must not import the function to know them."""
+    assert excite_command.Motion().effects == ",".join(EXCITED_EFFECTS)
+    assert ",".join(PLANTED) == withheld_command.PLANTED
+    asked = excite_command.Motion()
+    for name, parameter in inspect.signature(torchid.excite).parameters.items():
+        if name in ("duration", "harmonics", "restarts", "usage", "seed"):
+            assert parameter.default == getattr(asked, name), name
+
+
+def _messages(source: str) -> list[str]:
+    """Strings of a module that are no documentation; what stands in the braces left out."""
+    found, skipped = [], set()
+    for node in ast.walk(ast.parse(source)):  # parents before children
+        if isinstance(node, ast.Expr):
+            skipped.add(node.value)
+        elif isinstance(node, ast.JoinedStr):
+            parts = [p for p in node.values if isinstance(p, ast.Constant)]
+            skipped |= set(parts)
+            found.append("".join(p.value for p in parts))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found += [node.value] if node not in skipped else []
+    return found
+
+
+def test_messages_speak_of_arguments() -> None:
+    """Only the command line has options; a message elsewhere names one in a whole command, or
+    beside what it is in Python."""
+    modules = list(Path(torchid.__file__).parent.rglob("*.py"))
+    below = [p for p in modules if not {"app", "report"} & set(p.parts)]
+    assert len(below) > 200
+    option = re.compile(r"(?<![\w-])--[a-z]")
+    both = ("torchid ", "on the command line", "Log.with_torque", "xcode-select")
+    wrong = [
+        f"{path.name}: {text}"
+        for path in below
+        for text in _messages(path.read_text())
+        if option.search(text) and not any(words in text for words in both)
+    ]
+    assert wrong == []

@@ -1,16 +1,37 @@
+from torchid.compare.results import compare_results as compare_results
+from torchid.doctor.examine import examine as examine
+from torchid.dynamics.forward import forward_dynamics as forward_dynamics
+from torchid.dynamics.forward import mass_matrix as mass_matrix
 from torchid.dynamics.newton_euler import inverse_dynamics as inverse_dynamics
+from torchid.dynamics.newton_euler import joint_wrenches as joint_wrenches
 from torchid.dynamics.regressor import regressor as regressor
 from torchid.errors import TorchidError as TorchidError
+from torchid.excitation.design import excite as excite
+from torchid.excitation.synthetic import PaperNoise as PaperNoise
+from torchid.excitation.synthetic import simulate as simulate
 from torchid.export.export import export_dynamics as export_dynamics
+from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.from_identification import problem_of as problem_of
+from torchid.extraction.settings import SearchSettings as SearchSettings
+from torchid.feasibility.record import check as check
+from torchid.feasibility.sets import ParameterSets as ParameterSets
+from torchid.feasibility.sets import read_sets as read_sets
 from torchid.gap.diagnose import diagnose as diagnose
+from torchid.gap.settings import GapSettings as GapSettings
 from torchid.identification.identify import identify as identify
+from torchid.identification.payload import payload as payload
 from torchid.identification.settings import Settings as Settings
 from torchid.log.model import Log as Log
 from torchid.log.readers import read_log as read_log
+from torchid.log.readers import write_log as write_log
 from torchid.robot.inertia import InertialParameters as InertialParameters
 from torchid.robot.library import load_robot as load_robot
 from torchid.robot.model import Robot as Robot
+from torchid.robot.model import tool_pose as tool_pose
+from torchid.robot.writer import write_robot as write_robot
+from torchid.simulation.sensors import HonestNoise as HonestNoise
+from torchid.study.equal_torque.given_sets import compare_wrenches as compare_wrenches
+from torchid.withheld.own import withheld_own as withheld_own
 
 __version__: str

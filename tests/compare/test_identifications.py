@@ -145,7 +145,7 @@ def test_the_record_is_json_and_says_the_same(tmp_path):
 def test_without_the_robot_there_is_no_torque(tmp_path):
     found = compared(several(tmp_path, 2, model=False))
     assert found.torque is None
-    assert any("--robot" in note for note in found.notes)
+    assert any("`robot=" in note for note in found.notes)
     assert compared(several(tmp_path, 2, model=False), robot=load_robot("3r_friction")).torque
 
 

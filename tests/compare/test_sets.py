@@ -58,7 +58,7 @@ def test_the_robot_of_a_file_is_found_again(tmp_path):
     results = read_results([tmp_path / "a.json", tmp_path / "b.json"])
     assert robot_of(results).source == str(urdf)
     urdf.rename(folder / "other.urdf")
-    with pytest.raises(TorchidError, match="--robot is needed"):
+    with pytest.raises(TorchidError, match="`robot="):
         robot_of(results)
 
 

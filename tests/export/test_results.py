@@ -219,7 +219,7 @@ def test_the_robot_is_the_one_recorded(tmp_path):
     assert named_robot(path, {"robot": "3r"}, None).name == "3r"
     exported(with_other(arm("3r")), "urdf", tmp_path)
     assert named_robot(path, {"robot": "x", "robot_source": "out.urdf"}, None).name == "3r"
-    with pytest.raises(TorchidError, match="--robot is needed"):
+    with pytest.raises(TorchidError, match="`robot="):
         named_robot(path, {"robot": "x", "robot_source": "gone.urdf"}, None)
 
 

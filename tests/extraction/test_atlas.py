@@ -19,6 +19,7 @@ from torchid.feasibility.conditions import conditions, physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.identification.base_parameters import base_parameters
+from torchid.identification.values import BaseValues
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 
@@ -285,3 +286,27 @@ def test_an_ellipsoid_without_a_feasible_set_is_widened() -> None:
     same = atlas(given, only=["m6"])
     assert found.radius * 1e-5 == pytest.approx(same.radius, rel=1e-5)
     torch.testing.assert_close(found.high, same.high, rtol=1e-4, atol=1e-6)
+
+
+def test_a_covariance_is_a_tensor_an_array_or_an_identification() -> None:
+    """Of an identification what the log did not determine is free."""
+    given = problem("3r")
+    base, free = given.target.base, 2
+    size = len(base)
+    covariance = 1e-6 * torch.eye(size, dtype=torch.float64)
+    known = torch.arange(size) != free
+    values = BaseValues(base, (), given.target.values, known, covariance, None)
+    unsure = covariance.clone()
+    unsure[free, free] = float("inf")
+    only = ["m2", "m3"]
+    wanted = atlas(given, covariance=unsure, only=only)
+    for form in (values, unsure.numpy(), unsure.tolist()):
+        found = atlas(given, covariance=form, only=only)
+        assert torch.equal(found.low, wanted.low)
+        assert torch.equal(found.high, wanted.high)
+    assert values.held == ()
+    assert replace(values, covariance=0 * covariance).held == tuple(
+        name for k, name in enumerate(base.names) if k != free
+    )
+    with pytest.raises(TorchidError, match="does not belong"):
+        atlas(given, covariance=covariance[1:, 1:].numpy(), only=only)

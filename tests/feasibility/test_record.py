@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from torchid.errors import RobotError
-from torchid.feasibility.bounds import read_bounds
+from torchid.feasibility.bounds import read_bounds, read_total_mass
 from torchid.feasibility.derived_bounds import derive_bounds
 from torchid.feasibility.findings import Finding
-from torchid.feasibility.record import check_sets, excess_percent, record
-from torchid.feasibility.sets import ParameterSets, joined, nominal_set
+from torchid.feasibility.record import check, check_sets, excess_percent, record
+from torchid.feasibility.sets import ParameterSets, joined, nominal_set, to_record
+from torchid.json_data import write_json
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 
@@ -171,3 +172,20 @@ def test_excess():
     assert excess_percent([1.0, 2.0, 3.0]) == pytest.approx(0)
     assert excess_percent([-1.0, 0.5, 3.0]) is None
     assert math.isclose(excess_percent([1.0, 1.0, 1.0]), -50)
+
+
+def test_check_takes_the_robot_its_sets_or_a_file_of_them(tmp_path):
+    """With the robot's interval of the total mass unless another, or none, is given."""
+    robot = load_robot("kuka_lwr4_friction")
+    sets = nominal_set(robot)
+    file = tmp_path / "sets.json"
+    write_json(to_record(sets, robot), file)
+    wanted = record(check_sets(robot, sets, total_mass=read_total_mass(robot)))
+    for given in (None, sets, file, str(file)):
+        assert record(check(robot, given)) == wanted
+    mass = float(sets.parameters.mass.sum())
+    assert "total_mass" in check(robot, total_mass=(0.0, mass / 2)).feasibility.reasons(0)
+    assert "total_mass" not in check(robot, total_mass=None).feasibility.reasons(0)
+    assert check(robot, bounds="normal").feasibility.reasons(0) == tuple(
+        wanted["sets"][0]["reasons"]
+    )

@@ -188,4 +188,4 @@ def test_the_scale_of_torques_from_currents_is_known_as_well_as_their_gains(
     }[source]
     data = prepare(ROBOT, given, None, gain_std=asked)
     assert data.gain_std == expected
-    assert any("--gain-std" in w for w in data.warnings) == (asked is None and expected > 0)
+    assert any("`gain_std=" in w for w in data.warnings) == (asked is None and expected > 0)

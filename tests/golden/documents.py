@@ -156,7 +156,7 @@ def _score(bench: Bench) -> dict[str, Any]:
 def _own(bench: Bench) -> dict[str, Any]:
     """`torchid withheld own` searches the whole library: what it calls, with a smaller one."""
     from torchid.gap.settings import GapSettings
-    from torchid.withheld.own import check_own, own_record
+    from torchid.withheld.own import own_record, withheld_own
 
     real = arm("friction")
     logs = [
@@ -164,7 +164,7 @@ def _own(bench: Bench) -> dict[str, Any]:
         for part, runs in enumerate(((0, 1, 0), (3, 4, 3)))
     ]
     settings = GapSettings(effects=("coulomb_friction", "torque_offset"), rollout=False)
-    found = check_own(
+    found = withheld_own(
         load_robot("3r"), logs[0], untouched=logs[1], settings=settings,
         plant=["torque_offset"], joints=[0],
     )  # fmt: skip

@@ -44,7 +44,7 @@ def test_friction_of_a_joint_that_rests_is_said_to_be_biased():
     log = synthetic_log(ROBOT, with_pauses(motion()), HonestNoise(), 0)
     all_rows = identify(ROBOT, log, settings=QUICK)
     (warning,) = (w for w in all_rows.warnings if "biased" in w)
-    assert "--rows moving" in warning
+    assert '`rows="moving"`' in warning
     moving = identify(ROBOT, log, settings=replace(QUICK, rows="moving"))
     assert not any("biased" in w for w in moving.warnings)
     fc = [moving.base.names.index(f"Fc{j}") for j in (1, 2, 3)]

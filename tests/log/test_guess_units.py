@@ -43,7 +43,7 @@ DEG = 180 / np.pi
 )
 def test_units_are_guessed(tmp_path: Path, factors: tuple[float, ...], mapping: str) -> None:
     said = hint(tmp_path, *factors)
-    assert said.startswith(f'perhaps --columns "{mapping}"')
+    assert said.startswith(f'perhaps `columns="{mapping}"`')
     assert ("guessed from the numbers" in said) == (" " in mapping)
 
 
@@ -77,5 +77,5 @@ def test_what_a_name_says_is_not_guessed(tmp_path: Path) -> None:
     with pytest.raises(LogError) as caught:
         read_log(tmp_path / "a.csv")
     assert caught.value.hint == (
-        "perhaps --columns \"t='t [ms]' ms,q='q_{j} [rad]',tau='trq_{j} [Nm]'\""
+        "perhaps `columns=\"t='t [ms]' ms,q='q_{j} [rad]',tau='trq_{j} [Nm]'\"`"
     )

@@ -69,7 +69,7 @@ def test_the_topic_is_chosen(tmp_path: Path, log: Log) -> None:
         f"/arm/joint_states (sensor_msgs/msg/JointState, 60 messages with {ALL}: {', '.join(UR)})",
         f"/gripper/joint_states (sensor_msgs/msg/JointState, 30 messages with {ALL}: left, right)",
     ]
-    assert info.value.hint == "choose one: --topic /arm/joint_states"
+    assert info.value.hint == 'choose one: `topic="/arm/joint_states"`'
     expect(read_log(path, topic="/arm/joint_states", joints=UR), log)
     with pytest.raises(LogError, match="several topics") as info:
         read_log(path, joints=UR)
@@ -93,7 +93,7 @@ def test_the_topic_with_effort_is_recommended(
     )
     with pytest.raises(LogError, match="several topics") as info:
         read_log(path, joints=joints)
-    assert info.value.hint == "choose one: --topic /joint_states, the only one with effort"
+    assert info.value.hint == 'choose one: `topic="/joint_states"`, the only one with effort'
     first, second = (str(topic) for topic in info.value.available or ())
     assert "messages with position: shoulder" in first
     assert f"messages with {ALL}: elbow" in second
@@ -111,7 +111,7 @@ def test_the_topic_of_more_joints_is_recommended(tmp_path: Path, log: Log) -> No
     path = write_bag(tmp_path / "bag", "mcap", topics)
     with pytest.raises(LogError, match="several topics") as info:
         read_log(path, joints=(*UR, "wrist_1_joint"))
-    assert info.value.hint == "choose one: --topic /b/measured"
+    assert info.value.hint == 'choose one: `topic="/b/measured"`'
     said = [str(topic).rsplit("; ", 1)[1] for topic in info.value.available or ()]
     assert said == [f"{k} of the robot's 4 joints)" for k in (0, 3, 3)]
 

@@ -130,7 +130,7 @@ def test_a_wildcard_is_a_trajectory_each(tmp_path: Path) -> None:
         assert torch.equal(part.q, logs[k].q)
     with pytest.raises(LogError) as info:
         read_log(tmp_path / "a.h5")
-    assert info.value.hint == 'perhaps --columns "t=data/demo_*/t,q=data/demo_*/q"'
+    assert info.value.hint == 'perhaps `columns="t=data/demo_*/t,q=data/demo_*/q"`'
     with pytest.raises(LogError, match=r"no columns run_\*/q"):
         read_log(tmp_path / "a.h5", columns="t=data/demo_*/t,q=run_*/q")
 
@@ -235,7 +235,7 @@ def test_a_mapping_is_proposed(tmp_path: Path, names: list[str], mapping: str | 
         assert info.value.hint is None
         return
     named = " (joints in the order of the file)" if "=[" in mapping else ""
-    assert info.value.hint == f'perhaps --columns "{mapping}"{named}'
+    assert info.value.hint == f'perhaps `columns="{mapping}"`{named}'
     read = read_log(path, columns=mapping)
     assert read.n == 2
     assert torch.allclose(read.q[:, 1], read.q[:, 0] + (read.q[0, 1] - read.q[0, 0]))
@@ -255,7 +255,7 @@ def test_a_mapping_is_proposed_in_the_order_of_the_robot(
     with pytest.raises(LogError) as info:
         read_log(path, joints=joints)
     mapping = str(info.value.hint).split('"')[1]
-    assert info.value.hint == f'perhaps --columns "{mapping}"'
+    assert info.value.hint == f'perhaps `columns="{mapping}"`'
     read = read_log(path, columns=mapping, joints=joints)
     assert read.q[0].tolist() == pytest.approx([math.pi / 18 * k for k in range(4)])
     assert read.signals["tau"][0].tolist() == pytest.approx([0.1 * k for k in range(4)])

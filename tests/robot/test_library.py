@@ -72,12 +72,12 @@ def test_an_own_yaml_is_read(tmp_path):
         "name: mine\ndh: {convention: modified, joints: [{a: 1}, {type: P}]}", encoding="utf-8"
     )
     assert load_robot(str(path)).name == "mine"
-    with pytest.raises(RobotError, match="--tip"):
+    with pytest.raises(RobotError, match="`tip="):
         load_robot(path, tip="link_1")
 
 
 def test_a_tip_on_a_built_in_robot_is_refused():
-    with pytest.raises(RobotError, match="--tip"):
+    with pytest.raises(RobotError, match="`tip="):
         load_robot("3r", tip="link_1")
 
 

@@ -9,7 +9,7 @@ from tests.gap.test_diagnose import FC, NOISE, QUICK, REAL, ROBOT, logged
 from torchid.errors import TorchidError
 from torchid.json_data import plain
 from torchid.withheld import own
-from torchid.withheld.own import LEVELS, check_own, own_record
+from torchid.withheld.own import LEVELS, own_record, withheld_own
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
@@ -21,7 +21,7 @@ def found():
     """Friction of joint 2, withheld on other runs; the library is small, to be quick."""
     settings = replace(QUICK, effects=("coulomb_friction", "viscous_friction", "torque_offset"))
     runs = logged(REAL, (3, 4, 3), 5)
-    return check_own(ROBOT, logged(REAL), untouched=runs, settings=settings)
+    return withheld_own(ROBOT, logged(REAL), untouched=runs, settings=settings)
 
 
 def test_what_was_accepted_is_found_again_and_closes_as_much(found):
@@ -85,6 +85,6 @@ def test_the_record_is_json_with_joints_from_one(found):
 
 def test_what_cannot_be_planted_is_refused():
     with pytest.raises(TorchidError, match="one joint"):
-        check_own(ROBOT, logged(REAL), plant=("payload",))
+        withheld_own(ROBOT, logged(REAL), plant=("payload",))
     with pytest.raises(TorchidError, match="no such joint"):
-        check_own(ROBOT, logged(REAL), plant=("cogging",), joints=(3,))
+        withheld_own(ROBOT, logged(REAL), plant=("cogging",), joints=(3,))

@@ -15,6 +15,7 @@ from torchid.app.extract import atlas_command, extract_command
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
 from torchid.app.log import log_app
+from torchid.app.output import in_options
 from torchid.app.payload import payload_command
 from torchid.app.show import effects_command, robot_command
 from torchid.app.simulate import simulate_command
@@ -61,7 +62,7 @@ def run() -> None:
     try:
         app()
     except TorchidError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {in_options(str(error))}\n")
         sys.exit(1)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")

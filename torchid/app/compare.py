@@ -1,7 +1,7 @@
 """`torchid compare`: results of the same kind, of runs, sessions or robots of one type."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -9,13 +9,6 @@ from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import command
 from torchid.errors import TorchidError
-
-if TYPE_CHECKING:
-    from torchid.compare.diagnoses import GapComparison
-    from torchid.compare.identifications import Comparison
-    from torchid.compare.sets import SetComparison
-    from torchid.log.model import Log
-    from torchid.robot.model import Robot
 
 
 @command
@@ -41,43 +34,29 @@ def compare_command(
         robot: Where the results do not record it.
     """
     output = where.open()
-    from torchid.compare import reading
-    from torchid.compare.diagnoses import compare_diagnoses
-    from torchid.compare.identifications import compare_identifications
+    from torchid.compare.identifications import Comparison
+    from torchid.compare.reading import read_results
     from torchid.compare.record import record
-    from torchid.compare.sets import compare_sets, robot_of
+    from torchid.compare.results import common_robot, compared
+    from torchid.compare.sets import SetComparison
     from torchid.report import compare
     from torchid.report.compare_figures import figures
     from torchid.robot.library import load_robot
-    from torchid.robot.record import recorded_robot
 
-    read = reading.read_results(results)
-    arm = None if robot is None else load_robot(robot, tip=tip)
-
-    def log(arm: "Robot | None") -> "Log | None":
-        if not on:
-            return None
-        if arm is None:
-            raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
-        return logs.read(on, arm)
-
-    compared: "Comparison | GapComparison | SetComparison"
-    if read[0].schema == reading.IDENTIFICATION:
-        every = [reading.read_identification(r) for r in read]
-        arm = arm or next((r.robot for r in every if r.robot is not None), None)
-        compared = found = compare_identifications(every, robot=arm, on=log(arm), seed=seed)
+    read = read_results(results)
+    arm = common_robot(read, tip) if robot is None else load_robot(robot, tip=tip)
+    if on and arm is None:
+        raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
+    log = logs.read(on, arm) if on and arm is not None else None
+    found = compared(read, arm, on=log, seed=seed)
+    if isinstance(found, Comparison):
         verdict, tables = compare.verdict(found), compare.tables(found)
-    elif read[0].schema == reading.GAP:
-        recorded = (recorded_robot(r.data, str(r.path)) for r in read)
-        arm = arm or next((r for r in recorded if r is not None), None)
-        compared = gaps = compare_diagnoses(read, on=log(arm), seed=seed)
-        verdict, tables = compare.gap_verdict(gaps), compare.gap_tables(gaps)
+    elif isinstance(found, SetComparison):
+        verdict, tables = compare.set_verdict(found), compare.set_tables(found)
     else:
-        arm = arm or robot_of(read, tip)
-        compared = sets = compare_sets(read, arm, on=log(arm), seed=seed)
-        verdict, tables = compare.set_verdict(sets), compare.set_tables(sets)
+        verdict, tables = compare.gap_verdict(found), compare.gap_tables(found)
     output.verdict(verdict)
     output.say(*tables)
-    output.warn(compared.notes)
-    output.write_json({**record(compared), "seed": seed}, "compare.json")
-    output.draw(lambda: figures(compared), "compare.json")
+    output.warn(found.notes)
+    output.write_json({**record(found), "seed": seed}, "compare.json")
+    output.draw(lambda: figures(found), "compare.json")

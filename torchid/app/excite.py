@@ -215,11 +215,10 @@ def _given(robot: "Robot", motion: Motion) -> "Designed":
 
 
 def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
-    from torchid.effects.registry import on_every_joint
-    from torchid.excitation.design import optimise_trajectory
+    from torchid.excitation.design import excite
 
-    every = on_every_joint(opt.effect_names(motion.effects), robot.n)
     settings = motion.series | {
+        "effects": opt.effect_names(motion.effects),
         "restarts": motion.restarts,
         "criterion": motion.criterion or "condition",
         "device": opt.device(motion.device_name),
@@ -228,9 +227,7 @@ def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
     with progress_bar(output) as progress:
         for k in range(motion.count):
             told = stage(progress, f"trajectory {k + 1} of {motion.count}")
-            found.append(
-                optimise_trajectory(robot, every, seed=motion.seed + k, progress=told, **settings)
-            )
+            found.append(excite(robot, seed=motion.seed + k, progress=told, **settings))
     for k, design in enumerate(found, start=1):
         output.say(
             f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "

@@ -243,19 +243,11 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
 
     problem, found, notes = sought.problem(arm)
-    covariance = found.covariance
-    if covariance is not None:
-        # Values that the fit held have no variance, which does not make them sure.
-        held = ((covariance.diagonal() == 0) & found.known).tolist()
-        names = ", ".join(n for n, is_held in zip(found.base.names, held, strict=True) if is_held)
-        if names:
-            notes = (*notes, f"held by the identification, and taken for exact here: {names}")
-        covariance = covariance.clone()
-        covariance[~found.known, ~found.known] = float("inf")
+    if found.held:
+        held = ", ".join(found.held)
+        notes = (*notes, f"held by the identification, and taken for exact here: {held}")
     with progress_bar(output) as progress:
-        ranges = atlas(
-            problem, covariance=covariance, level=level, progress=stage(progress, "ends")
-        )
+        ranges = atlas(problem, covariance=found, level=level, progress=stage(progress, "ends"))
     output.say(atlas_table(ranges))
     output.warn(notes)
     output.say(f"\n{escape(atlas_headline(ranges, problem))}")

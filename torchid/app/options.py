@@ -1,7 +1,7 @@
 """Options that several commands take, and what they do."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -252,15 +252,12 @@ def load_both(params: str, robot: str | None, tip: str | None) -> "tuple[Robot, 
 
 def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
     """The robot with velocity or acceleration limits from the command line."""
-    import torch
-
     changed = {}
     for name, text in (("velocity", velocity), ("acceleration", acceleration)):
         if text is None:
             continue
         values = numbers(f"--max-{name}", text, robot.n)
-        upper = torch.tensor(values, dtype=torch.float64)
-        if not bool((upper > 0).all()):
+        if not min(values) > 0:
             raise TorchidError(f"--max-{name} must be positive.", got=text)
-        changed[name] = torch.stack([-upper, upper], -1)
-    return replace(robot, limits=replace(robot.limits, **changed)) if changed else robot
+        changed[name] = values
+    return robot.with_limits(**changed)

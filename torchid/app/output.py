@@ -1,11 +1,13 @@
 """Where a command's results go: the terminal, JSON, a folder, a page."""
 
 import logging
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,7 +58,7 @@ class Output:
     def say(self, *objects: Any) -> None:
         """Print for people, one after another, unless quiet."""
         for one in () if self.quiet else objects:
-            self.console.print(one)
+            self.console.print(in_options(one) if isinstance(one, str) else one)
 
     def verdict(self, text: str) -> None:
         """Print the answer, which stands out."""
@@ -156,6 +158,44 @@ class Results:
         if not console.is_terminal:
             console = _Console(highlight=False, width=120)
         return Output(json_file, self.out, quiet, console, self.report, started)
+
+
+_ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
+
+
+def in_options(text: str) -> str:
+    """A message of the library in the words of the command line.
+
+    The library writes an argument as Python has it, between backquotes: `rows="all"`, `force=True`,
+    and `columns=...` for any value. Here these are --rows all, --force and --columns. What is no
+    option of any command stays.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = option_names().get(found[1]), found[2]
+        if name is None:
+            return found[0]
+        if value in ("...", "True"):
+            return name
+        bare = re.fullmatch(r"""["']?([^\s;&|*?<>$"']+)["']?""", value)
+        return f"{name} {bare[1] if bare else value}"
+
+    return _ARGUMENT.sub(option, text)
+
+
+@cache
+def option_names() -> dict[str, str]:
+    """Options of all commands, by the names of their arguments in Python."""
+    from torchid.app.commands import app
+
+    found, todo = {}, [typer.main.get_command(app)]
+    while todo:
+        one = todo.pop()
+        todo += getattr(one, "commands", {}).values()
+        for option in one.params:
+            if option.name is not None and option.opts[0].startswith("--"):
+                found[option.name] = option.opts[0]
+    return found
 
 
 Printed = Annotated[Results, Fields("json_file", "quiet")]

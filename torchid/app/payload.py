@@ -40,8 +40,7 @@ def payload_command(
         signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
     output = results.open()
-    from torchid.identification.identify import identify
-    from torchid.identification.payload import estimate_payload, record
+    from torchid.identification.payload import payload, record
     from torchid.report.identification import payload_headline, payload_tables
 
     settings = replace(settings, effects=opt.effect_names(effects), cutoff=opt.cutoff_hz(cutoff))
@@ -49,20 +48,11 @@ def payload_command(
     empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
     where = opt.device(device_name)
     with progress_bar(output) as progress:
-        without = identify(found, empty, settings=settings, device=where, progress=progress)
-        # One filter for both: what it does to the parameters then cancels in their difference.
-        same = replace(settings, cutoff=without.cutoff)
-        carrying = identify(found, full, settings=same, device=where, progress=progress)
-    payload = estimate_payload(without, carrying, model=model)
-    noticed = dict.fromkeys(
-        [
-            *(f"without payload: {w}" for w in without.warnings),
-            *(f"with payload: {w}" for w in carrying.warnings),
-            *payload.warnings,
-        ]
-    )
-    output.say(*payload_tables(payload))
-    output.warn(noticed)
-    output.say(f"\n{payload_headline(payload)}")
-    data = {**record(payload), "cutoff_hz": without.cutoff, "seed": seed}
-    output.write_json({**data, "warnings": list(noticed)}, "payload.json")
+        carried = payload(
+            found, empty, full, model=model, settings=settings, device=where, progress=progress
+        )
+    output.say(*payload_tables(carried))
+    output.warn(carried.warnings)
+    output.say(f"\n{payload_headline(carried)}")
+    data = {**record(carried), "cutoff_hz": carried.cutoff, "seed": seed}
+    output.write_json(data, "payload.json")

@@ -66,13 +66,10 @@ def simulate_command(
         control_frequency: under control: natural frequency of the PD.
     """
     output = results.open()
-    from torchid.effects.registry import nominal_effects
-    from torchid.excitation.synthetic import HonestNoise, PaperNoise, synthetic_log
-    from torchid.log.model import Log
+    from torchid.excitation.synthetic import HonestNoise, PaperNoise
+    from torchid.excitation.synthetic import simulate as simulated
     from torchid.log.readers import read_log, write_log
-    from torchid.simulation.closed_loop import closed_loop as simulated
     from torchid.simulation.controller import Controller
-    from torchid.simulation.sensors import Sensors, measured_log, sensed_log
 
     target = to or (output.folder and output.folder / "log.parquet")
     if target is None:
@@ -93,28 +90,25 @@ def simulate_command(
     found = arm.load()
     effects = [_effect(text, found) for text in effect or []]
     moves = closed_loop or bool(effects)
-    if moves:
-        if isinstance(model, PaperNoise):
-            raise TorchidError(
-                "paper noise is for a torque that is computed from the trajectory.",
-                got="--noise paper with --effect or --closed-loop",
-                available=["--noise none", "--noise honest"],
-            )
-        # Each trajectory from its own beginning.
-        parts = read_log(trajectory).trajectories()
-        controller = Controller(control_frequency)
-        logs = simulated(found, parts, [effects] * len(parts), rate=rate, controller=controller)
-        true = Log.concatenate(logs).replace(source=logs[0].source)
-        sensed = [*nominal_effects(found), *effects]
-        if model is None:
-            log = sensed_log(true, sensed)
-        else:
-            log = measured_log(found, true, sensed, Sensors(model), seed)
-    elif rate is not None:
+    if moves and noise == "paper":
+        raise TorchidError(
+            "paper noise is for a torque that is computed from the trajectory.",
+            got="--noise paper with --effect or --closed-loop",
+            available=["--noise none", "--noise honest"],
+        )
+    if rate is not None and not moves:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
-    else:
-        where = opt.device(device_name)
-        log = synthetic_log(found, read_log(trajectory), model, seed, device=where)
+    log = simulated(
+        found,
+        read_log(trajectory),
+        effects=effects,
+        noise=model,
+        closed_loop=moves,
+        rate=rate,
+        controller=Controller(control_frequency) if moves else None,
+        seed=seed,
+        device="cpu" if moves else opt.device(device_name),
+    )
     write_log(log, target)
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")

@@ -233,7 +233,7 @@ def own_command(
     """
     output = results.open()
     from torchid.report.withheld import own_headline, own_tables
-    from torchid.withheld.own import check_own, own_record
+    from torchid.withheld.own import own_record, withheld_own
 
     places = None
     if joints.strip() != "all":
@@ -244,7 +244,7 @@ def own_command(
     settings = replace(settings, background=opt.names(background))
     found, log, apart, _ = trials.open(output)
     with progress_bar(output) as progress:
-        result = check_own(
+        result = withheld_own(
             found,
             log,
             untouched=apart,

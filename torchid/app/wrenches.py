@@ -9,7 +9,7 @@ from rich.markup import escape
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output, progress_bar
 from torchid.app.signature import command
-from torchid.errors import LogError, TorchidError
+from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from torchid.robot.model import Robot
 
 _MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
-_CUTOFF = 8.0
 
 
 @command
@@ -58,10 +57,11 @@ def wrenches_command(
         resamples: Of the bootstrap of the intervals.
     """
     output = results.open()
+    from torchid.log.readers import read_log
     from torchid.report.wrenches.figures import figures
     from torchid.report.wrenches.tables import findings, tables
     from torchid.study.equal_torque.record import study_record
-    from torchid.study.equal_torque.setting import equal_torque_setting
+    from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
     from torchid.study.equal_torque.study import equal_torque_study
 
     found = opt.limited(arm.load(), None, max_acceleration)
@@ -72,7 +72,7 @@ def wrenches_command(
             raise TorchidError(
                 "--total-mass is not an interval.", got=total_mass, expected="LO,HI in kg"
             )
-    motion = None if trajectory is None else _read_motion(trajectory, found)
+    motion = None if trajectory is None else logged_motion(read_log(trajectory), found)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
@@ -109,32 +109,23 @@ def _given(
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
-    from torchid.feasibility.conditions import conditions
-    from torchid.feasibility.sets import nominal_set, other_robot
+    from torchid.feasibility.sets import other_robot
     from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
-    from torchid.study.equal_torque.given_sets import given_sets
+    from torchid.study.equal_torque.given_sets import compare_wrenches
     from torchid.study.equal_torque.record import given_record
-    from torchid.study.equal_torque.setting import corrected_group, reference_motion
 
     sets = _read_sets(files, robot)
-    if reference is None:
-        against = nominal_set(robot)
-    elif reference in sets.ids:
-        against = sets.part([sets.ids.index(reference)])
-    else:
+    if reference is not None and reference not in sets.ids:
         raise TorchidError(
             "--reference names none of the sets.", got=reference, available=sets.ids[:20]
         )
-    # Boxes of the geometry, where the robot has bounds; physics alone where it has none.
-    group = geometry or corrected_group(robot, "normal")
-    box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None
-    found = given_sets(
+    found = compare_wrenches(
         robot,
         sets,
-        against,
-        conditions(robot, com_box=box, total_mass=total_mass or read_total_mass(robot)),
-        motion or reference_motion(robot, seed),
+        reference,
+        motion=motion,
+        geometry=geometry,
+        total_mass=total_mass,
         resamples=resamples,
         seed=seed,
     )
@@ -168,27 +159,3 @@ def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
             for file, part in zip(files, parts, strict=True)
         ]
     return joined(parts)
-
-
-def _read_motion(path: Path, robot: "Robot") -> "Motion":
-    """q, dq, ddq of a log; velocities and accelerations it lacks are differentiated."""
-    import torch
-
-    from torchid.design.motion import measurements
-    from torchid.effects.base import Motion
-    from torchid.log.readers import read_log
-    from torchid.log.sampling import resample
-
-    log = read_log(path)
-    if log.n != robot.n:
-        raise LogError(
-            f"'{path}' does not fit robot '{robot.name}'.",
-            got=f"{log.n} joints",
-            expected=f"{robot.n}",
-        )
-    if log.dq is not None and log.ddq is not None:
-        return Motion(log.q, log.dq, log.ddq)
-    # The torque is not used; without one, a log has nothing to be differentiated for.
-    every = measurements(resample(log.replace(tau=torch.zeros_like(log.q))), _CUTOFF)
-    states = [m.motion.part(slice(m.edge, m.samples - m.edge)).state for m in every]
-    return Motion(*(torch.cat(x) for x in zip(*states, strict=True)))

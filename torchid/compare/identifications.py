@@ -104,7 +104,7 @@ def compare_identifications(
     common = common_basis(results)
     robot = robot or next((r.robot for r in results if r.robot is not None), None)
     if robot is None and on is not None:
-        raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
+        raise TorchidError("torque along a log needs the robot.", expected="`robot=...`")
     freedom = torch.tensor([float(max(1, r.blocks - 1)) for r in results], dtype=torch.float64)
     parameters = _parameters(common, freedom)
     pairs = [
@@ -134,7 +134,7 @@ def compare_identifications(
         torque=None if robot is None else identified_spread(results, robot, on=on, seed=seed),
         notes=common.notes
         + (() if robot is not None else ("no torque: these results did not record their robot; "
-           "--robot names it",)),
+           "`robot=...` names it",)),
         same_motion=len(set(fitted)) < len(fitted),
     )  # fmt: skip
 

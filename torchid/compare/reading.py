@@ -11,15 +11,19 @@ from torchid.effects.base import JointEffect
 from torchid.effects.registry import COLUMN_KINDS, on_every_joint
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SCHEMA as SETS
+from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.record import SCHEMA as GAP
+from torchid.gap.record import record as gap_record
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.record import SCHEMA as IDENTIFICATION
-from torchid.json_data import read_json
+from torchid.identification.record import record
+from torchid.identification.result import Identification
+from torchid.json_data import plain, read_json
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names, parameter_units
 from torchid.robot.model import JointType, Robot
 from torchid.robot.record import recorded_robot
 from torchid.typing import Bool, Float, Tensor
 
-GAP = "torchid.gap/1"
 KINDS = {IDENTIFICATION: "identifications", GAP: "gap diagnoses", SETS: "parameter sets"}
 
 CONTAMINATED = 0.03
@@ -33,7 +37,7 @@ class Result:
 
     Attributes:
         label: short name, unique among the results compared.
-        path: of the file.
+        path: of the file; the label, where there is none.
         schema: which kind.
         data: its content.
     """
@@ -89,16 +93,36 @@ class Identified:
         return self.base.n_rigid_parameters // PARAMETERS_PER_LINK
 
 
-def read_results(paths: Sequence[Path]) -> list[Result]:
-    """Results of one kind, in the order given.
+def read_results(given: Sequence[str | Path | Identification | Diagnosis]) -> list[Result]:
+    """Results of one kind, files or objects, in the order given.
 
     Raises:
-        TorchidError: fewer than two files, not results, or of different kinds.
+        TorchidError: fewer than two, files that are no results, or of different kinds.
     """
-    if len(paths) < 2:
+    if len(given) < 2:
         raise TorchidError(
-            "a comparison needs two results or more.", got=", ".join(str(p) for p in paths) or None
+            "a comparison needs two results or more.", got=", ".join(str(p) for p in given) or None
         )
+    files = iter(_read_files([Path(one) for one in given if isinstance(one, str | Path)]))
+    results = []
+    for k, one in enumerate(given, start=1):
+        if isinstance(one, str | Path):
+            results.append(next(files))
+            continue
+        data = record(one) if isinstance(one, Identification) else gap_record(one)
+        label = f"result {k}"
+        # As a file of it would be read.
+        results.append(Result(label, Path(label), data["schema"], plain(data)))
+    if len({r.schema for r in results}) > 1:
+        raise TorchidError(
+            "only results of the same kind can be compared.",
+            got=", ".join(f"{r.path} ({KINDS[r.schema]})" for r in results),
+            expected="all of one kind",
+        )
+    return results
+
+
+def _read_files(paths: Sequence[Path]) -> list[Result]:
     same = [p for k, p in enumerate(paths) if p.resolve() in [o.resolve() for o in paths[:k]]]
     if same:
         raise TorchidError("a result is given twice.", got=same[0])
@@ -106,9 +130,10 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
     # The shortest ends of the paths that tell them apart; files that a command named itself are
     # called by their folder.
     parts = [(*p.resolve().parent.parts, p.stem) for p in paths]
-    if len({p.stem for p in paths}) == 1:
+    if len(paths) > 1 and len({p.stem for p in paths}) == 1:
         parts = [p[:-1] for p in parts]
-    ends = (["/".join(p[-k:]) for p in parts] for k in range(1, max(map(len, parts)) + 1))
+    longest = max(map(len, parts), default=0)
+    ends = (["/".join(p[-k:]) for p in parts] for k in range(1, longest + 1))
     labels = next((e for e in ends if len(set(e)) == len(e)), [str(p) for p in paths])
     for label, path in zip(labels, paths, strict=True):
         data = read_json(path, "a result")
@@ -121,12 +146,6 @@ def read_results(paths: Sequence[Path]) -> list[Result]:
                 hint="of an extraction, the file of its sets: sets.json",
             )
         results.append(Result(label, path, schema, data))
-    if len({r.schema for r in results}) > 1:
-        raise TorchidError(
-            "only results of the same kind can be compared.",
-            got=", ".join(f"{r.path} ({KINDS[r.schema]})" for r in results),
-            expected="all of one kind",
-        )
     return results
 
 

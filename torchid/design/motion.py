@@ -129,7 +129,7 @@ def timed(
 
 def no_torque(log: Log) -> LogError:
     """The error of a log without torque, which may have currents."""
-    gains = "give gains with --gain k1,k2,.. or `drive_gain` in the robot's yaml"
+    gains = "give gains: Log.with_torque, `gain=...`, or `drive_gain` in the robot's yaml"
     return LogError(
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),

@@ -110,6 +110,18 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
     Raises:
         LogError: another number of joints than the robot's, no usable row, or a fix that is not
             among the choices.
+
+    >>> import numpy as np, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> t = np.arange(1500) / 50
+    >>> angle = t[:, None] * np.array([0.9, 1.3, 1.7])
+    >>> q, dq, ddq = np.sin(angle), 1.3 * np.cos(angle), -1.69 * np.sin(angle)
+    >>> log = torchid.Log(t, np.degrees(q), tau=torchid.inverse_dynamics(robot, q, dq, ddq))
+    >>> found = examine(robot, log)
+    >>> [check.name for check in found.applied if check.repairs]
+    ['position unit']
+    >>> bool((found.mended().q - torchid.Log(t, q).q).abs().max() < 1e-9)
+    True
     """
     if log.n != robot.n:
         raise LogError(

@@ -214,5 +214,5 @@ def _require_compiler() -> None:
             got=f"CXX={chosen}" if chosen else None,
             expected=f"one of {', '.join(_COMPILERS)} on the PATH",
             hint="install one (Debian, Ubuntu: `apt install g++`; macOS: `xcode-select --install`; "
-            "Windows: Visual Studio Build Tools), or go without --compile",
+            "Windows: Visual Studio Build Tools), or go without `compiled=True`",
         )

@@ -15,17 +15,38 @@ from torchid.dynamics.scalars import ZERO, Scalar
 from torchid.dynamics.world_frame import Posture, arms_of
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.typing import BroadcastJoints, JointMatrix, Joints
+from torchid.tensors import joint_signals
+from torchid.typing import BroadcastJoints, JointMatrix, Joints, Numbers
 
 SMALL_BATCH, SMALL_BATCH_BIAS = 1500, 250
 """Samples up to which few kernel calls count more than few operations (measured, 7 joints)."""
 
 
 def mass_matrix(
-    robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
+    robot: Robot, q: Numbers, parameters: InertialParameters | None = None
 ) -> JointMatrix:
-    """M(q) (..., n, n) [kg m^2]: column j is the torque of a unit acceleration of joint j, at rest
-    and without gravity."""
+    """Mass matrix M(q) of the rigid body (eq. 2.15): column j is the torque of a unit acceleration
+    of joint j, at rest and without gravity.
+
+    Args:
+        robot: kinematics.
+        q: (..., n) [rad; m for prismatic joints]; arrays and lists too, in float64.
+        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+            ones if None.
+
+    Returns:
+        (..., n, n) [kg m^2; kg m and kg where joints are prismatic], symmetric.
+
+    Raises:
+        RobotError: no parameters given and none in the robot.
+        TorchidError: not numbers of all joints.
+
+    >>> import torchid
+    >>> m = mass_matrix(torchid.load_robot("3r"), [0.1, -0.4, 0.7])
+    >>> m.shape, bool((m - m.T).abs().max() < 1e-12)
+    (torch.Size([3, 3]), True)
+    """
+    (q,) = joint_signals(robot.n, q=q)
     if _is_small(q, parameters):
         return _posture(robot, q, parameters).mass_matrix()
     geometry = replace(chain_geometry(robot), gravity=ZERO)
@@ -62,12 +83,35 @@ def gravity_torque(
 
 def forward_dynamics(
     robot: Robot,
-    q: BroadcastJoints,
-    dq: BroadcastJoints,
-    tau: BroadcastJoints,
+    q: Numbers,
+    dq: Numbers,
+    tau: Numbers,
     parameters: InertialParameters | None = None,
 ) -> Joints:
-    """Joint accelerations (..., n) from M(q) ddq = tau - S(q, dq) dq - g(q)."""
+    """Joint accelerations of the rigid body, from M(q) ddq = tau - S(q, dq) dq - g(q) (eq. 2.15).
+
+    Args:
+        robot: kinematics and gravity.
+        q, dq: (..., n) [rad, rad/s; m, m/s for prismatic joints]; arrays and lists too, in float64.
+        tau: (..., n) [N m; N for prismatic joints], positive along the axis.
+        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+            ones if None.
+
+    Returns:
+        (..., n) [rad/s^2; m/s^2 for prismatic joints].
+
+    Raises:
+        RobotError: no parameters given and none in the robot.
+        TorchidError: not numbers of all joints.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> q, dq, ddq = [0.1, -0.4, 0.7], [1.0, 0.0, -2.0], [3.0, -1.0, 2.0]
+    >>> tau = torchid.inverse_dynamics(robot, q, dq, ddq)
+    >>> [round(x, 9) for x in forward_dynamics(robot, q, dq, tau).tolist()]
+    [3.0, -1.0, 2.0]
+    """
+    q, dq, tau = joint_signals(robot.n, q=q, dq=dq, tau=tau)
     if _is_small(torch.broadcast_tensors(q, dq, tau)[0], parameters):
         posture = _posture(robot, q, parameters)
         return solve_mass(posture.mass_matrix(), tau - posture.torque(dq))

@@ -73,11 +73,26 @@ def joint_wrenches(
     """Internal wrenches: what link i-1 exerts on link i through joint i (eqs. 2.13, 2.32).
 
     Args:
-        robot, q, dq, ddq, parameters: as for `inverse_dynamics`.
+        robot: kinematics and gravity.
+        q, dq, ddq: (..., n) [rad, rad/s, rad/s^2; m for prismatic joints]; arrays and lists too,
+            in float64.
+        parameters: (..., n, 10), leading axes broadcast against those of q; the robot's nominal
+            ones if None.
 
     Returns:
         (..., n, 6): force [N], then moment [N m] about the origin of joint frame i (O_{i-1} for
         classical DH), both in axes of link frame i. The component along the axis is the torque.
+
+    Raises:
+        RobotError: no parameters given and none in the robot.
+        TorchidError: not numbers of all joints.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> w = joint_wrenches(robot, [0.1, -0.4, 0.7], [0, 0, 0], [0, 0, 0])  # at rest
+    >>> weight = 9.81 * float(robot.parameters.mass.sum())  # which the first joint carries
+    >>> w.shape, round(float(w[0, :3].norm()) / weight, 9)
+    (torch.Size([3, 6]), 1.0)
     """
     q, dq, ddq = joint_signals(robot.n, q=q, dq=dq, ddq=ddq)
     pi = _parameters(robot, parameters, "internal wrenches").pi.to(q)

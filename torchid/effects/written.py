@@ -23,12 +23,12 @@ def split_list(text: str) -> tuple[str, ...]:
     return tuple(out)
 
 
-def name_and_pairs(text: str, option: str) -> tuple[str, dict[str, Any]]:
+def name_and_pairs(text: str, what: str) -> tuple[str, dict[str, Any]]:
     """Name of an effect, and its values by key; joints stay as written, from 1.
 
     Args:
         text: `name` or `name:key=value,key=value`.
-        option: where it was written, for errors, e.g. `--effect`.
+        what: what to call it in errors, e.g. `--effect`.
 
     Raises:
         TorchidError: an item without a value, a key twice, a value that is no number.
@@ -39,13 +39,13 @@ def name_and_pairs(text: str, option: str) -> tuple[str, dict[str, Any]]:
         key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or key in pairs:
             raise TorchidError(
-                f"{option} {text}: cannot be read at '{item}'.",
+                f"{what} {text}: cannot be read at '{item}'.",
                 expected="name:key=value,key=value, each key once",
             )
         try:
             number = float(value)
         except ValueError:
-            raise TorchidError(f"{option} {text}: {key} is not a number.", got=value) from None
+            raise TorchidError(f"{what} {text}: {key} is not a number.", got=value) from None
         whole = key in (*PLACES, "seed") and number.is_integer()
         pairs[key] = int(number) if whole else number
     return name.strip(), pairs

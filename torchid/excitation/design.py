@@ -17,21 +17,25 @@ import torch
 from torch import Tensor
 
 from torchid.effects.base import JointEffect, Motion
+from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.descent import Progress, descend
 from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
-from torchid.excitation.trajectories import random_trajectory
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.base_parameters import (
     BaseParameters,
     base_parameters,
     stacked_regressor,
 )
+from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
 Criterion = Literal["condition", "d_optimal"]
+EXCITED_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
+"""That a motion is designed for by default."""
 _RATE = 50.0  # [Hz], for the condition numbers that are reported
 
 
@@ -64,6 +68,76 @@ class Excitation:
         ordered = sorted(self.condition_before)
         k = len(ordered)
         return (ordered[(k - 1) // 2] + ordered[k // 2]) / 2
+
+    def log(self, rate: float = 100.0) -> Log:
+        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
+
+        Raises:
+            TorchidError: a rate that is too low.
+        """
+        return trajectory_log(self.trajectory, rate)
+
+
+def excite(
+    robot: Robot,
+    *,
+    effects: Sequence[str] = EXCITED_EFFECTS,
+    criterion: Criterion = "condition",
+    duration: float = 20.0,
+    harmonics: int = HARMONICS,
+    restarts: int = 8,
+    iterations: int = 250,
+    usage: float = 1.0,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> Excitation:
+    """A motion that makes the base parameters visible, within the robot's limits, at rest at both
+    ends.
+
+    Torque limits are kept too, where the robot has them and nominal parameters.
+
+    Args:
+        robot: kinematics, gravity and limits of position, velocity and acceleration; a URDF has
+            none of the last: `robot.with_limits(acceleration=5.0)`.
+        effects: names of effects to be identified with it, on every joint.
+        criterion: `condition`, the condition number of the regressor, or `d_optimal`, the
+            determinant of the information matrix.
+        duration: [s].
+        harmonics: of the Fourier series.
+        restarts: random starts of the design.
+        iterations: of the search from each.
+        usage: share of the limits that may be used.
+        seed: of the random starts; the result is a function of it.
+        device: where regressors are evaluated.
+        progress: called with (iterations done, all iterations).
+
+    Returns:
+        The design; its `log()` is what to drive: t, q, dq, ddq.
+
+    Raises:
+        RobotError: the limits are incomplete, or no motion keeps the torque limits.
+        TorchidError: an unknown effect or criterion, or no restarts.
+        IdentificationError: the trajectory has fewer torques than there are base parameters.
+
+    >>> import torchid
+    >>> found = excite(torchid.load_robot("3r"), duration=4.0, restarts=1, iterations=20)
+    >>> found.condition_after <= found.start_condition, found.log(50).samples
+    (True, 201)
+    """
+    return optimise_trajectory(
+        robot,
+        on_every_joint(effects, robot.n),
+        seed=seed,
+        restarts=restarts,
+        criterion=criterion,
+        iterations=iterations,
+        usage=usage,
+        harmonics=harmonics,
+        duration=duration,
+        device=device,
+        progress=progress,
+    )
 
 
 def condition_number(

@@ -7,19 +7,37 @@ motion, the encoder counts in steps, accelerations are not measured and torques 
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
-from torchid.effects.registry import nominal_effect_torque
+from torchid.effects.registry import (
+    Valued,
+    effect_from_record,
+    nominal_effect_torque,
+    nominal_effects,
+)
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.sampling import sampling_rate
 from torchid.robot.model import Robot
-from torchid.simulation.sensors import ENCODER_STEP, HonestNoise, counted, rms, standard
+from torchid.simulation.closed_loop import closed_loop as under_control
+from torchid.simulation.controller import Controller
+from torchid.simulation.sensors import (
+    ENCODER_STEP,
+    HonestNoise,
+    Sensors,
+    counted,
+    measured_log,
+    rms,
+    sensed_log,
+    standard,
+)
 from torchid.typing import Float
 
 
@@ -30,6 +48,12 @@ class PaperNoise:
     Attributes:
         snr_db: ratio of each signal's mean square to the noise variance, a joint and trajectory
             [dB].
+
+    Raises:
+        TorchidError: not a number.
+
+    >>> PaperNoise().snr_db
+    30.0
     """
 
     snr_db: float = 30.0
@@ -45,10 +69,84 @@ __all__ = [
     "NoiseModel",
     "PaperNoise",
     "nominal_torque",
+    "simulate",
     "synthetic_log",
 ]
 
 NoiseModel = PaperNoise | HonestNoise | None
+HONEST = HonestNoise()
+
+
+def simulate(
+    robot: Robot,
+    motion: Log,
+    *,
+    effects: Sequence[Mapping[str, Any] | Valued] = (),
+    noise: NoiseModel = HONEST,
+    closed_loop: bool = False,
+    rate: float | None = None,
+    controller: Controller | None = None,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+) -> Log:
+    """The log that the robot would give along a motion.
+
+    Without effects the nominal robot moves exactly along it. With effects, or `closed_loop`, a
+    controller that knows the nominal robot follows it, and forward simulation tells how far the arm
+    gets: effects change the motion, as they do on a real arm.
+
+    Args:
+        robot: with nominal parameters.
+        motion: t [s], q, dq, ddq (T, n) [rad or m; per s; per s^2] of one or several trajectories,
+            e.g. the `log()` of what `excite` designs.
+        effects: that the nominal robot lacks, each as in a robot's yaml, joints from 1:
+            `{"effect": "coulomb_friction", "joint": 2, "Fc": 0.6}`; or an effect and its values.
+        noise: of the sensors; PaperNoise for the report's; None for the exact signals.
+        closed_loop: move under control, without effects too.
+        rate: under control: samples per second [Hz]; the motion's if None.
+        controller: under control; the default one if None.
+        seed: of the noise; the log is a function of it.
+        device: where torques along the exact motion are computed; the log stays on the CPU.
+
+    Returns:
+        t, q, tau and what else the noise says is measured.
+
+    Raises:
+        RobotError: the robot has no nominal parameters, or an effect that it cannot have.
+        LogError: the motion has no dq or ddq, or another number of joints.
+        TorchidError: noise that does not fit, a rate without control, or an arm that runs away.
+
+    >>> import numpy as np, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> t, w = np.arange(200) / 100, np.array([0.5, 0.7, 0.9])  # s, rad/s
+    >>> angle = t[:, None] * w
+    >>> motion = torchid.Log(t, -np.cos(angle) / w, np.sin(angle), w * np.cos(angle))
+    >>> log = simulate(robot, motion, seed=1)
+    >>> log.samples, log.tau is not None, log.ddq is None
+    (200, True, True)
+    """
+    own = [effect_from_record(one, robot) if isinstance(one, Mapping) else one for one in effects]
+    if not (own or closed_loop):
+        if rate is not None or controller is not None:
+            raise TorchidError(
+                "a rate and a controller need motion under control.",
+                expected="effects, or closed_loop=True",
+            )
+        return synthetic_log(robot, motion, noise, seed, device=device)
+    if isinstance(noise, PaperNoise):
+        raise TorchidError(
+            "paper noise is for a torque that is computed from the trajectory.",
+            got="effects, or motion under control",
+            available=["HonestNoise", "None"],
+        )
+    # Each trajectory from its own beginning.
+    parts = motion.trajectories()
+    true = under_control(robot, parts, [own] * len(parts), rate=rate, controller=controller)
+    log = Log.concatenate(true).replace(source=true[0].source)
+    sensed = [*nominal_effects(robot), *own]
+    if noise is None:
+        return sensed_log(log, sensed)
+    return measured_log(robot, log, sensed, Sensors(noise), seed)
 
 
 def synthetic_log(

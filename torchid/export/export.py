@@ -102,7 +102,7 @@ def export_dynamics(
     if path.resolve() in [source.resolve() for source in sources]:
         raise TorchidError(
             f"the export would take the place of the original '{path}'.",
-            hint="another --name, or another folder by --out",
+            hint="another `name=...`, or another folder",
         )
     same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
     edited = model if same_format else None
@@ -152,12 +152,12 @@ def require_feasible(dynamics: Dynamics, found: Check) -> None:
         hint = (
             "many sets have these base parameters, and the one nearest to the robot's own is no "
             "body's: `torchid extract ROBOT RESULT --out DIR` finds feasible ones, of which "
-            "`torchid export DIR/extraction.json` takes the best; --to csv and --to c need none"
+            "`torchid export DIR/extraction.json` takes the best; the formats csv and c need none"
         )
     else:
         hint = (
             "`torchid check ... --nearest FILE` writes the feasible set nearest in torque; "
-            "--geometry none asks for physics alone; --force writes it as it is"
+            '`geometry="none"` asks for physics alone; `force=True` writes it as it is'
         )
     raise TorchidError(
         f"{dynamics.title}: infeasible, so not exported.",

@@ -112,7 +112,7 @@ def _write_chain(
                     f"'{name}' lies between two joints of one body, where MJCF has no place for "
                     "its mass.",
                     got=parameters.pi[i].tolist(),
-                    hint="--to urdf writes a new file with a link there",
+                    hint="the format urdf writes a new file with a link there",
                 )
             continue
         _write_inertial(body, parameters, i, name)
@@ -160,7 +160,7 @@ class _Bodies:
             f"{self.source}: the body '{link}' and its joints are not written out in it.",
             expected="<body> elements; <attach>, <replicate> and <composite> make others",
             available=list(self.named),
-            hint="without the original, a new file is written: --robot with the robot's yaml",
+            hint="without the original, a new file is written: `robot=...`, the robot's yaml",
         )
 
 

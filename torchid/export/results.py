@@ -90,7 +90,7 @@ def set_dynamics(
             raise TorchidError(
                 f"'{path}' lists sets without their parameters, and there is no sets.json beside "
                 "it.",
-                hint="export the sets.json that the command wrote into --out",
+                hint="export the sets.json that the command wrote beside it",
             )
     sets = read_sets(file, robot)
     k, why = _chosen(path, data, sets, asked, robot, geometry)

@@ -100,7 +100,7 @@ def refuse_moment_without_mass(parameters: InertialParameters, i: int, name: str
         raise TorchidError(
             f"link '{name}' has a first moment and no mass: no centre of mass can be written.",
             got=parameters.first_moment[i].tolist(),
-            hint="--to yaml and --to c write first moments as they are",
+            hint="the formats yaml and c write first moments as they are",
         )
 
 

@@ -82,7 +82,7 @@ def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:
         raise TorchidError(
             "what was written cannot be read back, so nothing was kept.",
             got=str(error).replace(staged_path.name, path.name),
-            hint="MuJoCo compiles no body that cannot exist; --to urdf and --to yaml hold any"
+            hint="MuJoCo compiles no body that cannot exist; the formats urdf and yaml hold any"
             if path.suffix == ".xml"
             else None,
         ) from error
@@ -95,7 +95,7 @@ def _require_same_frames(robot: Robot, other: Robot) -> None:
             f"the result is of another arm than '{other.source}'.",
             got=" ".join(robot.joint_types),
             expected=" ".join(other.joint_types),
-            hint="choose the chain with --tip",
+            hint="choose the chain with `tip=...`",
         )
     apart = (robot.frames_apart(other) > SAME_FRAMES).nonzero().flatten().tolist()
     if apart:
@@ -103,7 +103,7 @@ def _require_same_frames(robot: Robot, other: Robot) -> None:
             f"the result has its link frames elsewhere than '{other.source}', so its parameters "
             "do not fit into it.",
             got=f"links {', '.join(str(i + 1) for i in apart)}",
-            hint="identify with this file as the robot; without --robot a new file is written",
+            hint="identify with this file as the robot; without `robot=...` a new file is written",
         )
 
 

@@ -114,7 +114,7 @@ def load(path: Path, problem: Problem, settings: SearchSettings) -> Progress | N
             f"the checkpoint '{path}' belongs to another extraction.",
             got="other base parameters, bounds, conditions or settings",
             expected="the ones it was started with",
-            hint="repeat the first command, or start anew without --resume",
+            hint="repeat the first command, or start anew without `resume=True`",
         )
     return Progress(stage, state, phi, violated)
 
@@ -183,7 +183,8 @@ def require_possible(problem: Problem) -> None:
             got=", ".join(against),
             expected="bounds that overlap the boxes of the centres of mass, the shapes and the "
             "total mass",
-            hint="other --bounds or --geometry; --penalty partial; or --search-anyway",
+            hint='other `bounds=...` or `geometry=...`; `penalty="partial"`; or '
+            "`search_anyway=True`",
         )
 
 

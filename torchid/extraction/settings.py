@@ -32,6 +32,9 @@ class SearchSettings:
     Raises:
         TorchidError: a count below one, an unknown name, or more stages than the schedule
             `geometric` has numbers for.
+
+    >>> SearchSettings(runs=10, stages=5).weight(2)
+    20.0
     """
 
     runs: int = 30

@@ -77,7 +77,7 @@ def read_bounds(robot: Robot, group: str) -> Bounds:
         raise RobotError(
             f"robot '{robot.name}' has no bounds '{group}'.",
             available=bounds_groups(robot) or ["(none)"],
-            hint="`--bounds from-robot` derives them from its parameters and shapes",
+            hint='`bounds="from-robot"` derives them from its parameters and shapes',
         )
     data = robot.bounds[group]
     where = f"robot '{robot.name}': bounds {group}"

@@ -4,11 +4,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
-from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds
+from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.conditions import GEOMETRY_GROUP, Conditions, conditions, physics_only
-from torchid.feasibility.findings import Finding
+from torchid.feasibility.derived_bounds import named_bounds
+from torchid.feasibility.findings import Finding, own_inertial_findings
 from torchid.feasibility.margins import (
     LINK_CONDITIONS,
     Feasibility,
@@ -16,10 +18,10 @@ from torchid.feasibility.margins import (
     inertia_eigenvalues,
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
-from torchid.feasibility.sets import ParameterSets
+from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
 from torchid.json_data import picked, plain
 from torchid.robot.model import Robot
-from torchid.robot.shapes import LinkShapes, link_shapes
+from torchid.robot.shapes import LinkShapes, link_shapes, own_inertials
 from torchid.typing import Float, Tensor
 
 SCHEMA = "torchid.feasibility/1"
@@ -53,6 +55,59 @@ class Check:
     bodies: Bodies
     findings: tuple[tuple[Finding, ...], ...]
     warnings: tuple[str, ...]
+
+
+def check(
+    robot: Robot,
+    sets: ParameterSets | str | Path | None = None,
+    *,
+    geometry: str | None = None,
+    round_shapes: bool = False,
+    total_mass: tuple[float, float] | Literal["robot"] | None = "robot",
+    bounds: str | None = None,
+    seed: int = 0,
+) -> Check:
+    """Whether parameters can belong to a real arm: by how much, and why not.
+
+    Args:
+        robot: whose bounds, shapes, joints and limits count.
+        sets: what is checked; of a file, as `read_sets` reads it; the robot's own nominal
+            parameters if None.
+        geometry: group of bounds whose boxes of the centres of mass are the links' geometry, or
+            `none`. If None: `normal` where the robot has it, else the boxes of the shapes in the
+            file it was read from, else none.
+        round_shapes: check the cylinders and spheres of the robot's yaml too.
+        total_mass: interval of the sum of the masses [kg]; the robot's, where it has one; or None.
+        bounds: group of bounds, or `from-robot`: parameters that lie on them are told.
+        seed: of the poses in which the arm's weight is held.
+
+    Returns:
+        Margins, reasons and degree of every set, and what is not plausible though not forbidden.
+
+    Raises:
+        RobotError: no nominal parameters, no such group, no such shapes, an empty interval.
+        TorchidError: a file that holds no sets of this robot.
+
+    >>> import torchid
+    >>> found = check(torchid.load_robot("kuka_lwr4"))  # with the parameters that the report has
+    >>> found.feasibility.feasible.tolist(), found.feasibility.reasons(0)
+    ([False], ('inertia_3', 'inertia_4', 'inertia_7', 'com_7z'))
+    """
+    also: Sequence[Finding] = ()
+    if sets is None:
+        sets, also = nominal_set(robot), own_inertial_findings(own_inertials(robot))
+    elif not isinstance(sets, ParameterSets):
+        sets = read_sets(Path(sets), robot)
+    return check_sets(
+        robot,
+        sets,
+        geometry=geometry,
+        round_shapes=round_shapes,
+        total_mass=read_total_mass(robot) if total_mass == "robot" else total_mass,
+        bounds=None if bounds is None else named_bounds(robot, bounds),
+        also=also,
+        seed=seed,
+    )
 
 
 def check_sets(

@@ -29,6 +29,11 @@ class ParameterSets:
         parameters: inertial parameters, pi (K, n, 10) in the link frames.
         effects: linear effects whose coefficients belong to the sets.
         coefficients: (K, E) the effects' coefficients, in the effects' order [see each effect].
+
+    >>> import torchid
+    >>> sets = nominal_set(torchid.load_robot("3r_friction"))
+    >>> len(sets), sets.vector.shape, sets.coefficient_names()[:2]
+    (1, torch.Size([1, 39]), ('Fv1', 'Fv2'))
     """
 
     ids: tuple[str, ...]
@@ -145,16 +150,33 @@ def to_record(sets: ParameterSets, robot: Robot, others: Sequence[Valued] = ()) 
     return {"schema": SCHEMA, **named_record(robot), "sets": entries, **more}
 
 
-def read_sets(path: Path, robot: Robot) -> ParameterSets:
+def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     """Read a file of sets (JSON, `sets: [...]`) for a robot.
 
     Each set has `mass` [n]; `com` or `first_moment` [n x 3]; `inertia_about_com` or
     `inertia_about_link_frame` [n x 6: xx xy xz yy yz zz]; and, optionally, `effects` as in a
     robot's yaml. All sets must list the same effects.
 
+    Args:
+        path: the file, e.g. the sets.json of an extraction.
+        robot: that they belong to.
+
+    Returns:
+        K sets, in the order of the file.
+
     Raises:
         TorchidError: not such a file, a wrong number of links, values that are not finite numbers.
+
+    >>> import json, torchid
+    >>> from tempfile import TemporaryDirectory
+    >>> robot = torchid.load_robot("3r")
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "sets.json"
+    ...     _ = file.write_text(json.dumps(to_record(nominal_set(robot), robot)))
+    ...     read_sets(file, robot).ids
+    ('3r',)
     """
+    path = Path(path)
     data = read_json(path, _FILE)
     entries = data.get("sets")
     if not isinstance(entries, list) or not entries:

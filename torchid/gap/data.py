@@ -182,7 +182,7 @@ def prepare(
         gain_std = DRIVE_GAIN
         said.append(
             f"torque is current times a gain, taken to be known to {DRIVE_GAIN:.0%}, which every ± "
-            "holds: --gain-std"
+            "holds: `gain_std=...`"
         )
     samples = Samples(long, narrow)
     # What the log cannot show: joints that hardly slide, velocities and ages it does not hold.

@@ -247,7 +247,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         raise TorchidError(
             "a background is fitted with the base parameters, and this robot's are given.",
             got=", ".join(settings.background),
-            hint="list them as `effects` of the robot, or refit: --parameters free",
+            hint="list them as `effects` of the robot, or refit: `parameters='free'`",
         )
     return Wanted(
         names=tuple(KINDS) if settings.effects is None else settings.effects,
@@ -412,7 +412,7 @@ def warnings_of(
     if found.unworthy:
         out.append(_beyond(found))
     if len(found.terms) >= settings.max_effects:
-        out.append(f"the search ended at {settings.max_effects} effects: --max-effects")
+        out.append(f"the search ended at {settings.max_effects} effects: `max_effects=...`")
     # What holds for this log alone.
     events = sorted({e.name for e, _ in solution.model.effects if e.name in EVENTS})
     if events:
@@ -453,7 +453,7 @@ def _beyond(found: Explanation) -> str:
     return (
         f"{len(found.unworthy)} more terms have evidence but are not worth a name"
         + (f"; together they would lower the error of {said}" if said else "")
-        + ": --worthwhile, --worthwhile-torque"
+        + ": `worthwhile=...`, `worthwhile_torque=...`"
     )
 
 

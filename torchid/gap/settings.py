@@ -35,6 +35,12 @@ class GapSettings:
         seed: of everything random.
         only: (effect, joint from 0, or None for any place) that alone are candidates: a diagnosis
             that is told the answer, to compare others with; None for all places.
+
+    Raises:
+        TorchidError: an unknown effect or choice, one effect twice, a number out of range.
+
+    >>> GapSettings(effects=("time_delay", "backlash"), cutoff=10.0).alpha
+    0.01
     """
 
     effects: tuple[str, ...] | None = None

@@ -74,7 +74,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
 
 def _places(text: str, robot: Robot) -> list[Asked]:
     """The effect at the places that are named; at every place where none is."""
-    name, given = name_and_pairs(text, "--effects")
+    name, given = name_and_pairs(text, "effect")
     kind = fitted_kind(name)
     own = [f.name for f in fields(kind)]
     unknown = [key for key in given if key not in own]
@@ -82,7 +82,7 @@ def _places(text: str, robot: Robot) -> list[Asked]:
         what = "a coefficient, which is what is identified"
         known = unknown[0] in [c.name for c in kind.coefficients]
         raise TorchidError(
-            f"--effects {text}: '{unknown[0]}' "
+            f"effect {text}: '{unknown[0]}' "
             + (f"is {what}." if known else f"does not belong to {kind.name}."),
             available=own,
         )
@@ -104,7 +104,7 @@ def _places(text: str, robot: Robot) -> list[Asked]:
     ]
     if not effects:
         raise TorchidError(
-            f"--effects {text}: there is no such place on this arm.",
+            f"effect {text}: there is no such place on this arm.",
             available=[",".join(f"{k}={v}" for k, v in p.items()) for p in places],
         )
     return [Asked(effect, searched) for effect in effects]

@@ -132,8 +132,8 @@ def identify(
             + ", ".join(f"{x:.2g}" for x in moved)
             + " rad or m",
             expected=f"below {largest:.1e}; a good motion has less than 1e3",
-            hint="`torchid excite` designs a motion that tells them apart; --effects with fewer "
-            "names asks for less",
+            hint="`torchid excite` designs a motion that tells them apart; `effects=...` with "
+            "fewer names asks for less",
         )
     values, order = _in_base_order(estimate.fit.x, columns)
     shown = settings.error_cutoff if settings.error_cutoff is not None else cutoff
@@ -342,7 +342,7 @@ def refuse_repeated(log: Log, held_out: Log | None) -> None:
                     f"trajectory '{part.names[0]}' {how}.",
                     got=f"the same positions and torques as '{other.names[0]}'",
                     expected="every trajectory once",
-                    hint="with one log only, hold out its end: --held-out-fraction 0.3",
+                    hint="with one log only, hold out its end: `held_out_fraction=0.3`",
                 )
 
 

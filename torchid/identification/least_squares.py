@@ -227,7 +227,7 @@ def fit(
         raise IdentificationError(
             "no row is left to fit.",
             got="no joint ever moves faster than 0.02 rad/s" if source.moving_only else "no sample",
-            hint="use --rows all",
+            hint='use `rows="all"`',
         )
     unit = kept.to(torch.float64)
     plain = factor(source, unit, torch.eye(n, dtype=torch.float64))

@@ -15,6 +15,7 @@ from scipy.stats import f as fisher
 
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.identify import Progress, identify
 from torchid.identification.payload_fit import (
     Fitted,
     Model,
@@ -25,7 +26,9 @@ from torchid.identification.payload_fit import (
     weighting,
 )
 from torchid.identification.result import Identification
+from torchid.identification.settings import Settings
 from torchid.json_data import picked, plain
+from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import student_quantile
@@ -112,6 +115,7 @@ class Payload:
         unexplained: changes of rigid base parameters that no payload on the last link makes.
         excluded: base parameters without information in one of the runs.
         warnings: sentences for the user.
+        cutoff: of both identifications' filter [Hz]; None without one.
     """
 
     robot: str
@@ -132,6 +136,7 @@ class Payload:
     unexplained: tuple[Change, ...]
     excluded: tuple[str, ...]
     warnings: tuple[str, ...]
+    cutoff: float | None = None
 
     @property
     def friction_changes(self) -> tuple[Change, ...]:
@@ -235,6 +240,60 @@ _ROUNDING = 1e-9
 
 _SAME = 1e-6
 """Squared distance, in standard deviations, below which two payloads have the same torques."""
+
+
+def payload(
+    robot: Robot,
+    empty: Log,
+    loaded: Log,
+    *,
+    model: Model = "general",
+    settings: Settings | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> Payload:
+    """Mass, centre of mass and inertia of what the last link carries, from logs without and with
+    it, best on the same trajectories.
+
+    Args:
+        robot: kinematics, gravity and tool; nominal parameters are not needed.
+        empty: without the payload; one or several trajectories.
+        loaded: with it.
+        model: `general` (ten parameters), `symmetric` about the tool's z axis, or `point_mass`.
+        settings: of both identifications; the defaults with rows="moving" if None: at rest
+            friction can hold any torque, and so part of a payload's. A cut-off "auto" is chosen on
+            the logs without payload and used for both: what the filter does to the parameters then
+            cancels in their difference.
+        device: where regressors are evaluated and filtered.
+        progress: called with (stage, done, total).
+
+    Raises:
+        LogError: logs that do not fit the robot or cannot be used.
+        IdentificationError: a motion that does not tell parameters apart.
+        TorchidError: an unknown model, or nothing left to estimate from.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> carrying = with_payload(robot, torch.tensor([1.5, *[0.0] * 9]).double())  # at the tool
+    >>> motion = torchid.excite(robot, duration=10.0, restarts=1, iterations=0).log()
+    >>> empty, loaded = (torchid.simulate(arm, motion) for arm in (robot, carrying))
+    >>> found = payload(robot, empty, loaded, settings=torchid.Settings(effects=(), cutoff=10.0))
+    >>> bool((found.tool.mass.value - 1.5).abs() < 0.1)
+    True
+    """
+    settings = settings or Settings(rows="moving")
+    without = identify(robot, empty, settings=settings, device=device, progress=progress)
+    same = replace(settings, cutoff=without.cutoff)
+    carrying = identify(robot, loaded, settings=same, device=device, progress=progress)
+    found = estimate_payload(without, carrying, model=model)
+    noticed = dict.fromkeys(
+        [
+            *(f"without payload: {w}" for w in without.warnings),
+            *(f"with payload: {w}" for w in carrying.warnings),
+            *found.warnings,
+        ]
+    )
+    return replace(found, cutoff=without.cutoff, warnings=tuple(noticed))
 
 
 def estimate_payload(

@@ -222,7 +222,7 @@ def findings(result: Identification) -> list[str]:
             said.append(
                 f"the cut-off chosen, {last:g} Hz, is the highest that was tried, and the "
                 f"cross-validated error still falls there ({before:.4g} to {at:.4g} %): "
-                "--cutoff HZ sets a higher one"
+                "`cutoff=...` sets a higher one"
             )
     # Joints whose torque the model does not follow.
     shown, label = (
@@ -242,7 +242,8 @@ def findings(result: Identification) -> list[str]:
     if still and result.settings.rows == "all" and any(e.jumps for e in result.effects):
         said.append(
             "stand still in much of the fitted rows, where friction can hold any torque: joint "
-            f"{', '.join(still)}; their friction is biased, --rows moving leaves these rows out"
+            f"{', '.join(still)}; their friction is biased, "
+            '`rows="moving"` leaves these rows out'
         )
     # Standstill holds much of the error: friction at rest can hold any torque.
     for where, e in (("fit", result.fit), ("held-out data", result.held_out)):

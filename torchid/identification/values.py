@@ -43,6 +43,23 @@ class BaseValues:
     covariance: Float[Tensor, "B B"] | None
     factor: Float[Tensor, "C C"] | None
 
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Names of those that the fit held, which have no variance and are not sure for that."""
+        if self.covariance is None:
+            return ()
+        mask = ((self.covariance.diagonal() == 0) & self.known).tolist()
+        return tuple(n for n, is_held in zip(self.base.names, mask, strict=True) if is_held)
+
+    @property
+    def uncertainty(self) -> Float[Tensor, "B B"] | None:
+        """The covariance, infinite for what the log did not determine; None where all is exact."""
+        if self.covariance is None:
+            return None
+        covariance = self.covariance.clone()
+        covariance[~self.known, ~self.known] = float("inf")
+        return covariance
+
 
 def plain_effects(effects: Sequence[Effect], what: str) -> tuple[JointEffect, ...]:
     """The effects of an identification, for what knows no others than those of a joint's own motion

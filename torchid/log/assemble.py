@@ -171,9 +171,9 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
     hints = []
     if guessed is not None:
         text, remark = guessed
-        hints.append(f'perhaps --columns "{text}"' + (f" ({remark})" if remark else ""))
+        hints.append(f'perhaps `columns="{text}"`' + (f" ({remark})" if remark else ""))
     elif isinstance(error, AbsentColumnError) and {"t", "q1"} <= table.columns.keys():
-        hints.append(f"this log needs no mapping; {one_for_all('--columns')}")
+        hints.append(f"this log needs no mapping; {one_for_all('columns')}")
     return with_hint(error, *hints, available=some(table.described, 60))
 
 
@@ -191,9 +191,9 @@ def with_hint(error: LogError, *hints: str, available: Sequence[object] | None =
     )
 
 
-def one_for_all(option: str) -> str:
-    """The way out where an option that all logs share does not fit one of them."""
+def one_for_all(argument: str) -> str:
+    """The way out where an argument that all logs share does not fit one of them."""
     return (
-        f"{option} holds for every log of a command: convert those of another kind first, "
-        f"torchid log show LOG {option} .. --out run.parquet"
+        f"`{argument}=...` holds for every log: convert those of another kind first, "
+        f"torchid log show LOG --{argument} .. --out run.parquet"
     )

@@ -66,7 +66,7 @@ def csv_table(path: Path, request: Request) -> Table:
             got=dialect.first[:80],
             expected=EXPECTED,
             hint="put the names of the columns in the first line, or say which are which, counted "
-            'from 0: --columns "t=data[:,0],q=data[:,1:7],tau=data[:,7:13]"',
+            'from 0: `columns="t=data[:,0],q=data[:,1:7],tau=data[:,7:13]"`',
         )
 
     def read_data(wanted: Sequence[str]) -> dict[str, np.ndarray]:

@@ -53,7 +53,7 @@ def in_robot_order(
         got=_listed(names),
         expected=_listed(joints),
         hint="give the joints these names in the robot's description, or say which is which: "
-        f'--columns "q=[{_example(names)}.position, ..],tau=[{_example(names)}.effort, ..]"',
+        f'`columns="q=[{_example(names)}.position, ..],tau=[{_example(names)}.effort, ..]"`',
     )
 
 

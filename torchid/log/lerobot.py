@@ -141,7 +141,7 @@ def _joint_signals(
         what = f"'{path}': q is {found['q'][0]}, and is taken for radians; LeRobot drivers record "
         warnings = (
             *warnings,
-            f'{what}degrees or percent too: --columns "q={found["q"][0]}[:,0:{len(joints)}] deg"',
+            f'{what}degrees or percent too: `columns="q={found["q"][0]}[:,0:{len(joints)}] deg"`',
         )
     return found, joints, warnings
 
@@ -172,7 +172,7 @@ def _in_order(
                 f"'{path}': which elements of {feature} are the robot's joints cannot be told.",
                 got=", ".join(names[:30]),
                 expected=", ".join(joints),
-                hint=f'say it: --columns "q={feature}[:,0:{len(joints)}]", counted from 0',
+                hint=f'say it: `columns="q={feature}[:,0:{len(joints)}]"`, counted from 0',
             ) from None
     return arm, (
         f"'{path}': the elements of {feature} do not have the robot's names; taken in the order of "

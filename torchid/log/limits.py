@@ -74,5 +74,5 @@ def _torques(tau: Float[Tensor, "T n"], limits: Float[Tensor, "n 2"]) -> Iterato
         yield (
             f"torques more than {FAR_TORQUE:g} times the robot's limits "
             f"({'; '.join(some(said, 3))}): are they in N m? mN m are read by "
-            '--columns "tau=.. mNm"'
+            '`columns="tau=.. mNm"`'
         )

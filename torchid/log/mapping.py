@@ -108,13 +108,13 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
         key, equals, value = entry.partition("=")
         if not equals:
             raise LogError(
-                "--columns has an entry without `=`.",
+                "`columns=...` has an entry without `=`.",
                 got=entry.strip() or given,
                 expected=f"KEY=SOURCE, such as {_EXAMPLE}, or a yaml file",
             )
-        key = _key(key, "--columns")
+        key = _key(key, "`columns=...`")
         if key in sources:
-            raise LogError(f"--columns gives {key} twice.", got=given)
+            raise LogError(f"`columns=...` gives {key} twice.", got=given)
         sources[key] = _source(key, value)
     return ColumnMapping(sources, given)
 

@@ -88,7 +88,7 @@ def open_logs(paths: Sequence[Path], request: Request) -> list[tuple[Table | Non
     except AbsentColumnError as error:
         if len(paths) == 1:
             raise
-        raise with_hint(error, one_for_all("--columns")) from None
+        raise with_hint(error, one_for_all("columns")) from None
 
 
 def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
@@ -107,8 +107,8 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
-                got=f"--topic {request.topic}",
-                hint=one_for_all("--topic"),
+                got=f'`topic="{request.topic}"`',
+                hint=one_for_all("topic"),
             )
         return table, log_from_table(table, request.columns, request.joints)
     except OSError as error:
@@ -132,9 +132,20 @@ def write_log(log: Log, path: str | Path) -> None:
 
     The values are written in full precision. Names, source and warnings are not kept.
 
+    Args:
+        log: one or several trajectories.
+        path: the file.
+
     Raises:
         LogError: unknown suffix.
         TorchidError: the folder does not exist, or the file cannot be written.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> log = Log(t=[0.0, 0.01], q=[[0.1, 0.2], [0.3, 0.4]])
+    >>> with TemporaryDirectory() as folder:
+    ...     write_log(log, Path(folder) / "run.parquet")
+    ...     read_log(Path(folder) / "run.parquet").q.tolist()
+    [[0.1, 0.2], [0.3, 0.4]]
     """
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())

@@ -170,7 +170,7 @@ def _chosen(bag: Any, path: Path, request: Request) -> Topic:
         raise LogError(
             f"'{path}' has several topics of joint states.",
             available=[topic.described(request.joints) for topic in states],
-            hint=f"choose one: --topic {best.name}"
+            hint=f'choose one: `topic="{best.name}"`'
             + (", the only one with effort" if only else ""),
         )
     return states[0]

@@ -65,7 +65,7 @@ def _piece(key: str, text: str, table: Table) -> Piece:
     rows, columns = _index(found[2]), _index(found[3])
     if rows is None or columns is None or (rows == slice(None)) == (columns == slice(None)):
         raise LogError(
-            f"--columns: {key} cannot be understood.",
+            f"`columns=...`: {key} cannot be understood.",
             got=text,
             expected=f"columns {found[1]}[:,0:7] or {found[1]}[:,[2,0,1]], counted from 0; "
             f"{found[1]}[0:7,:] where they are rows",
@@ -101,7 +101,7 @@ def _numbered(key: str, text: str, numbers: str, table: Table) -> list[str]:
     else:
         wanted = [int(part) for part in numbers.split(",")]
         if len(set(wanted)) < len(wanted):
-            raise LogError(f"--columns: {key} names a column twice.", got=text)
+            raise LogError(f"`columns=...`: {key} names a column twice.", got=text)
     missing = [k for k in wanted if k not in found]
     if missing or not wanted:
         got = sorted(found.values(), key=natural)

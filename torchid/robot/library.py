@@ -63,7 +63,7 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     if suffix in (".yaml", ".yml"):
         if tip is not None:
             raise RobotError(
-                f"--tip chooses a chain in a URDF or MJCF; '{text}' is one chain.", got=tip
+                f"`tip=...` chooses a chain in a URDF or MJCF; '{text}' is one chain.", got=tip
             )
         return read_yaml(path)
     if suffix == ".urdf":
@@ -107,7 +107,6 @@ def named_robot(result: Path, data: Mapping[str, Any], tip: str | None = None) -
             if found in built_in_robots() or (is_robot(found) and Path(found).is_file()):
                 return load_robot(found, tip=tip)
     raise TorchidError(
-        f"--robot is needed: the robot of '{result}' was not found.",
+        f"`robot=...` is needed: the robot of '{result}' was not found.",
         got=source or name,
-        expected="--robot ROBOT",
     )

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from torchid.errors import RobotError
+from torchid.errors import RobotError, TorchidError
 from torchid.robot.inertia import InertialParameters
-from torchid.tensors import as_tensor
-from torchid.typing import Float
+from torchid.tensors import as_tensor, joint_signals
+from torchid.typing import Float, Numbers
 
 if TYPE_CHECKING:
     import pytorch_kinematics
@@ -80,7 +80,7 @@ class Limits:
                 f"which {purpose} needs.",
                 expected="limits: {position: [...], velocity: [...], acceleration: [...]}",
                 hint="add `limits` to the robot's yaml or <limit> to its URDF; acceleration: "
-                "--max-acceleration on the command line",
+                "Robot.with_limits, --max-acceleration on the command line",
             )
 
 
@@ -180,6 +180,36 @@ class Robot:
         """The same robot with other nominal inertial parameters."""
         return replace(self, parameters=parameters)
 
+    def with_limits(self, **limits: float | Numbers) -> "Robot":
+        """The same robot with other limits of motion or torque.
+
+        Args:
+            limits: `position`, `velocity`, `acceleration` or `torque`: (n, 2) lower and upper
+                [rad or m; per s; per s^2; N m or N], or, for the last three, (n,) or one number
+                for all joints, which counts both ways.
+
+        Raises:
+            RobotError: not such numbers.
+            TorchidError: another name.
+        """
+        changed = {}
+        for name, given in limits.items():
+            if name not in LIMITS:
+                raise TorchidError("there is no such limit.", got=name, available=LIMITS)
+            values = as_tensor(given, f"limits of {name}", RobotError)
+            if values.ndim < 2 and name != "position":
+                size = values.expand(self.n) if values.numel() == 1 else values
+                values = torch.stack([-size, size], -1)
+            if tuple(values.shape) != (self.n, 2) or not bool((values[:, 0] < values[:, 1]).all()):
+                raise RobotError(
+                    f"limits of {name} do not fit robot '{self.name}'.",
+                    got=values.tolist(),
+                    expected=f"({self.n}, 2) lower and upper"
+                    + ("" if name == "position" else ", or positive numbers: one, or one a joint"),
+                )
+            changed[name] = values
+        return replace(self, limits=replace(self.limits, **changed))
+
     def to_chain(self, dtype: torch.dtype = torch.float64) -> "pytorch_kinematics.SerialChain":
         """The robot as a pytorch-kinematics SerialChain (see torchid.robot.chain)."""
         from torchid.robot.chain import to_chain
@@ -215,6 +245,23 @@ def link_poses(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*ba
     return torch.stack(poses, -3)
 
 
-def tool_pose(robot: Robot, q: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch 4 4"]:
-    """Pose of the tool in the base frame (..., 4, 4)."""
+def tool_pose(robot: Robot, q: Numbers) -> Float[Tensor, "*batch 4 4"]:
+    """Pose of the tool in the base frame.
+
+    Args:
+        robot: kinematics and tool.
+        q: (..., n) [rad; m for prismatic joints]; arrays and lists too, in float64.
+
+    Returns:
+        (..., 4, 4) homogeneous transforms [1; m]: rotation, and position in the base frame.
+
+    Raises:
+        TorchidError: not numbers of all joints.
+
+    >>> import torchid
+    >>> pose = tool_pose(torchid.load_robot("3r"), [0.0, 0.0, 0.0])
+    >>> pose.shape, pose[3].tolist()
+    (torch.Size([4, 4]), [0.0, 0.0, 0.0, 1.0])
+    """
+    (q,) = joint_signals(robot.n, q=q)
     return link_poses(robot, q)[..., -1, :, :] @ robot.tool.to(q)

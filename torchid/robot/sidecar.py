@@ -66,7 +66,7 @@ def with_sidecar(robot: Robot, path: Path) -> Robot:
             f"'{beside}' belongs to another chain of joints than '{path}'.",
             got=data.get("joints"),
             expected=list(robot.joint_names),
-            hint="choose the chain with --tip, or remove the file",
+            hint="choose the chain with `tip=...`, or remove the file",
         )
     effects = read_effects(data.get("effects") or (), robot.n, str(beside))
     gravity = robot.gravity

@@ -212,7 +212,7 @@ def _only_tip(tree: Tree, root: str) -> tuple[str, tuple[str, ...]]:
         return ends[0], ()
     return group.link, (
         f"several links are fixed to the last moving link '{group.link}' ({', '.join(ends)}): "
-        f"the tool is '{group.link}' itself; choose another with --tip",
+        f"the tool is '{group.link}' itself; choose another with `tip=...`",
     )
 
 

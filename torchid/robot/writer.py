@@ -17,7 +17,7 @@ from torchid.robot.yaml_kinematics import CONVENTIONS, dh_step
 from torchid.typing import Float
 
 
-def write_robot(robot: Robot, path: Path) -> None:
+def write_robot(robot: Robot, path: str | Path) -> None:
     """Write a robot's yaml (format in docs/robots.md), in place of the file only when complete.
 
     Numbers are written so that they are read back exactly, and inertial parameters as they are
@@ -31,9 +31,18 @@ def write_robot(robot: Robot, path: Path) -> None:
 
     Raises:
         TorchidError: the file cannot be written.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> with TemporaryDirectory() as folder:
+    ...     write_robot(robot, Path(folder) / "arm.yaml")
+    ...     again = torchid.load_robot(Path(folder) / "arm.yaml")
+    >>> bool((again.parameters.pi == robot.parameters.pi).all())
+    True
     """
     text = robot_yaml(robot)
-    with atomic_write(path) as file:
+    with atomic_write(Path(path)) as file:
         file.write(text)
 
 

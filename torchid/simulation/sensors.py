@@ -35,6 +35,12 @@ class HonestNoise:
             of the same standard deviation, with this cut-off [Hz].
         include_velocity: whether velocities are measured.
         velocity_relative: standard deviation of their white noise, as a share of the RMS velocity.
+
+    Raises:
+        TorchidError: a size that is negative, a cut-off that is no frequency.
+
+    >>> HonestNoise(torque_relative=0.02).encoder_step == ENCODER_STEP
+    True
     """
 
     encoder_step: float | tuple[float, ...] = ENCODER_STEP

@@ -183,16 +183,16 @@ def make(
     keys = keys_beside(folder) if keys is None else keys
     # Before any work is done.
     if (folder / CASES).exists():
-        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another --out")
+        raise TorchidError(f"'{folder}' holds a set of cases already.", hint="another `out=...`")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another --out")
+        raise TorchidError(f"'{folder}' is not an empty folder.", hint="another `out=...`")
     if keys.exists():
         raise TorchidError(
-            f"'{keys}' exists, and keys are never overwritten.", hint="another --keys"
+            f"'{keys}' exists, and keys are never overwritten.", hint="another `keys=...`"
         )
     if folder.resolve() in keys.resolve().parents:
         raise TorchidError(
-            "the keys must not lie in the folder of the cases.", got=keys, hint="another --keys"
+            "the keys must not lie in the folder of the cases.", got=keys, hint="another `keys=...`"
         )
     for above in (folder.resolve().parent, keys.resolve().parent):
         if not above.is_dir():

@@ -44,6 +44,9 @@ from torchid.withheld.parallel import Progress, each
 LEVELS = (1.0, 2.0, 5.0, 10.0)
 """Sizes planted, in units of the noise of the joint's torque."""
 
+PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
+"""Effects that are planted by default: a step, one that scales with load, a periodic one."""
+
 FIRST_LEVEL = 1
 """Number of the level tried first; the search goes down where it is named, else up."""
 
@@ -222,18 +225,23 @@ class OwnCheck:
     planted: tuple[Planted, ...]
 
 
-def check_own(
+def withheld_own(
     robot: Robot,
     log: Log,
     *,
     untouched: Log | None = None,
     settings: GapSettings | None = None,
-    plant: Sequence[str] = (),
+    plant: Sequence[str] = PLANTED,
     joints: Sequence[int] | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> OwnCheck:
-    """Withhold every accepted effect once, and plant known ones.
+    """The diagnosis checked on one's own arm: every accepted effect withheld once, and known ones
+    planted.
+
+    Every effect that is accepted on the log is taken out of the corrected model and sought again on
+    untouched data. Then known effects are added to the measured torque there, to see from which
+    size on they are found.
 
     Args:
         robot: as for `diagnose`.
@@ -248,6 +256,17 @@ def check_own(
     Raises:
         LogError: logs that cannot be used.
         TorchidError: an effect that does not act on one joint, or a joint that is not there.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motions = [torchid.excite(robot, seed=k, duration=10.0, restarts=1, iterations=0).log()
+    ...            for k in (1, 2)]
+    >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
+    >>> first, other = (torchid.simulate(robot, m, effects=[friction]) for m in motions)
+    >>> settings = GapSettings(effects=("viscous_friction", "coulomb_friction"))
+    >>> found = withheld_own(robot, first, untouched=other, settings=settings, plant=())
+    >>> [(w.effect, w.joints, w.named, w.as_much) for w in found.withheld]
+    [('viscous_friction', (1,), True, True)]
     """
     kinds = [plantable(name) for name in plant]
     places = list(range(robot.n) if joints is None else joints)

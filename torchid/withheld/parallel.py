@@ -59,7 +59,7 @@ def each(
         except BrokenProcessPool as error:
             raise TorchidError(
                 "a process was ended from outside; memory may have run out.",
-                hint="fewer --jobs; what is done already stays",
+                hint="fewer `jobs=...`; what is done already stays",
             ) from error
         finally:
             for future in waiting:

@@ -98,7 +98,7 @@ def run(
         raise TorchidError(
             f"{len(other)} of the answers there are not this diagnosis': {reason}.",
             got=f"{case}, {len(other) - 1} others" if len(other) > 1 else case,
-            hint="--again replaces them",
+            hint="`again=True` replaces them",
         )
     left = [job for job in todo if job.case not in answers]
     kept = len(answers)

@@ -32,7 +32,7 @@ def require_answers(cases: CaseSet, answers: Answers, *, partial: bool) -> None:
         return
     hint = f"torchid withheld run {cases.folder}"
     if len(missing) < len(cases.ids):
-        hint += "; or --partial"
+        hint += "; or `partial=True`"
     raise TorchidError(
         f"{len(missing)} of {len(cases.ids)} cases have no answer yet.", got=missing[0], hint=hint
     )

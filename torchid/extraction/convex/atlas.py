@@ -32,9 +32,12 @@ from torchid.extraction.convex.conic import Rows, Status
 from torchid.extraction.convex.rows import AXES
 from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
 from torchid.extraction.problem import Problem
+from torchid.identification.result import Identification
+from torchid.identification.values import BaseValues, identified_base
 from torchid.robot.inertia import parameter_names, parameter_units
 from torchid.robot.model import JointType
-from torchid.typing import Float, Tensor
+from torchid.tensors import as_tensor
+from torchid.typing import Float, Numbers, Tensor
 
 Kind = Literal["exact", "least loss", "confidence"]
 
@@ -165,7 +168,7 @@ class Atlas:
 def atlas(
     problem: Problem,
     *,
-    covariance: Float[Tensor, "B B"] | None = None,
+    covariance: Numbers | BaseValues | Identification | None = None,
     level: float = 0.95,
     slack: float = 0.01,
     with_conditions: bool = True,
@@ -181,8 +184,9 @@ def atlas(
 
     Args:
         problem: target, bounds and conditions.
-        covariance: (B, B) of the target's values. A base parameter of zero variance keeps its
-            value; one of infinite variance (its row and column are not read) is free.
+        covariance: (B, B) of the target's values, or the identification that they are from; exact
+            if None. A base parameter of zero variance keeps its value; one of infinite variance
+            (its row and column are not read) is free.
         level: of the confidence ellipsoid.
         slack: beyond the least loss (see above).
         with_conditions, com_bounds, inertia_bounds: which conditions count, as in `certificate`.
@@ -191,7 +195,19 @@ def atlas(
 
     Raises:
         TorchidError: a covariance of another size, a level or slack out of range, an unknown name.
+
+    >>> import torchid
+    >>> from torchid.identification.values import nominal_base
+    >>> robot = torchid.load_robot("3r")
+    >>> problem, _ = torchid.problem_of(robot, nominal_base(robot))
+    >>> found = atlas(problem, only=["m3"])
+    >>> bool(found.low[0] <= robot.parameters.mass[2] <= found.high[0]), found.units
+    (True, ('kg',))
     """
+    if isinstance(covariance, Identification):
+        covariance = identified_base(covariance)
+    if isinstance(covariance, BaseValues):
+        covariance = covariance.uncertainty
     if not 0 < level < 1 or not slack > 0:
         raise TorchidError("level lies in (0, 1), slack is positive.", got=f"{level}, {slack}")
     conditions = problem.conditions if with_conditions else None
@@ -217,7 +233,7 @@ def atlas(
     region = (
         least_loss_region(problem, body, slack)
         if covariance is None
-        else confidence_region(problem, body, covariance, level, slack)
+        else confidence_region(problem, body, as_tensor(covariance, "covariance"), level, slack)
     )
     total, done = 4 * len(quantities), 0
     ends: list[list[tuple[float, Status, np.ndarray]]] = []

@@ -5,11 +5,18 @@ from dataclasses import dataclass
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
 from torchid.errors import TorchidError
-from torchid.feasibility.conditions import Conditions
+from torchid.feasibility.bounds import bounds_groups, read_bounds, read_total_mass
+from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import Feasibility, feasibility
-from torchid.feasibility.sets import ParameterSets
+from torchid.feasibility.sets import ParameterSets, nominal_set
+from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
+from torchid.study.equal_torque.setting import (
+    corrected_group,
+    logged_motion,
+    reference_motion,
+)
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors
@@ -39,6 +46,64 @@ class GivenSets:
     torque_relative: Float[Tensor, "K n"]
     carried: Float[Tensor, "K n"]
     comparison: Comparison
+
+
+def compare_wrenches(
+    robot: Robot,
+    sets: ParameterSets,
+    reference: str | ParameterSets | None = None,
+    *,
+    motion: Log | Motion | None = None,
+    geometry: str | None = None,
+    total_mass: tuple[float, float] | None = None,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> GivenSets:
+    """How far the internal forces and moments of parameter sets are from those of a reference: by
+    set, by joint, by reason and degree of infeasibility.
+
+    Args:
+        robot: with inertial parameters.
+        sets: K of them, e.g. from `read_sets` or an extraction.
+        reference: the one of the sets with this id, or one set; the robot's nominal parameters if
+            None.
+        motion: on which they are compared: a log, or states (T, n); a sinusoid within the robot's
+            limits if None.
+        geometry: group of bounds whose boxes of the centres of mass are the links' geometry; if
+            None `normal_corrected`, or `normal`, where the robot has it, else physics alone counts.
+        total_mass: interval of the sum of the masses [kg]; the robot's if None.
+        resamples: of the bootstrap of the intervals.
+        seed: of the motion and the bootstrap.
+
+    Raises:
+        RobotError: no nominal parameters, no such bounds, or incomplete limits and no motion.
+        LogError: a log that does not fit the robot.
+        TorchidError: no such reference.
+
+    >>> import torchid
+    >>> from torchid.feasibility.sets import nominal_set
+    >>> robot = torchid.load_robot("3r")
+    >>> found = compare_wrenches(robot, nominal_set(robot), resamples=20)
+    >>> found.errors.force_rms.shape, float(found.errors.force_rms.max())
+    (torch.Size([1, 3]), 0.0)
+    """
+    if reference is None:
+        reference = nominal_set(robot)
+    elif isinstance(reference, str):
+        if reference not in sets.ids:
+            raise TorchidError(
+                "the reference is none of the sets.", got=reference, available=sets.ids[:20]
+            )
+        reference = sets.part([sets.ids.index(reference)])
+    if motion is None:
+        motion = reference_motion(robot, seed)
+    elif isinstance(motion, Log):
+        motion = logged_motion(motion, robot)
+    # Boxes of the geometry, where the robot has bounds; physics alone where it has none.
+    group = geometry or corrected_group(robot, "normal")
+    box = read_bounds(robot, group).com if geometry or group in bounds_groups(robot) else None
+    asked = conditions(robot, com_box=box, total_mass=total_mass or read_total_mass(robot))
+    return given_sets(robot, sets, reference, asked, motion, resamples=resamples, seed=seed)
 
 
 def given_sets(

@@ -5,8 +5,9 @@ from typing import Literal
 
 import torch
 
+from torchid.design.motion import measurements
 from torchid.effects.base import Motion
-from torchid.errors import TorchidError
+from torchid.errors import LogError, TorchidError
 from torchid.excitation.trajectories import sinusoid
 from torchid.extraction.convex.nearest import nearest_feasible
 from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds, read_total_mass
@@ -14,6 +15,8 @@ from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.identification.base_parameters import BaseParameters, base_parameters
+from torchid.log.model import Log
+from torchid.log.sampling import resample
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -23,6 +26,8 @@ TOTAL_MASS = (0.9, 1.25)
 MARGIN = 1e-3
 """Smallest eigenvalue of the pseudo-inertias [kg m^2, kg] of a reference that has to be found. With
 nearly none, all sets of its torque lie on the edge of feasibility."""
+LOG_CUTOFF = 8.0
+"""Of the filter under which a log's velocities and accelerations are made [Hz]."""
 RATE = 100.0
 """Samples per second of the reference motion [Hz], as in the report's section 5.1."""
 
@@ -145,6 +150,27 @@ def reference_motion(robot: Robot, seed: int = 0, *, duration: float = 10.0) -> 
     """
     sampled = sinusoid(robot, seed, duration=duration).sample(RATE)
     return Motion(sampled.q, sampled.dq, sampled.ddq)
+
+
+def logged_motion(log: Log, robot: Robot) -> Motion:
+    """States (T, n) of a log, one trajectory after the other; velocities and accelerations it lacks
+    are differentiated, under a filter of `LOG_CUTOFF`.
+
+    Raises:
+        LogError: another number of joints, or too short to be differentiated.
+    """
+    if log.n != robot.n:
+        raise LogError(
+            f"log '{log.source}' does not fit robot '{robot.name}'.",
+            got=f"{log.n} joints",
+            expected=f"{robot.n}",
+        )
+    if log.dq is not None and log.ddq is not None:
+        return Motion(log.q, log.dq, log.ddq)
+    # The torque is not used; without one, a log has nothing to be differentiated for.
+    every = measurements(resample(log.replace(tau=torch.zeros_like(log.q))), LOG_CUTOFF)
+    states = [m.motion.part(slice(m.edge, m.samples - m.edge)).state for m in every]
+    return Motion(*(torch.cat(x) for x in zip(*states, strict=True)))
 
 
 def corrected_group(robot: Robot, group: str) -> str:

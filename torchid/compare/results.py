@@ -1,0 +1,92 @@
+"""Results of one kind compared, whatever their kind."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from torchid.compare.diagnoses import GapComparison, compare_diagnoses
+from torchid.compare.identifications import Comparison, compare_identifications
+from torchid.compare.reading import (
+    GAP,
+    IDENTIFICATION,
+    Result,
+    read_identification,
+    read_results,
+)
+from torchid.compare.sets import SetComparison, compare_sets, robot_of
+from torchid.errors import TorchidError
+from torchid.gap.diagnosis import Diagnosis
+from torchid.identification.result import Identification
+from torchid.log.model import Log
+from torchid.robot.model import Robot
+from torchid.robot.record import recorded_robot
+
+Compared = Comparison | GapComparison | SetComparison
+
+
+def compare_results(
+    results: Sequence[str | Path | Identification | Diagnosis],
+    *,
+    robot: Robot | None = None,
+    on: Log | None = None,
+    seed: int = 0,
+) -> Compared:
+    """Which parameters agree between results within their intervals, which drift, which are never
+    determined; whether standard deviations hold from run to run; how far apart the torques are.
+
+    Args:
+        results: two or more, in the order of time: identifications or diagnoses, or files of them
+            (identification.json, gap.json) or of parameter sets (sets.json); all of one kind.
+        robot: for the torque, where files do not record it.
+        on: a log along whose motion the torques are compared; random motion if None.
+        seed: of random motion and of null distributions.
+
+    Returns:
+        By their kind: Comparison, GapComparison or SetComparison.
+
+    Raises:
+        TorchidError: fewer than two, of different kinds or kinematics, files that hold no results,
+            or a log but no robot.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=10.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.Settings(effects=(), cutoff=10.0)
+    >>> runs = [torchid.identify(robot, torchid.simulate(robot, motion, seed=k), settings=settings)
+    ...         for k in (1, 2)]
+    >>> found = compare_results(runs)
+    >>> found.labels, len(found.having("drift", "differ"))
+    (('result 1', 'result 2'), 0)
+    """
+    read = read_results(results)
+    return compared(read, robot or common_robot(read), on=on, seed=seed)
+
+
+def common_robot(results: Sequence[Result], tip: str | None = None) -> Robot | None:
+    """The robot that results record or name; of identifications and diagnoses None where none
+    records it.
+
+    Args:
+        results: of one kind.
+        tip: of a named URDF or MJCF: in place of the recorded one.
+
+    Raises:
+        TorchidError: files of sets that name different robots, or one that is not where it was.
+    """
+    if results[0].schema not in (IDENTIFICATION, GAP):
+        return robot_of(results, tip)
+    recorded = (recorded_robot(r.data, str(r.path)) for r in results)
+    return next((robot for robot in recorded if robot is not None), None)
+
+
+def compared(
+    results: Sequence[Result], robot: Robot | None, *, on: Log | None = None, seed: int = 0
+) -> Compared:
+    """As `compare_results`, of results that were read."""
+    if results[0].schema == IDENTIFICATION:
+        every = [read_identification(r) for r in results]
+        return compare_identifications(every, robot=robot, on=on, seed=seed)
+    if results[0].schema == GAP:
+        return compare_diagnoses(results, on=on, seed=seed)
+    if robot is None:
+        raise TorchidError("sets are compared for a robot.", expected="its kinematics")
+    return compare_sets(results, robot, on=on, seed=seed)
