@@ -13,6 +13,7 @@ from pathlib import Path
 import sympy
 import torch
 
+from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.identify import Identification, Settings, identify
 from torchid.log.model import Log
 from torchid.log.readers import read_log
@@ -240,15 +241,15 @@ def panda(data: Path) -> None:
     print("| coefficient | published ± std | torchid ± std (block-robust) | difference / std |")
     print("|---|---|---|---|")
     for text, value, percent in PANDA:
-        own, std = result.combination(weights(text, result))
+        own, std = result.combination(weights(text, result.base))
         print(
             f"| {text.replace('**2', '²').replace('*', ' ')} | {value:g} ± "
             f"{abs(value) * percent / 100:.2g} | {own:.4f} ± {std:.2g} | {(own - value) / std:+.1f} |"
         )
 
 
-def weights(text: str, result: Identification) -> torch.Tensor:
-    names = result.base.parameter_names
+def weights(text: str, base: BaseParameters) -> torch.Tensor:
+    names = base.parameter_names
     symbols = {name: sympy.Symbol(name) for name in names}
     lengths = {"a4": A4, "d3": D3, "d5": D5, "a7": A7}
     expression = sympy.expand(sympy.sympify(text, locals={**symbols, **lengths}))

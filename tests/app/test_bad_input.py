@@ -223,6 +223,8 @@ def test_excite_options(command, tmp_path):
     refused(command("excite", "3r"), "nowhere to write")
     refused(command("excite", "kuka_lwr4", "--kind", "paper", "--to", target), "3R")
     refused(command("excite", "3r", "--duration", "-1", "--to", target), "positive")
+    asked = ("--kind", "random", "--basis", "report")
+    refused(command("excite", "3r", *asked, "--to", target), "--basis", "--kind random")
     refused(command("excite", "3r", "--max-velocity", "1,2", "--to", target), "expected: 3")
     refused(command("excite", "3r", "--kind", "random", "--to", tmp_path / "m.doc"), "m.doc")
     assert not list(tmp_path.iterdir())

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from tests.compare.records import EFFECTS, several
+from tests.compare.records import EFFECTS, identification, several
 from torchid.compare.identifications import compare_identifications
 from torchid.compare.reading import read_identification, read_results
 from torchid.compare.record import record
@@ -47,6 +47,31 @@ def test_results_of_one_trajectory_do_not_vouch_for_each_other(tmp_path):
     found = compared([rename(p) for p in several(tmp_path, 3)])
     assert found.same_motion
     assert "can be trusted" not in verdict(found)
+
+
+def test_results_in_different_bases_are_compared_in_one(tmp_path):
+    """The same estimate, written once in each basis, differs by nothing."""
+    report = load_robot("3r_friction")
+    conditioned = replace(report, basis="conditioned")
+    paths = [
+        identification(tmp_path / f"{robot.basis}.json", 4, robot=robot)
+        for robot in (report, conditioned)
+    ]
+    one, two = (read_identification(r) for r in read_results(paths))
+    assert one.base.names != two.base.names
+    assert two.base.independent == base_parameters(conditioned, two.effects).independent
+    # The truth in the second's basis, and the first's estimate brought there.
+    same = one.base.grouping[:, list(two.base.independent)]
+    data = json.loads(paths[1].read_text())
+    back = torch.linalg.inv(same)
+    data["base_values"] = (back @ one.values).tolist()
+    data["covariance"] = (back @ one.covariance @ back.T).tolist()
+    paths[1].write_text(json.dumps(data))
+    found = compared(paths)
+    for parameter in found.parameters:
+        first, second = parameter.values.tolist()
+        assert first == pytest.approx(second, rel=1e-9, abs=1e-12)
+        assert float(parameter.std[0]) == pytest.approx(float(parameter.std[1]), rel=1e-9)
 
 
 def test_too_small_claims_are_said_with_their_factor(tmp_path):

@@ -355,6 +355,21 @@ def test_the_design_is_that_of_the_seed():
     assert not torch.equal(first.trajectory.a, other.trajectory.a)
 
 
+def test_a_design_is_for_the_condition_number_of_the_basis():
+    robot = load_robot("ur10e")
+    made = {
+        basis: optimise_trajectory(robot, seed=0, restarts=2, iterations=5, basis=basis)
+        for basis in (None, "report", "conditioned")
+    }
+    assert [d.base.basis for d in made.values()] == ["conditioned", "report", "conditioned"]
+    assert torch.equal(made[None].trajectory.a, made["conditioned"].trajectory.a)
+    own, report = made[None], made["report"]
+    motion = own.trajectory.sample(50.0).motion
+    weights = row_weights(robot)
+    assert own.condition_after == pytest.approx(condition_number(robot, own.base, motion, weights))
+    assert own.condition_after < 0.2 * report.condition_after
+
+
 def test_rows_are_weighted_by_torque_limits():
     robot = load_robot("3r")
     assert row_weights(robot) is None

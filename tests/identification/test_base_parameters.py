@@ -1,10 +1,13 @@
 """How many base parameters there are, which, and that they give the same torque."""
 
 import math
+import runpy
+from pathlib import Path
 
 import pytest
 import torch
 
+from tests.arms import ARMS, arm, mixed_arm
 from tests.excitation.test_excitation import random_arm
 from tests.identification.test_paper_tables import coefficients
 from torchid.effects.base import Motion
@@ -18,9 +21,10 @@ from torchid.identification.base_parameters import (
     visible,
 )
 from torchid.robot.library import load_robot
-from torchid.robot.model import Robot
+from torchid.robot.model import Basis, Robot
 from torchid.robot.yaml_file import from_mapping
 
+BOTH = pytest.mark.parametrize("basis", ["report", "conditioned"])
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 
@@ -73,33 +77,36 @@ COUNTS = {
 }  # fmt: skip
 
 
+@BOTH
 @pytest.mark.parametrize("name", COUNTS)
-def test_counts(name):
+def test_counts(name, basis):
     make, count = COUNTS[name]
-    base = base_parameters(make())
+    base = base_parameters(make(), basis=basis)
     assert len(base) == base.n_rigid == count
     assert base.warnings == ()
 
 
-@pytest.mark.parametrize("name", ["3r", "kuka_lwr4"])
-def test_the_answer_depends_on_no_seed_and_no_number_of_samples(name):
+@BOTH
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "panda", "ur10e"])
+def test_the_answer_depends_on_no_seed_and_no_number_of_samples(name, basis):
     robot = load_robot(name)
     effects = on_every_joint(EFFECTS, robot.n)
-    first = base_parameters(robot, effects)
+    first = base_parameters(robot, effects, basis=basis)
     tries = [(seed, None) for seed in range(1, 20)] + [(1, 40), (2, 200), (3, 2000)]
     for seed, samples in tries:
-        again = base_parameters(robot, effects, seed=seed, samples=samples)
+        again = base_parameters(robot, effects, basis=basis, seed=seed, samples=samples)
         assert again.names == first.names
         assert again.independent == first.independent
         assert torch.allclose(again.grouping, first.grouping, atol=1e-8)
 
 
+@BOTH
 @pytest.mark.parametrize("effects", [(), EFFECTS], ids=["rigid", "with effects"])
-@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "random 6R", "a turn on a slide"])
-def test_the_torque_is_that_of_the_base_parameters(name, effects):
-    robot = COUNTS[name][0]()
+@pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "random 6R", "a turn on a slide", "mixed"])
+def test_the_torque_is_that_of_the_base_parameters(name, effects, basis):
+    robot = COUNTS[name][0]() if name in COUNTS else arm(name)
     kinds = on_every_joint(effects, robot.n)
-    base = base_parameters(robot, kinds)
+    base = base_parameters(robot, kinds, basis=basis)
     y = stacked_regressor(robot, kinds, random_states(robot, seed=77, samples=300))
     generator = torch.Generator().manual_seed(5)
     full = torch.randn(8, y.shape[1], generator=generator, dtype=torch.float64)
@@ -119,14 +126,71 @@ def test_the_stacked_regressor_with_effects_is_the_torque(robot):
     assert torch.allclose(got, v * motion.dq + c * motion.dq.sign() + o + r * motion.ddq)
 
 
-def test_twists_of_few_digits_change_nothing_of_the_structure():
+def condition(robot: Robot, basis: Basis) -> float:
+    """Of the base parameters' columns, each of length one, at states that chose nothing."""
+    base = base_parameters(robot, basis=basis)
+    y = stacked_regressor(robot, (), random_states(robot, seed=77, samples=1000))
+    y = y[:, list(base.independent)]
+    sizes = torch.linalg.svdvals(y / y.norm(dim=0))
+    return float(sizes[0] / sizes[-1])
+
+
+OBLIQUE = {f"oblique {k}{s}": mixed_arm(k, s) for k in ("RRRRRR", "RPRRPR") for s in (3, 6)}
+
+
+@pytest.mark.parametrize("name", [*ARMS, "random 6R", "a turn on a slide", *OBLIQUE])
+def test_the_conditioned_basis_is_well_conditioned(name):
+    """Also where joint axes are oblique to the link frames, so that columns must be exchanged."""
+    robot = OBLIQUE.get(name) or (COUNTS[name][0]() if name in COUNTS else arm(name))
+    assert condition(robot, "conditioned") < 12
+    assert condition(robot, "conditioned") <= condition(robot, "report")
+
+
+def test_the_conditioned_base_parameters_of_the_panda_are_the_published_ones():
+    """Gaz et al. 2019, supplementary material, table III: 43 groupings made by hand."""
+    logs = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "real_logs.py"))
+    robot = load_robot("panda")
+    base = base_parameters(robot)
+    assert base.basis == robot.basis == "conditioned"
+    published = torch.stack([logs["weights"](text, base) for text, _, _ in logs["PANDA"][:43]])
+    ours = base.grouping
+    signs = [ours[int((ours - p).norm(dim=1).argmin())] for p in published]
+    assert torch.allclose(torch.stack(signs), published, atol=1e-12)
+    assert len({tuple(row.tolist()) for row in signs}) == 43
+
+
+@pytest.mark.parametrize("name", ["3r_friction", "kuka_lwr4", "panda", "ur10e"])
+def test_the_robots_own_basis_is_the_default(name):
+    robot = load_robot(name)
+    own = "conditioned" if name in ("panda", "ur10e") else "report"
+    assert base_parameters(robot).names == base_parameters(robot, basis=own).names
+    assert base_parameters(robot).basis == robot.basis == own
+
+
+@BOTH
+def test_base_parameters_of_one_basis_are_combinations_of_the_others(basis):
+    """Neither holds more than the other, and effects stay behind the rigid body."""
+    robot = arm("ur10e")
+    effects = on_every_joint(EFFECTS, robot.n)
+    one, two = (base_parameters(robot, effects, basis=b) for b in ("report", "conditioned"))
+    if basis == "conditioned":
+        one, two = two, one
+    turn = one.grouping[:, list(two.independent)]
+    assert torch.allclose(turn @ two.grouping, one.grouping, atol=1e-8)
+    assert (one.n_rigid, one.absorbed_effects()) == (two.n_rigid, two.absorbed_effects())
+    rigid = one.n_rigid
+    assert torch.allclose(turn[rigid:, rigid:], torch.eye(len(one) - rigid).double())
+
+
+@BOTH
+def test_twists_of_few_digits_change_nothing_of_the_structure(basis):
     """The regression that motivated rank.py: a twist of 1.5708 leaves residues of 1e-6 of columns
     that vanish or depend on others. They must neither take a direction that a later column needs,
     nor be kept (m2c2y - 270000 m2c2z)."""
-    exact = base_parameters(lwr(math.pi / 2))
+    exact = base_parameters(lwr(math.pi / 2), basis=basis)
     assert len(exact) == 43
     for quarter in (1.570796327, 1.570796, 1.5708):
-        base = base_parameters(lwr(quarter))
+        base = base_parameters(lwr(quarter), basis=basis)
         assert base.independent == exact.independent
         assert [coefficients(n).keys() for n in base.names] == [
             coefficients(n).keys() for n in exact.names
@@ -135,10 +199,11 @@ def test_twists_of_few_digits_change_nothing_of_the_structure():
         assert base.warnings == ()
 
 
+@BOTH
 @pytest.mark.parametrize("name", COUNTS)
-def test_names_read_back_as_the_grouping(name):
+def test_names_read_back_as_the_grouping(name, basis):
     robot = COUNTS[name][0]()
-    base = base_parameters(robot, on_every_joint(EFFECTS, robot.n))
+    base = base_parameters(robot, on_every_joint(EFFECTS, robot.n), basis=basis)
     for text, row, lead in zip(base.names, base.grouping, base.independent, strict=True):
         read = coefficients(text.replace(" - ", "-").replace(" + ", "+"))
         shown = {
@@ -148,9 +213,10 @@ def test_names_read_back_as_the_grouping(name):
         assert read == pytest.approx(shown, rel=1e-4)
 
 
+@BOTH
 @pytest.mark.parametrize("name", COUNTS)
-def test_a_grouping_is_a_projection(name):
-    base = base_parameters(COUNTS[name][0]())
+def test_a_grouping_is_a_projection(name, basis):
+    base = base_parameters(COUNTS[name][0](), basis=basis)
     identity = torch.eye(len(base), dtype=torch.float64)
     assert torch.equal(base.grouping[:, list(base.independent)], identity)
     assert sorted(base.independent + base.dependent) == list(range(len(base.parameter_names)))

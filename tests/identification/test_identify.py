@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import pytest
 import torch
 
+from tests.arms import arm as known_arm
 from tests.identification.test_paper_tables import plan, true_parameters
 from tests.identification.test_rows import a_log, arm
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -14,7 +16,12 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import IdentificationError, LogError, TorchidError
 from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.export.dynamics import of_base
 from torchid.identification.identify import Identification, Settings, identify
+from torchid.identification.record import record
+from torchid.identification.settings import Method
+from torchid.identification.values import read_base
+from torchid.json_data import write_json
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -317,7 +324,7 @@ def test_another_number_of_joints():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "settings"),
-    [(0, QUICK), (1, QUICK), (2, QUICK), (1, Settings()), (2, replace(QUICK, rows="moving"))],
+    [(0, QUICK), (1, QUICK), (2, QUICK), (1, Settings()), (2, replace(QUICK, rows="all"))],
 )
 def test_a_joint_that_never_moves(joint, settings):
     q = honest().q.clone()
@@ -334,7 +341,7 @@ def test_nothing_moves():
     log = honest()
     still = log.replace(q=torch.zeros_like(log.q))
     with pytest.raises(IdentificationError, match="no row is left"):
-        identify(ROBOT, still, settings=replace(QUICK, rows="moving"))
+        identify(ROBOT, still, settings=QUICK)
 
 
 def test_all_zero_torque():
@@ -458,9 +465,53 @@ def hardly_moving(amplitude: float) -> Log:
     return Log(t, q, dq=dq, ddq=ddq, tau=inverse_dynamics(robot, q, dq, ddq) + 0.02 * noise)
 
 
+@pytest.mark.parametrize("method", ["ols", "huber"])
+@pytest.mark.parametrize("name", ["3r_friction", "ur10e", "panda"])
+def test_both_bases_have_the_same_torque(name: str, method: Method, tmp_path: Path) -> None:
+    """On the log, and on any other motion; the basis goes with the result's file."""
+    robot = known_arm(name)
+    plan = trajectory_log(random_trajectory(robot, 1, fill=True), 50.0)
+    log = synthetic_log(robot, plan, HonestNoise(include_velocity=True), 0)
+    settings = Settings(cutoff=5.0, reversal=0.0, method=method, signs="free")
+    report, conditioned = (
+        identify(robot, log, settings=replace(settings, basis=basis, held_out_fraction=0.3))
+        for basis in ("report", "conditioned")
+    )
+    motion = torch.randn(3, 40, robot.n, dtype=torch.float64)
+    one, two = report.predict(*motion), conditioned.predict(*motion)
+    assert report.undetermined == report.bounded == ()
+    assert float((one - two).abs().max() / one.abs().max()) < 1e-9
+    assert report.held_out is not None
+    assert conditioned.held_out is not None
+    for field in ("rmse", "relative_percent", "relative_percent_moving", "relative_percent_raw"):
+        errors = (getattr(r.held_out, field) for r in (report, conditioned))
+        torch.testing.assert_close(*errors, rtol=1e-9, atol=0)
+    # The same estimate, and as sure: of any combination of parameters, in either basis.
+    for result, other in ((report, conditioned), (conditioned, report)):
+        for k in range(len(other.base)):
+            value, std = result.combination(other.base.grouping[k])
+            assert value == pytest.approx(float(other.values[k]), rel=1e-6, abs=1e-7)
+            assert std == pytest.approx(float(other.std[k]), rel=1e-6)
+        path = tmp_path / f"{result.base.basis}.json"
+        write_json(record(result), path)
+        read = read_base(path, robot)
+        assert (read.base.basis, read.base.names) == (result.base.basis, result.base.names)
+        assert torch.allclose(of_base(robot, read).torque(Motion(*motion)), one, rtol=1e-9)
+    assert conditioned.scaled_condition_number < 0.5 * report.scaled_condition_number
+
+
+def test_rows_at_rest_are_left_out_by_default() -> None:
+    assert Settings().rows == "moving"
+    found = by_default("3r_friction", 0)
+    assert found.settings.rows == "moving"
+    shown = found.fit
+    assert torch.equal(shown.judged("moving"), shown.relative_percent_moving)
+    assert torch.equal(shown.judged("all"), shown.relative_percent)
+
+
 def test_a_fit_that_is_lost_in_rounding_is_refused() -> None:
     """Not a mass of 20 million kilograms with its standard deviation."""
-    settings = Settings(cutoff=None)
+    settings = Settings(cutoff=None, rows="all")
     with pytest.raises(IdentificationError, match="lost in rounding") as caught:
         identify(load_robot("3r"), hardly_moving(1e-3), settings=settings)
     assert "0.002" in str(caught.value)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ def whole() -> str:
             "settings": {"effects": []},
             "base_names": list(base.names),
             "base_values": nominal_values(robot, base).tolist(),
+            "basis": base.basis,
             "undetermined": [base.names[1]],
             "covariance": torch.eye(count, dtype=torch.float64).tolist(),
             "factor": torch.eye(count + 1, dtype=torch.float64).tolist(),
@@ -50,6 +52,13 @@ def test_values_come_back(tmp_path: Path) -> None:
     assert (~found.known).nonzero().flatten().tolist() == [1]
 
 
+def test_a_result_without_its_basis_is_of_the_reports(tmp_path: Path) -> None:
+    """Of an older torchid, and whatever the robot's own basis is now."""
+    robot = replace(arm("3r"), basis="conditioned")
+    found = read_base(written(tmp_path, lambda data: data.pop("basis")), robot)
+    assert found.base.basis == "report"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -64,6 +73,8 @@ def test_values_come_back(tmp_path: Path) -> None:
         (lambda d: d.update(covariance=[[0.0]]), "covariance"),
         (lambda d: d.pop("factor"), "factor"),
         (lambda d: d["base_names"].__setitem__(0, "m77"), "m77"),
+        (lambda d: d.update(basis="khalil"), "basis"),
+        (lambda d: d.update(basis="conditioned"), "another robot"),
     ],
 )
 def test_damaged_files_are_refused(

@@ -65,6 +65,10 @@ def test_headline_speaks_of_held_out_data(result):
     assert "15 base parameters of 3r_friction" in line
     assert "held-out" in line
     assert f"{float(result.held_out.relative_percent[0]):.1f}" in line
+    # Which rows lead is which were fitted.
+    assert line.index("while moving") < line.index("all rows")
+    settings = replace(result.settings, rows="all")
+    assert "(while moving" in headline(replace(result, settings=settings))
 
 
 def test_headline_counts_what_may_be_zero(result):
@@ -105,6 +109,33 @@ def test_figures_draw_the_data(result, tmp_path):
     assert drawn[0] == pytest.approx(float(prediction.measured[0, 0]))
     path = save(figure, tmp_path / "torque.png")
     assert path.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("rows", ["all", "moving"])
+def test_torque_figures_show_the_rows_they_judge(result, rows):
+    """A joint that rests for half of the time, with a residual of another size there."""
+    whole = result.held_out_predictions[0]
+    rests = torch.arange(len(whole.t)) < len(whole.t) // 2
+    moving = whole.moving & ~rests.unsqueeze(-1)
+    predicted = whole.predicted + 5.0 * rests.unsqueeze(-1)
+    error = whole.measured - predicted
+    sums = replace(
+        whole.sums,
+        error=error.square().sum(0),
+        moving_error=(error * moving).square().sum(0),
+        moving_torque=(whole.measured * moving).square().sum(0),
+    )
+    prediction = replace(whole, predicted=predicted, moving=moving, sums=sums)
+    figure = torque_figure(prediction, ["N m"] * 3, "title", rows)
+    judged = moving[:, 0] if rows == "moving" else torch.ones_like(moving[:, 0])
+    right = figure.axes[1]
+    drawn = torch.as_tensor(right.lines[0].get_ydata())
+    assert torch.equal(torch.isfinite(drawn), judged)
+    assert torch.equal(drawn[judged], error[judged, 0])
+    low = right.get_ylim()[0]
+    assert (low < -4.0) == (rows == "all")
+    percent = 100 * float(error[judged, 0].norm() / whole.measured[judged, 0].norm())
+    assert f"{percent:.1f} %" in [text.get_text() for text in right.texts]
 
 
 def test_parameter_figures_have_a_mark_for_each_free_parameter(result):

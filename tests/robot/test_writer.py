@@ -23,7 +23,7 @@ from torchid.robot.writer import robot_yaml, to_mapping, write_robot
 from torchid.robot.yaml_file import from_mapping
 
 TENSORS = ("before", "after", "gravity", "tool", "drive_gain")
-PLAIN = ("name", "joint_names", "link_names", "joint_types")
+PLAIN = ("name", "joint_names", "link_names", "joint_types", "basis")
 ROBOTS = (*built_in_robots(), "mixed", "urdf", "mjcf")
 
 MJCF = """

@@ -159,6 +159,8 @@ def test_limits_may_be_infinite_and_then_are_missed_where_needed():
         ("effects.0.joint", "2", "joint that does not exist"),
         ("effects.0.joint", True, "joint that does not exist"),
         ("bounds", [1], "bounds must be a mapping"),
+        ("basis", "khalil", "unknown basis"),
+        ("basis", ["report"], "unknown basis"),
     ],
 )
 def test_errors_say_what_is_wrong_and_where(path, value, message):

@@ -40,6 +40,8 @@ class Motion:
             information; with --for an identification, its least known parameters (a_optimal,
             default) or all (d_optimal).
         effects: Effects to be identified with it, comma-separated; `none`.
+        basis: Base parameters whose condition number it is: as the report groups them, or as logs
+            tell them apart best (default: the robot's own). With --for, those of the result.
         duration: Seconds.
         rate: Samples per second in the file [Hz].
         harmonics: Harmonics of the series.
@@ -52,6 +54,7 @@ class Motion:
     count: opt.Count = 1
     criterion: Literal["condition", "d_optimal", "a_optimal"] | None = None
     effects: str = "viscous_friction,coulomb_friction,torque_offset"
+    basis: Literal["report", "conditioned"] | None = None
     duration: float = 20.0
     rate: float = 100.0
     harmonics: opt.Count = 5
@@ -75,6 +78,12 @@ class Motion:
             raise TorchidError(
                 "--for RESULT designs one optimised trajectory.",
                 got=f"--kind {self.kind} --count {self.count}",
+            )
+        if self.basis is not None and (self.result is not None or self.kind != "optimised"):
+            raise TorchidError(
+                "--basis is of the condition number that a new design improves.",
+                got=f"--kind {self.kind}" if self.result is None else f"--for {self.result}",
+                expected="--kind optimised without --for",
             )
 
     @property
@@ -221,6 +230,7 @@ def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
         "effects": opt.effect_names(motion.effects),
         "restarts": motion.restarts,
         "criterion": motion.criterion or "condition",
+        "basis": motion.basis,
         "device": opt.device(motion.device_name),
     }
     found = []
@@ -235,6 +245,7 @@ def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
         )
     record = {
         "criterion": settings["criterion"],
+        "basis": found[0].base.basis,
         "condition_number_before": [f.start_condition for f in found],
         "condition_number_after": [f.condition_after for f in found],
         "trajectories": _coefficients([f.trajectory for f in found]),

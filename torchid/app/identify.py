@@ -28,6 +28,7 @@ def identify_command(
         Settings,
         Fields(
             "rows",
+            "basis",
             "covariance",
             "signs",
             held_out_fraction=opt.HeldOutFraction,
@@ -52,7 +53,9 @@ def identify_command(
         cutoff: Cut-off of the zero-phase filter.
         reversal: Speed at which a joint's direction counts as reversed, as a fraction of its 99 %
             speed.
-        rows: Rows fitted: all, or while the own joint moves.
+        rows: Rows fitted: while the own joint moves, or all. At rest friction can hold any torque.
+        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
+            the robot's own, which is `conditioned` unless its yaml says otherwise).
         covariance: Noise between joints, for wls and huber.
         signs: Coefficients physics forbids to be negative: hold at zero or above, or only report
             them.
@@ -126,5 +129,5 @@ def _figures(result: "Identification") -> "dict[str, Figure]":
         for prediction in predictions:
             name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
             title = f"{prediction.name} ({words})"
-            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title)
+            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
     return drawn

@@ -209,9 +209,7 @@ def read_identification(result: Result) -> Identified:
 def _structure(
     data: Mapping[str, Any], robot: Robot | None
 ) -> tuple[BaseParameters, tuple[JointEffect, ...]]:
-    """Base parameters from the recorded grouping. Columns were taken from left to right, so the
-    first column of each row that is in no other row, with factor 1, is the independent one. (A
-    column further left may lean on it by some 1e-6, where a file's angles are rounded.)"""
+    """Base parameters from the recorded grouping; the independent one of each leads its name."""
     shaped = [str(e["effect"]) for e in data.get("effects") or [] if "places" in e]
     if shaped:
         raise TorchidError(
@@ -227,11 +225,9 @@ def _structure(
     if names != parameter_names(n) + [c for e in effects for c in e.coefficient_names()]:
         raise ValueError("the parameters' names do not fit the effects")
     grouping = _tensor(data["grouping"]["matrix"], (len(data["base_names"]), len(names)))
-    alone = (grouping != 0).sum(0) == 1
-    own = [(alone & (row == 1)).nonzero().flatten().tolist() for row in grouping]
-    if not all(own):
+    independent = [names.index(str(text).split()[0]) for text in data["base_names"]]
+    if not torch.equal(grouping[:, independent], torch.eye(len(grouping), dtype=grouping.dtype)):
         raise ValueError("a base parameter of the grouping has no column of its own")
-    independent = [columns[0] for columns in own]
     types = [JointType.REVOLUTE] * n if robot is None else robot.joint_types
     units = parameter_units(n) + [
         c.unit_for(types[e.joint] is JointType.PRISMATIC) for e in effects for c in e.coefficients
@@ -244,6 +240,7 @@ def _structure(
         independent=tuple(independent),
         dependent=tuple(sorted(set(range(len(names))) - set(independent))),
         grouping=grouping,
+        basis=data.get("basis", "report"),
         rank_gap=(float(data["rank_gap"][0]), float(data["rank_gap"][1])),
         n_rigid_parameters=rigid,
         n_rigid=sum(k < rigid for k in independent),

@@ -30,7 +30,7 @@ from torchid.identification.base_parameters import (
     stacked_regressor,
 )
 from torchid.log.model import Log
-from torchid.robot.model import Robot
+from torchid.robot.model import Basis, Robot
 from torchid.typing import Float
 
 Criterion = Literal["condition", "d_optimal"]
@@ -217,6 +217,7 @@ def optimise_trajectory(
     seed: int,
     restarts: int = 8,
     criterion: Criterion = "condition",
+    basis: Basis | None = None,
     iterations: int = 250,
     weights: Float[Tensor, " n"] | None = None,
     usage: float = 1.0,
@@ -237,6 +238,7 @@ def optimise_trajectory(
         restarts: random starts, optimised in one batch.
         criterion: `condition`, the condition number, or `d_optimal`, the determinant of the
             information matrix (the volume of the confidence ellipsoid).
+        basis: of the base parameters whose condition number it is; the robot's own if None.
         iterations: of Adam.
         weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
         usage: share of the limits that may be used.
@@ -262,7 +264,7 @@ def optimise_trajectory(
         )
     limits = motion_limits(robot, usage=usage)
     torque = torque or nominal_torque_limits(robot, usage=usage)
-    base = base_parameters(robot, effects)
+    base = base_parameters(robot, effects, basis=basis)
     weights = row_weights(robot) if weights is None else weights
     start = random_trajectory(
         robot,

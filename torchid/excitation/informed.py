@@ -105,7 +105,7 @@ def design_for(
     torque = identified_torque_limits(robot, prior, usage=usage)
     plain = optimise_trajectory(
         robot, prior.effects, seed=seed, restarts=restarts, iterations=iterations, torque=torque,
-        **settings,
+        basis=prior.base.basis, **settings,
     )  # fmt: skip
     # The plain design is a start too: the result is never worse than it.
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)

@@ -255,7 +255,7 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         background=settings.background,
         inertial=settings.parameters != "trusted",
         only=settings.only,
-        base=base_parameters(robot),
+        base=base_parameters(robot, basis="report"),
     )
 
 

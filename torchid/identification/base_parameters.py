@@ -1,9 +1,19 @@
 """Base parameters: which combinations of parameters the torque depends on (section 2.2).
 
 The regressor of many random states, with the columns of the chosen effects behind it, is reduced
-by QR from left to right, in the paper's order: masses, first moments, inertias. A column whose
-diagonal entry of R vanishes is a combination of those before it (see `independent_columns`). With
-the independent columns first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
+by QR from left to right. A column whose diagonal entry of R vanishes is a combination of those
+before it (see `independent_columns`), so their order says which parameters stand for the others:
+
+    report          masses, first moments, inertias: the paper's order, and its tables;
+    conditioned     inertias, first moments, masses, then exchanged where that tells more apart.
+
+Masses act through lengths only: with a mass in front, small lengths stand in the denominators of
+what is grouped to it (m3 - 10 J2zz), and the columns that are left are nearly parallel. With the
+inertias in front, lengths are factors, the groupings those of Gautier and Khalil (IEEE Trans.
+Robotics and Automation 6(3), 1990), and nothing depends on the random states. Link frames oblique
+to the joint axes need the exchange.
+
+With the independent columns first, [Y1 Y2] = Q [R1 R2] and Y2 = Y1 K with K = R1^-1 R2, so that
 
     Y pi = Y1 (pi_1 + K pi_2):     base parameters = G pi,   G = [1 K] with columns put back.
 
@@ -27,7 +37,7 @@ from torchid.robot.inertia import (
     parameter_units,
     symmetric,
 )
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import Basis, JointType, Robot
 from torchid.typing import Bool, Float, Int, Tensor
 
 
@@ -81,6 +91,10 @@ from twists written with a few digits, not from the robot's structure."""
 
 _CLEAR_GAP = 1e3
 
+_LARGEST_SHARE = 2.0
+"""Share of an independent column in a dependent one, both of length one, above which the two are
+exchanged. Arms whose link frames have an axis along the joint's stay below 1.5."""
+
 
 @dataclass(frozen=True)
 class BaseParameters:
@@ -92,6 +106,7 @@ class BaseParameters:
         parameter_names: (P,) all parameters: the paper's 10 n, then the effects' coefficients.
         independent, dependent: indices into the P parameters.
         grouping: (B, P) matrix G, base = G parameters.
+        basis: how the independent ones were chosen.
         rank_gap: (smallest kept, largest dropped) diagonal entry of R, columns scaled to 1.
         n_rigid_parameters: how many of the P parameters belong to the rigid body.
         n_rigid: how many of the base parameters belong to it (effects' own follow).
@@ -104,6 +119,7 @@ class BaseParameters:
     independent: tuple[int, ...]
     dependent: tuple[int, ...]
     grouping: Float[Tensor, "B P"]
+    basis: Basis
     rank_gap: tuple[float, float]
     n_rigid_parameters: int
     n_rigid: int
@@ -133,13 +149,20 @@ def visible(grouping: Float[Tensor, "*rows P"]) -> Bool[Tensor, "*rows P"]:
 
 
 def base_parameters(
-    robot: Robot, effects: Sequence[Effect] = (), *, seed: int = 0, samples: int | None = None
+    robot: Robot,
+    effects: Sequence[Effect] = (),
+    *,
+    basis: Basis | None = None,
+    seed: int = 0,
+    samples: int | None = None,
 ) -> BaseParameters:
     """The robot's base parameters, by QR of the regressor at random states.
 
     Args:
         robot: kinematics and gravity; its masses are not used.
         effects: linear effects whose coefficients are identified too, after the rigid body.
+        basis: which of them stand for the others; the robot's own choice if None. The torque is
+            the same.
         seed: of the random states; the answer does not depend on it.
         samples: number of random states; 60 n + 60 by default, six rows a column.
 
@@ -154,7 +177,9 @@ def base_parameters(
         for e in effects
         for c in e.coefficients
     ]
-    return group_columns(y, names, units, n_rigid_parameters=PARAMETERS_PER_LINK * robot.n)
+    rigid = PARAMETERS_PER_LINK * robot.n
+    basis = robot.basis if basis is None else basis
+    return group_columns(y, names, units, n_rigid_parameters=rigid, basis=basis)
 
 
 def nominal_values(robot: Robot, base: BaseParameters) -> Float[Tensor, " B"]:
@@ -212,13 +237,28 @@ def stacked_regressor(
 
 
 def group_columns(
-    y: Float[Tensor, "R P"], names: Sequence[str], units: Sequence[str], *, n_rigid_parameters: int
+    y: Float[Tensor, "R P"],
+    names: Sequence[str],
+    units: Sequence[str],
+    *,
+    n_rigid_parameters: int,
+    basis: Basis = "report",
 ) -> BaseParameters:
     """Base parameters from a stacked regressor: which columns are independent, and the grouping."""
-    kept, diagonal = independent_columns(y, RANK_TOLERANCE)
+    order = torch.arange(y.shape[1])
+    if basis == "conditioned":
+        n = n_rigid_parameters // PARAMETERS_PER_LINK
+        masses, moments, inertias, rest = order.tensor_split([n, 4 * n, 10 * n])
+        order = torch.cat([inertias, moments, masses, rest])
+    kept, diagonal = torch.zeros(len(order), dtype=torch.bool), y.new_zeros(len(order))
+    kept[order], diagonal[order] = independent_columns(y[:, order], RANK_TOLERANCE)
     if not bool(kept.any()):
         raise IdentificationError("the torque of this robot depends on no inertial parameter.")
-    independent, dependent = kept.nonzero().flatten(), (~kept).nonzero().flatten()
+    chosen = kept.clone()
+    if basis == "conditioned":
+        rigid = slice(n_rigid_parameters)
+        chosen[rigid] = _exchanged(y[:, rigid], kept[rigid])
+    independent, dependent = chosen.nonzero().flatten(), (~chosen).nonzero().flatten()
     r = torch.linalg.qr(y[:, torch.cat([independent, dependent])], mode="r").R
     b = len(independent)
     k = torch.linalg.solve_triangular(r[:b, :b], r[:b, b:], upper=True)
@@ -228,6 +268,7 @@ def group_columns(
     grouping = y.new_zeros(b, y.shape[1])
     grouping[torch.arange(b), independent] = 1.0
     grouping[:, dependent] = k
+    # What an exchange does not change: how clear the rank is.
     gap = (float(diagonal[kept].min()), float(diagonal[~kept].max()) if len(dependent) else 0.0)
     warnings: tuple[str, ...] = ()
     if gap[1] > 0 and gap[0] / gap[1] <= _CLEAR_GAP:
@@ -246,6 +287,7 @@ def group_columns(
         independent=tuple(independent.tolist()),
         dependent=tuple(dependent.tolist()),
         grouping=grouping,
+        basis=basis,
         rank_gap=gap,
         n_rigid_parameters=n_rigid_parameters,
         n_rigid=int((independent < n_rigid_parameters).sum()),
@@ -253,12 +295,37 @@ def group_columns(
     )
 
 
+def _exchanged(y: Float[Tensor, "R C"], kept: Bool[Tensor, " C"]) -> Bool[Tensor, " C"]:
+    """Independent columns (C,) of which none has more than a bounded share in any other column, by
+    exchanging those that have (M. Gu, S. Eisenstat, SIAM J. Sci. Comput. 17(4), 1996). Every
+    exchange multiplies the volume of the independent columns by that share, so it ends."""
+    length = torch.linalg.vector_norm(y, dim=0)
+    # Columns that count as zero are rounding, which must not be scaled up.
+    seen = length > RANK_TOLERANCE * length.max()
+    scaled = torch.where(seen, y / length.clamp(min=1e-300), 0.0)
+    factor = torch.linalg.qr(scaled, mode="r").R
+    inside, outside = kept.nonzero().flatten(), (~kept).nonzero().flatten()
+    b = len(inside)
+    while b and len(outside):
+        r = torch.linalg.qr(factor[:, torch.cat([inside, outside])], mode="r").R
+        share = torch.linalg.solve_triangular(r[:b, :b], r[:b, b:], upper=True).abs()
+        if float(share.max()) <= _LARGEST_SHARE:
+            break
+        i, j = divmod(int(share.argmax()), len(outside))
+        inside[i], outside[j] = outside[j].clone(), inside[i].clone()
+    out = torch.zeros_like(kept)
+    out[inside] = True
+    return out
+
+
 def _sum_name(row: Tensor, names: Sequence[str], lead: int) -> str:
     """`m3 + m4 - 5 m3c3y`, the independent parameter first, then by index."""
     order = [lead] + [k for k in visible(row).nonzero().flatten().tolist() if k != lead]
     text = ""
     for k in order:
-        value = float(row[k])
+        # Upwards from the middle, as rounding alone would decide between 0.0068062 and 0.0068063
+        # for the square of 0.0825, and a result is known again by its names.
+        value = float(row[k]) * (1 + 1e-9)
         size = "" if (number := f"{abs(value):.5g}") == "1" else f"{number} "
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         text += f"{sign}{size}{names[k]}"

@@ -201,7 +201,8 @@ def identify(
 
 def _training(robot: Robot, log: Log, effects: Sequence[Effect], settings: Settings) -> Training:
     """The log with the columns of base parameters and effects."""
-    columns = layout(robot, base_parameters(robot, effects), effects)
+    base = base_parameters(robot, effects, basis=settings.basis)
+    columns = layout(robot, base, effects)
     bounded = _non_negative(columns) & (settings.signs == "bounded")
     return Training(log, columns, settings.rows == "moving", bounded)
 

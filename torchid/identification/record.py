@@ -20,7 +20,7 @@ _ERRORS = (
     "relative_error_percent_raw=relative_percent_raw standstill_fraction standstill_error_share"
 )
 _SETTINGS = (
-    "effects cutoff reversal rows method covariance signs essential held_out_fraction "
+    "effects cutoff reversal rows basis method covariance signs essential held_out_fraction "
     "error_cutoff_hz=error_cutoff compiled"
 )
 
@@ -34,6 +34,7 @@ def record(result: Identification) -> dict[str, Any]:
         "schema": SCHEMA,
         **named_record(result.robot),
         "n_base": base.n_rigid,
+        "basis": base.basis,
         "parameters": [_parameter(result, k) for k in range(base.n_rigid)],
         "effects": _effects(result),
         "combined": [_parameter(result, b) for b in combined],

@@ -1,5 +1,6 @@
 """What an identification found, and what its user must know about it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -93,12 +94,13 @@ class Identification:
 
     def __repr__(self) -> str:
         shown = self.fit if self.held_out is None else self.held_out
-        low, high = float(shown.relative_percent.min()), float(shown.relative_percent.max())
+        percent = [v for v in shown.judged(self.settings.rows).tolist() if math.isfinite(v)]
         where = "fitted" if self.held_out is None else "held-out"
+        error = f"{min(percent):.1f} to {max(percent):.1f} % by joint" if percent else "unknown"
         return (
             f"Identification('{self.robot.name}', {self.base.n_rigid} base parameters, "
             f"{len(self.base) - self.base.n_rigid} coefficients of effects, {where} torque error "
-            f"{low:.1f} to {high:.1f} % by joint)"
+            f"{error})"
         )
 
     @property
@@ -243,11 +245,12 @@ def findings(result: Identification) -> list[str]:
         said.append(
             "stand still in much of the fitted rows, where friction can hold any torque: joint "
             f"{', '.join(still)}; their friction is biased, "
-            '`rows="moving"` leaves these rows out'
+            '`rows="moving"` (the default) leaves these rows out'
         )
     # Standstill holds much of the error: friction at rest can hold any torque.
     for where, e in (("fit", result.fit), ("held-out data", result.held_out)):
-        if e is None:
+        # Rows that took no part in the fit say nothing about it.
+        if e is None or (e is result.fit and result.settings.rows == "moving"):
             continue
         rest = zip(e.standstill_fraction.tolist(), e.standstill_error_share.tolist(), strict=True)
         held = [

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from torchid.errors import TorchidError
+from torchid.robot.model import Basis
 
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
@@ -24,7 +25,10 @@ class Settings:
         cutoff: [Hz]; "auto"; or None for no filter.
         reversal: speed at which a joint's direction counts as reversed, as a fraction of its 99 %
             speed; or "auto".
-        rows: rows used for the fit: all, or those whose own joint moves.
+        rows: rows used for the fit: those whose own joint moves, or all. At rest friction can hold
+            any torque.
+        basis: base parameters as the report groups them, or as a log tells them apart best; the
+            robot's own choice if None. The torque is the same.
         method: `ols`, `wls` or `huber`.
         covariance: of the noise between joints, `diagonal` or `full`.
         signs: `bounded` holds coefficients that physics forbids to be negative at zero or above;
@@ -41,7 +45,8 @@ class Settings:
     effects: tuple[str, ...] = DEFAULT_EFFECTS
     cutoff: float | Literal["auto"] | None = "auto"
     reversal: float | Literal["auto"] = "auto"
-    rows: Rows = "all"
+    rows: Rows = "moving"
+    basis: Basis | None = None
     method: Method = "huber"
     covariance: Covariance = "diagonal"
     signs: Signs = "bounded"
@@ -53,6 +58,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name, allowed in (
             ("rows", get_args(Rows)),
+            ("basis", (None, *get_args(Basis))),
             ("method", get_args(Method)),
             ("covariance", get_args(Covariance)),
             ("signs", get_args(Signs)),

@@ -12,6 +12,7 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.registry import in_rounds
 from torchid.identification.base_parameters import BaseParameters
+from torchid.identification.settings import Rows
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -39,6 +40,10 @@ class Errors:
     relative_percent_raw: Float[Tensor, " n"]
     standstill_fraction: Float[Tensor, " n"]
     standstill_error_share: Float[Tensor, " n"]
+
+    def judged(self, rows: Rows) -> Float[Tensor, " n"]:
+        """Relative errors (n,) over the rows that the fit used [%]; nan where there are none."""
+        return self.relative_percent_moving if rows == "moving" else self.relative_percent
 
 
 @dataclass(frozen=True)

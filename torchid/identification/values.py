@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
@@ -20,7 +20,7 @@ from torchid.identification.base_parameters import BaseParameters, base_paramete
 from torchid.identification.record import SCHEMA
 from torchid.identification.result import Identification
 from torchid.json_data import read_json
-from torchid.robot.model import Robot
+from torchid.robot.model import Basis, Robot
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -115,7 +115,11 @@ def _base(data: Mapping[str, Any], path: Path, robot: Robot) -> BaseValues:
     placed = placed_effects(data, robot)
     plain = _names(data["settings"], "effects", path)
     effects = placed or tuple(on_every_joint(plain, robot.n))
-    base = base_parameters(robot, effects)
+    # Results of an older torchid do not say it: theirs was the report's.
+    basis = data.get("basis", "report")
+    if basis not in get_args(Basis):
+        raise TorchidError(f"'{path}': unknown basis.", got=basis, available=get_args(Basis))
+    base = base_parameters(robot, effects, basis=basis)
     names = _names(data, "base_names", path)
     if list(base.names) != names:
         differing = [n for n in names if n not in base.names]

@@ -13,6 +13,7 @@ from torchid.design.motion import MOVING
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Estimate, Payload
 from torchid.identification.result import UNEXPLAINED
+from torchid.identification.settings import Rows
 from torchid.identification.validation import Errors, Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
@@ -38,8 +39,13 @@ def shown_errors(result: Identification) -> tuple[Errors, bool]:
 def headline(result: Identification) -> str:
     """One sentence: what was identified, and how well it predicts."""
     shown, held = shown_errors(result)
-    percent = ", ".join(f"{v:.1f}" for v in shown.relative_percent.tolist())
-    moving = ", ".join(f"{v:.1f}" for v in shown.relative_percent_moving.tolist())
+    every_row, moving = (
+        ", ".join(f"{v:.1f}" if math.isfinite(v) else "-" for v in percent.tolist())
+        for percent in (shown.relative_percent, shown.relative_percent_moving)
+    )
+    errors = f"{every_row} (while moving: {moving})"
+    if result.settings.rows == "moving":
+        errors = f"while moving: {moving} (all rows: {every_row})"
     cutoff = "no filter" if result.cutoff is None else f"cut-off {result.cutoff:g} Hz"
     bad, every = len(poor_names(result)), len(result.base)
     poor = f" {bad} of {every} cannot be told from zero (95 %)." if bad else ""
@@ -47,8 +53,7 @@ def headline(result: Identification) -> str:
         f"{result.base.n_rigid} base parameters of {result.robot.name} and "
         f"{every - result.base.n_rigid} coefficients of effects ({cutoff}, condition "
         f"number {result.scaled_condition_number:.0f} with scaled columns). Torque error on "
-        f"{'held-out data' if held else 'the fitted data'}, % per joint: {percent} (while moving: "
-        f"{moving}).{poor}"
+        f"{'held-out data' if held else 'the fitted data'}, % per joint, {errors}.{poor}"
     )
 
 
@@ -169,8 +174,18 @@ def error_table(result: Identification) -> Table:
 _MOST_POINTS = 4000
 
 
-def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> Figure:
-    """Measured and predicted torque per joint, the residual beside it on its own scale."""
+def torque_figure(
+    prediction: Prediction, units: Sequence[str], title: str, rows: Rows = "moving"
+) -> Figure:
+    """Measured and predicted torque per joint, the residual beside it on its own scale.
+
+    Args:
+        prediction: of one trajectory.
+        units: of the joints' torques.
+        title: of the figure.
+        rows: judged, as in the fit: they set the residual's scale and its size in percent. Others
+            are grey.
+    """
     n = prediction.measured.shape[1]
     figure, grid = joint_rows(n, ("", ""), (11, 1.2 + 1.35 * n), units, width_ratios=(3, 2))
     step = slice(None, None, max(1, len(prediction.t) // _MOST_POINTS))
@@ -181,15 +196,23 @@ def torque_figure(prediction: Prediction, units: Sequence[str], title: str) -> F
         left.plot(t, measured[:, j], color=INK, linewidth=1.6, label="measured")
         left.plot(t, predicted[:, j], color=BLUE, linewidth=1.0, label="model")
         error = measured[:, j] - predicted[:, j]
-        right.plot(t, error, color=ORANGE, linewidth=0.9, label="measured - model")
-        low, high = right.get_ylim()
+        judged = moving[:, j] if rows == "moving" else np.ones_like(moving[:, j])
+        shown = np.where(judged, error, np.nan)
+        right.plot(t, shown, color=ORANGE, linewidth=0.9, label="measured - model")
+        low, high = right.get_ylim() if judged.any() else (error.min(), error.max())
+        right.plot(t, np.where(judged, np.nan, error), color=GREY, linewidth=0.9)
         right.fill_between(
             t, low, high, where=~moving[:, j], color=GREY, alpha=0.25, linewidth=0,
-            label="joint at rest",
+            label="joint at rest" + (", not judged" if rows == "moving" else ""),
         )  # fmt: skip
         right.set_ylim(low, high)
-        size = max(float(np.linalg.norm(measured[:, j])), 1e-300)
-        note(right, f"{100 * float(np.linalg.norm(error)) / size:.1f} %")
+        # From all samples, as in the tables, not from those drawn.
+        sums = prediction.sums
+        parts = sums.error[j], sums.torque[j]
+        if rows == "moving":
+            parts = sums.moving_error[j], sums.moving_torque[j]
+        left_over, size = (float(x) ** 0.5 for x in parts)
+        note(right, f"{100 * left_over / size:.1f} %" if size else "at rest")
     return finish(figure, title, *grid[0])
 
 
@@ -347,7 +370,7 @@ def _pictures(result: Identification) -> list[Picture]:
                 f"Measured and predicted torque of every joint in {p.name}, {words}{place}."
                 f"{_RESIDUAL if k == 1 else ''}",
                 f"Measured and predicted torque over time in {p.name}, and their difference.",
-                partial(torque_figure, p, units, f"{p.name} ({words})"),
+                partial(torque_figure, p, units, f"{p.name} ({words})", result.settings.rows),
             )
         )
     poor = f"{len(poor_names(result))} of {len(result.base)}"
@@ -367,7 +390,8 @@ def _pictures(result: Identification) -> list[Picture]:
 _RESIDUAL = (
     " At the right what the model leaves, on its own scale, with its size relative to the torque. "
     "It should look like noise: steps where a joint turns back are friction, slow waves inertia or "
-    "gravity. Grey: the joint rests, and friction can hold any torque."
+    "gravity. Grey: the joint rests, and friction can hold any torque; such rows are not judged, "
+    "unless they were fitted too (--rows all)."
 )
 
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     import pytorch_kinematics
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+Basis = Literal["report", "conditioned"]
+"""Which base parameters stand for the others: the report's, or those of the best conditioning."""
 LIMITS = ("position", "velocity", "acceleration", "torque")
 
 
@@ -115,6 +117,7 @@ class Robot:
         effects: nominal effects, as records {effect, joint, <parameter>: value}.
         drive_gain: (n,) [N m/A or N/A] torque per ampere, or None.
         bounds: groups of bounds for the extraction, as read from the robot's yaml.
+        basis: of its base parameters, unless another is asked for.
         warnings: what the reader noticed, one sentence each.
         source: file or built-in name it came from.
         tip: that its chain was chosen by, of a URDF or MJCF.
@@ -138,6 +141,7 @@ class Robot:
     effects: tuple[Mapping[str, Any], ...] = ()
     drive_gain: Float[Tensor, "n"] | None = None
     bounds: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    basis: Basis = "conditioned"
     warnings: tuple[str, ...] = ()
     source: str = ""
     tip: str | None = None

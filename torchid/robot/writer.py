@@ -79,6 +79,8 @@ def to_mapping(robot: Robot) -> dict[str, Any]:
     out |= _unless_empty("effects", [_plain(record) for record in robot.effects])
     if robot.drive_gain is not None:
         out["drive_gain"] = robot.drive_gain.tolist()
+    if robot.basis != Robot.basis:
+        out["basis"] = robot.basis
     return out | _unless_empty("bounds", _plain(robot.bounds))
 
 

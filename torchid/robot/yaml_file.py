@@ -3,19 +3,19 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, parallel_axis
-from torchid.robot.model import LIMITS, STANDARD_GRAVITY, Limits, Robot
+from torchid.robot.model import LIMITS, STANDARD_GRAVITY, Basis, Limits, Robot
 from torchid.robot.yaml_kinematics import read_kinematics
 from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
-_REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "tool")
+_REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
 
 
 def read_yaml(path: Path) -> Robot:
@@ -44,6 +44,9 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     gravity = numbers(data.get("gravity", STANDARD_GRAVITY), (3,), f"{source}: gravity")
     tool = numbers(data.get("tool", torch.eye(4).tolist()), (4, 4), f"{source}: tool")
     gain = data.get("drive_gain")
+    basis = data.get("basis", Robot.basis)
+    if basis not in get_args(Basis):
+        raise RobotError(f"{source}: unknown basis.", got=basis, available=get_args(Basis))
     return Robot(
         name=str(data["name"]),
         **kinematics,
@@ -54,6 +57,7 @@ def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
         effects=read_effects(data.get("effects") or (), n, source),
         drive_gain=None if gain is None else numbers(gain, (n,), f"{source}: drive_gain"),
         bounds=_bounds(data.get("bounds") or {}, source),
+        basis=basis,
         source=source,
     )
 

@@ -90,7 +90,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     narrow = replace(given, band=samples.cutoff, positions=given.positions * share)
     noise = noise_of(columns, columns.model, gap * keep, narrow, repeats, settings.seed)
     folds = make_folds(samples, FOLDS, repeats.groups(len(samples.segments)))
-    wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot))
+    wanted = Wanted(tuple(KINDS), False, (), True, None, base_parameters(robot, basis="report"))
     torque = samples.of([s.tau.T for s in samples.segments])
 
     def asked(extra: Sequence[Effect]) -> Question:
