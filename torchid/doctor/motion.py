@@ -144,6 +144,6 @@ def check_standstill(log: Log) -> Check:
             "doubtful",
             text,
             estimate=idle,
-            fix="cut the pauses, or fit moving rows only (rows: moving)",
+            fix='cut the pauses, or fit moving rows only (`rows="moving"`, as identify does)',
         )
     return Check("standstill", "fine", text, estimate=idle)
