@@ -5,7 +5,7 @@ base parameters, W Y1 (eq. 2.19, section 2.2), and its covariance is sigma^2 (Y1
 are functions of the trajectory's coefficients, through the closed form of the regressor, so they
 are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits of
 motion: a candidate is first scaled, joint by joint, until it touches them, and the scale is part of
-what is differentiated. For torque limits see `torque`.
+what is differentiated. What couples joints is in `restriction`.
 """
 
 import math
@@ -18,9 +18,11 @@ from torch import Tensor
 
 from torchid.effects.base import JointEffect, Motion
 from torchid.errors import IdentificationError, TorchidError
-from torchid.excitation.descent import Progress, descend
+from torchid.excitation.clearance import Clearance
+from torchid.excitation.descent import HARDLY, Progress, descend
 from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
 from torchid.excitation.limits import motion_limits
+from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.base_parameters import (
@@ -47,6 +49,8 @@ class Excitation:
         criterion: what was improved, `condition` or `d_optimal`.
         base: the base parameters it was designed for.
         warnings: sentences for the user.
+        gain: how much lower the cost is than the median start's: the logarithm of the standard
+            deviation of what the criterion looks at, which a motion of as much driving time leaves.
         torque: the torque limits kept; None where there are none, or no model.
     """
 
@@ -56,7 +60,14 @@ class Excitation:
     criterion: Criterion
     base: BaseParameters
     warnings: tuple[str, ...]
+    gain: float
     torque: TorqueLimits | None = None
+
+    @property
+    def hardly(self) -> bool:
+        """Whether it is hardly better than a random motion within the same limits: by less than a
+        tenth more driving time is."""
+        return self.gain < HARDLY
 
     @property
     def start_condition(self) -> float:
@@ -147,6 +158,7 @@ def optimise_trajectory(
     weights: Float[Tensor, " n"] | None = None,
     usage: float = 1.0,
     torque: TorqueLimits | None = None,
+    clearance: Clearance | None = None,
     harmonics: int = HARMONICS,
     w_f: float = BASE_PULSATION,
     duration: float = 20.0,
@@ -167,13 +179,14 @@ def optimise_trajectory(
         weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
         usage: share of the limits that may be used.
         torque: limits to keep too; by default the robot's, by its nominal parameters, if any.
+        clearance: distances to keep too.
         harmonics, w_f, duration, ramp: see FourierTrajectory.
         device: where regressors are evaluated; the trajectories stay on the CPU.
         progress: called with (iterations done, all iterations).
 
     Raises:
         RobotError: the limits are incomplete, see `motion_limits`, or no motion keeps the torque
-            limits.
+            limits and the clearance.
         TorchidError: unknown criterion, or no restarts.
         IdentificationError: the trajectories have fewer torques than base parameters.
     """
@@ -188,6 +201,7 @@ def optimise_trajectory(
         )
     limits = motion_limits(robot, usage=usage)
     torque = torque or nominal_torque_limits(robot, usage=usage)
+    kept = restricted(torque, clearance)
     base = base_parameters(robot, effects)
     weights = row_weights(robot) if weights is None else weights
     start = random_trajectory(
@@ -201,7 +215,7 @@ def optimise_trajectory(
         duration=duration,
         ramp=ramp,
     )
-    given = start if torque is None else torque.within(start)
+    given = start if kept is None else kept.within(start)
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         motion = trajectory.at(t).to(device)
@@ -216,14 +230,15 @@ def optimise_trajectory(
         motion = trajectory.sample(_RATE).motion
         return condition_number(robot, base, motion, weights, effects=effects)
 
-    found = descend(start, limits, cost, iterations, progress, torque)
+    found = descend(start, limits, cost, iterations, progress, kept)
     before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
     candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     with torch.no_grad():
         costs = torch.cat([cost(given, t), cost(found, t)])
-    best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
+    costs = torch.nan_to_num(costs, nan=math.inf)
+    best = candidates[int(costs.argmin())]
     return Excitation(
         best,
         tuple(before),
@@ -231,6 +246,7 @@ def optimise_trajectory(
         criterion,
         base,
         tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
+        float(costs[:restarts].quantile(0.5) - costs.min()),
         torque,
     )
 

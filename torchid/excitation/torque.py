@@ -154,7 +154,8 @@ class TorqueLimits(Restriction):
             f"posture that asks least of the drives, by the {self.source}",
             expected=f"below {self.usage * (1 - MARGIN) * abs(limit):.4g} {unit}, of a limit of "
             f"{abs(limit):.4g}",
-            hint="check the limit, the parameters and the direction of gravity: torchid robot",
+            hint="check the limit, the parameters and the direction of gravity: torchid robot"
+            + ("; --usage says which share of the limit may be used" if self.usage < 1 else ""),
         )
 
 
