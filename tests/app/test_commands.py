@@ -263,7 +263,11 @@ def test_excite_says_that_torque_limits_were_not_checked(command, tmp_path, robo
     assert done.code == 0, done.err
     said = json.loads(data.read_text())["torque"]
     assert said["checked"] is False
-    assert ("not checked" in done.out) == ("no inertial parameters" in said["reason"]) == limited
+    assert (
+        ("limits were not checked" in done.out)
+        == ("no inertial parameters" in said["reason"])
+        == limited
+    )
 
 
 def test_simulate_paper_noise_leaves_no_error(command, tmp_path):

@@ -20,12 +20,13 @@ from torchid.log.filtering import ZeroPhaseFilter
 from torchid.next_motion.ambiguity import read_open
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
-from torchid.next_motion.separating_motion import design_separation
+from torchid.next_motion.separating_motion import _hardly, design_separation
 from torchid.next_motion.separation import (
     DECISIVE,
     SAME,
     Explanation,
     Rival,
+    Told,
     _in_blocks,
     imitation,
     separations,
@@ -177,6 +178,39 @@ def test_the_design_separates_more_within_the_limits(robot, setting):
     assert float(limit_usage(found.trajectory.extremes(), motion_limits(robot)).max()) <= 1.0
     again = design_separation(setting, pairs, plain, seed=0, evaluations=80)
     assert torch.equal(again.trajectory.a, found.trajectory.a)
+
+
+def test_no_search_for_what_the_plain_motion_decides(robot, setting, monkeypatch):
+    """And half of one where the plain motion is hardly beaten by then."""
+    plain = random_trajectory(robot, 1, fill=True, duration=8.0)
+
+    def done(*pairs):
+        seen = []
+        found = design_separation(
+            setting, pairs, plain, seed=0, evaluations=160, progress=lambda k, _: seen.append(k)
+        )
+        return seen[-1], found.hardly
+
+    large = pair(CoulombFriction(1), [5.0], ViscousFriction(1))
+    assert done(large) == (33, True)
+    close = pair(StribeckFriction(1, vs=0.1), [0.005], CoulombFriction(1))
+    assert done(close) == (160, False)
+    monkeypatch.setattr("torchid.next_motion.separating_motion._hardly", lambda *told: True)
+    assert done(close) == (80, True)
+
+
+@pytest.mark.parametrize(
+    ("told", "of_plain", "hardly"),
+    [
+        ([5.0, 0.2], [3.0, 0.2], True),
+        ([5.0, 0.2], [0.92, 0.2], True),
+        ([1.0, 0.2], [0.8, 0.2], False),
+        ([0.6, 0.1], [0.2, 0.1], False),
+        ([0.2, 3.0], [3.0, 0.2], True),
+    ],
+)
+def test_hardly_better_is_what_a_tenth_more_time_does(told, of_plain, hardly):
+    assert _hardly(*([Told(9 * x, x) for x in both] for both in (told, of_plain))) is hardly
 
 
 def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):

@@ -9,11 +9,13 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json
 
 if TYPE_CHECKING:
+    from torchid.excitation.clearance import Clearance
     from torchid.excitation.fourier import FourierTrajectory
     from torchid.excitation.torque import TorqueLimits
     from torchid.excitation.trajectories import Sinusoid
@@ -47,6 +49,7 @@ class Motion:
         harmonics: Harmonics of the series.
         restarts: Random starts of the design.
         usage: Share of the limits that may be used.
+        speed: Share of the designed speed that the motion is written at: 0.1 for a first run.
     """
 
     result: Annotated[Path | None, typer.Option("--for", metavar="RESULT")] = None
@@ -59,20 +62,25 @@ class Motion:
     rate: float = 100.0
     harmonics: opt.Count = 5
     restarts: opt.Count = 8
-    usage: float = 1.0
+    usage: float = 0.7
+    speed: float = 1.0
     seed: opt.Seed = 0
     device_name: opt.Device = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("duration", "rate", "usage"):
+        for name in ("duration", "rate", "usage", "speed"):
             if not getattr(self, name) > 0:
                 raise TorchidError(f"--{name} must be positive.", got=getattr(self, name))
         if self.usage > 1:
             raise TorchidError("--usage is a share of the limits.", got=self.usage, expected="0..1")
-        if self.duration * self.rate > 1e7:
+        if self.speed > 1:
+            raise TorchidError(
+                "--speed is a share of the designed speed.", got=self.speed, expected="0..1"
+            )
+        if self.duration / self.speed * self.rate > 1e7:
             raise TorchidError(
                 "the trajectory would have more than ten million samples.",
-                got=f"{self.duration:g} s at {self.rate:g} Hz",
+                got=f"{self.duration / self.speed:g} s at {self.rate:g} Hz",
             )
         if self.result is not None and (self.kind != "optimised" or self.count != 1):
             raise TorchidError(
@@ -97,7 +105,9 @@ def excite_command(
     *,
     robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]")] = None,
     motion: Motion,
+    room: Room,
     to: opt.File = None,
+    files: Controllers,
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
     tip: opt.Tip = None,
@@ -105,9 +115,12 @@ def excite_command(
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
-    Torque limits are kept by the robot's parameters, or those that RESULT holds, if there are any.
+    Torque limits are kept by the robot's parameters, or those that RESULT holds, if there are any;
+    the links of a URDF or MJCF are kept apart (needs torchid's extra `mjcf`).
 
     Example: `torchid excite kuka_lwr4 --out motion`
+
+    Example: `torchid excite arm.urdf --max-acceleration 5 --floor 0 --ros2 first.json --speed 0.1`
 
     Example: `torchid excite --for result/identification.json --max-acceleration 5 --out next`
 
@@ -118,18 +131,28 @@ def excite_command(
         max_velocity: Velocity limits, in place of the robot's.
     """
     output = results.open()
+    from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.restriction import restricted
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
     from torchid.report.log import trajectory_figure
-    from torchid.report.motion import not_checked, torque_record, torque_table
+    from torchid.report.motion import (
+        clearance_record,
+        frictionless,
+        nearest_words,
+        not_checked,
+        torque_record,
+        torque_table,
+    )
     from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
 
     target = to or (output.folder and output.folder / "trajectory.csv")
-    if target is None and output.json_file is None:
+    if not (target or output.json_file or files.ros2 or files.urscript):
         raise TorchidError(
-            "nowhere to write the trajectory.", expected="--to FILE, --out DIR or --json FILE"
+            "nowhere to write the trajectory.",
+            expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
     found = None if robot is None else load_robot(robot, tip=tip)
     data = None if motion.result is None else _read_result(motion.result)
@@ -142,21 +165,35 @@ def excite_command(
             )
         raise TorchidError("which robot?", expected="torchid excite ROBOT, or --for RESULT")
     arm = opt.limited(found, max_velocity, max_acceleration)
+    files.check(arm, 3 if motion.kind == "paper" else motion.count)
+    clearance, unknown = room.of(arm, motion.usage)
     kind: str = motion.kind
     if data is not None:
         kind = "next"
-        made, record, torque = _next(arm, motion, data, output)
+        made, record, torque = _next(arm, motion, clearance, data, output)
     elif kind == "optimised":
-        made, record, torque = _optimised(arm, motion, output)
+        made, record, torque = _optimised(arm, motion, clearance, output)
     else:
-        made, record, torque = _given(arm, motion)
+        made, record, torque = _given(arm, motion, clearance)
+    if motion.speed != 1:
+        made = [x.at_speed(motion.speed) for x in made]
+        # Gravity needs its torque at any speed, and the designed motion may have helped it.
+        kept = None if kind == "paper" else restricted(torque, clearance)
+        made = made if kept is None else [kept.within(x) for x in made]
+    series = [x for x in made if isinstance(x, FourierTrajectory)]
+    record |= {"trajectories": _coefficients(series)} if series else {}
 
-    # What the motions ask of the drives, or that it is not known.
+    # What the motions ask of the drives, or that it is not known, and how near they come.
     use = None if torque is None else torque.use(made)
     if use is not None:
         output.say(torque_table(arm, use))
+        output.warn(frictionless(use))
     elif reason := not_checked(arm):
         output.warn((reason,))
+    nearest = None if clearance is None else clearance.nearest(made)
+    if clearance is not None and nearest is not None:
+        output.say(nearest_words(clearance, nearest), *clearance.notes)
+    output.warn(unknown)
 
     logs = [trajectory_log(x, motion.rate) for x in made]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
@@ -165,6 +202,7 @@ def excite_command(
     if target is not None:
         write_log(log, target)
         written.append(target)
+    written += files.write(arm, made, motion.rate)
     title = f"{arm.name}: {kind} trajectory"
     drawn = output.draw(
         lambda: {
@@ -180,7 +218,9 @@ def excite_command(
             "kind": kind,
             "file": None if target is None else target.name,
             **record,
+            "speed": motion.speed,
             "torque": torque_record(arm, use),
+            "clearance": clearance_record(clearance, nearest, unknown),
             "warnings": list(log.warnings),
         },
         "excitation.json",
@@ -194,7 +234,8 @@ def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]
     return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _given(robot: "Robot", motion: Motion) -> "Designed":
+def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> "Designed":
+    from torchid.excitation.restriction import restricted
     from torchid.excitation.torque import nominal_torque_limits
     from torchid.excitation.trajectories import (
         paper_trajectories_3r,
@@ -204,27 +245,33 @@ def _given(robot: "Robot", motion: Motion) -> "Designed":
 
     seeds = range(motion.seed, motion.seed + motion.count)
     torque = nominal_torque_limits(robot, usage=motion.usage)
-    if motion.kind == "sinusoid":
-        waves = [
-            sinusoid(robot, seed, duration=motion.duration, usage=motion.usage) for seed in seeds
-        ]
-        return [torque.within(x) for x in waves] if torque else waves, {}, torque
     if motion.kind == "paper":
         if not robot.name.startswith("3r"):
             raise TorchidError(
                 "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
             )
-        series = paper_trajectories_3r()
-        three = _coefficients([series.select(k) for k in range(3)])
-        return [series], {"trajectories": three}, torque
-    made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
-    if torque is not None:
-        made = [torque.within(x) for x in made]
-    return made, {"trajectories": _coefficients(made)}, torque
+        printed = paper_trajectories_3r()
+        if clearance is not None and not bool(clearance.fits(printed).all()):
+            raise TorchidError(
+                "the motions of table 5.1 leave the room there is; they are not changed.",
+                available=["--kind optimised", "--kind random", "--kind sinusoid"],
+            )
+        return [printed.select(k) for k in range(3)], {}, torque
+    made: Sequence[FourierTrajectory | Sinusoid]
+    if motion.kind == "sinusoid":
+        length, usage = motion.duration, motion.usage
+        made = [sinusoid(robot, seed, duration=length, usage=usage) for seed in seeds]
+    else:
+        made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
+    kept = restricted(torque, clearance)
+    return made if kept is None else [kept.within(x) for x in made], {}, torque
 
 
-def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
+def _optimised(
+    robot: "Robot", motion: Motion, clearance: "Clearance | None", output: Output
+) -> "Designed":
     from torchid.excitation.design import excite
+    from torchid.report.motion import HARDLY_BETTER
 
     settings = motion.series | {
         "effects": opt.effect_names(motion.effects),
@@ -232,6 +279,7 @@ def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
         "criterion": motion.criterion or "condition",
         "basis": motion.basis,
         "device": opt.device(motion.device_name),
+        "clearance": clearance,
     }
     found = []
     with progress_bar(output) as progress:
@@ -243,12 +291,14 @@ def _optimised(robot: "Robot", motion: Motion, output: Output) -> "Designed":
             f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
             f"-> {design.condition_after:.0f}"
         )
+    if any(design.hardly for design in found):
+        output.warn((HARDLY_BETTER,))
     record = {
         "criterion": settings["criterion"],
         "basis": found[0].base.basis,
         "condition_number_before": [f.start_condition for f in found],
         "condition_number_after": [f.condition_after for f in found],
-        "trajectories": _coefficients([f.trajectory for f in found]),
+        "hardly_better": [f.hardly for f in found],
     }
     return [f.trajectory for f in found], record, found[0].torque
 
@@ -277,7 +327,13 @@ def _read_result(path: Path) -> Mapping[str, Any]:
     )
 
 
-def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Output) -> "Designed":
+def _next(
+    robot: "Robot",
+    motion: Motion,
+    clearance: "Clearance | None",
+    data: Mapping[str, Any],
+    output: Output,
+) -> "Designed":
     """The motion for a result, by its kind.
 
     Raises:
@@ -307,11 +363,12 @@ def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Outpu
         with progress_bar(output) as progress:
             best = design_for(
                 robot, prior, seed=seed, goal=goal, restarts=restarts, **motion.series,
-                progress=stage(progress, "designing"),
+                clearance=clearance, progress=stage(progress, "designing"),
             )  # fmt: skip
         output.verdict(words.informed_verdict(best))
         output.say(words.informed_table(best))
         trajectory, torque, record = best.trajectory, best.torque, words.informed_record(best)
+        hardly = best.hardly
     else:
         if motion.criterion is not None:
             raise TorchidError(
@@ -322,16 +379,19 @@ def _next(robot: "Robot", motion: Motion, data: Mapping[str, Any], output: Outpu
         with progress_bar(output) as progress:
             ordinary = optimise_trajectory(
                 robot, seed=seed, restarts=restarts, torque=limits, **motion.series,
-                progress=stage(progress, "a plain motion to compare with"),
+                clearance=clearance, progress=stage(progress, "a plain motion to compare with"),
             ).trajectory  # fmt: skip
             made = design_separation(
                 found.setting, rivals(found, ordinary), ordinary, seed=seed, usage=usage,
-                evaluations=EVALUATIONS * restarts, progress=stage(progress, "separating"),
+                clearance=clearance, evaluations=EVALUATIONS * restarts,
+                progress=stage(progress, "separating"),
             )  # fmt: skip
         output.verdict(words.separation_verdict(made, found.kind))
         output.say(words.separation_table(made, found.kind))
         output.warn(found.notes)
         record = {**words.separation_record(made, found.kind), "notes": list(found.notes)}
-        trajectory, torque = made.trajectory, made.torque
-    record |= {"result": motion.result.name, "trajectories": _coefficients([trajectory])}
+        trajectory, torque, hardly = made.trajectory, made.torque, made.hardly
+    if hardly:
+        output.warn((words.HARDLY_BETTER,))
+    record |= {"result": motion.result.name, "hardly_better": hardly}
     return [trajectory], record, torque

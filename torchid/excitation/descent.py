@@ -1,4 +1,9 @@
-"""The search for a motion by gradient: Adam on a batch of Fourier series within limits."""
+"""The search for a motion by gradient: Adam on a batch of Fourier series within limits.
+
+Costs are logarithms of standard deviations, up to a constant, and these fall with the root of the
+time driven. So a motion whose cost is lower by g tells as much as the other one driven exp(2 g)
+times as long, and a search that does not gain a tenth of the driving time is not worth its own.
+"""
 
 import math
 from collections.abc import Callable
@@ -8,9 +13,15 @@ from torch import Tensor
 
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale
-from torchid.excitation.torque import TorqueLimits
+from torchid.excitation.restriction import Restriction
 
 Progress = Callable[[int, int], None]
+
+LONGER = 1.1
+"""Times the driving time: a motion that tells less than this much more hardly beats another."""
+
+HARDLY = math.log(LONGER) / 2
+"""The same as a gain in the cost."""
 
 _SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
 _LEARNING_RATE = 0.1
@@ -24,9 +35,11 @@ def descend(
     cost: Callable[[FourierTrajectory, Tensor], Tensor],
     iterations: int,
     progress: Progress | None,
-    torque: TorqueLimits | None = None,
+    kept: Restriction | None = None,
 ) -> FourierTrajectory:
     """The best iterate of each restart under Adam, (restarts, n, L).
+
+    The search stops half-way if all iterates hardly beat the best start.
 
     Args:
         start: the restarts, within the limits of motion.
@@ -34,23 +47,23 @@ def descend(
         cost: of trajectories at times t, (restarts,), differentiable.
         iterations: of Adam.
         progress: called with (iterations done, all iterations).
-        torque: that the result keeps too. Then every joint also has a share of the scale to the
-            limits, and torque beyond its limit is penalised.
+        kept: restrictions that the result keeps too. Then every joint also has a share of the
+            scale to the limits, and what breaks them is penalised.
 
     Raises:
-        RobotError: no motion keeps the torque limits.
+        RobotError: no motion keeps the restrictions.
     """
-    if torque is not None:
-        # One half of the searches comes from within the torque limits, the other from beyond.
+    if kept is not None:
+        # One half of the searches comes from within the restrictions, the other from beyond.
         half = torch.arange(len(start.q0)) % 2 == 1
-        start = _merge(half, torque.within(start), start)
+        start = _merge(half, kept.within(start), start)
     middle, reach = limits.middle, _CENTRE_SHARE * limits.half_range
     # Directions (a, b) have any size: the scale to the limits takes it out again.
     size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
     shape = (start.coefficients / size).clone().requires_grad_()
     place = torch.atanh(((start.q0 - middle) / reach).clamp(-0.99, 0.99)).requires_grad_()
     searched = [shape, place]
-    if torque is not None:
+    if kept is not None:
         used = (1 / largest_scale(start, limits)).clamp(_SLOWEST, _FASTEST)
         share = torch.logit(used).requires_grad_()
         searched.append(share)
@@ -70,14 +83,14 @@ def descend(
             start.warnings,
         )
         scale = largest_scale(raw, limits)
-        return raw.scaled(scale if torque is None else scale * torch.sigmoid(share))
+        return raw.scaled(scale if kept is None else scale * torch.sigmoid(share))
 
     lowest = torch.full((start.q0.shape[0],), math.inf, dtype=torch.float64)
     best = start
     for done in range(1, iterations + 1):
         optimiser.zero_grad()
         now = candidate()
-        costs = cost(now, t) if torque is None else cost(now, t) + torque.penalty(now)
+        costs = cost(now, t) if kept is None else cost(now, t) + kept.penalty(now)
         better = costs.detach() < lowest
         lowest = torch.where(better, costs.detach(), lowest)
         best = _merge(better, now, best)
@@ -86,7 +99,11 @@ def descend(
         schedule.step()
         if progress is not None:
             progress(done, iterations)
-    return best if torque is None else torque.within(best)
+        if done == 1:
+            first = float(lowest.min())
+        if done == iterations // 2 and float(lowest.min()) > first - HARDLY:
+            break
+    return best if kept is None else kept.within(best)
 
 
 def _merge(

@@ -5,7 +5,7 @@ base parameters, W Y1 (eq. 2.19, section 2.2), and its covariance is sigma^2 (Y1
 are functions of the trajectory's coefficients, through the closed form of the regressor, so they
 are improved by gradient: Adam on several restarts in one batch. No penalty is needed for limits of
 motion: a candidate is first scaled, joint by joint, until it touches them, and the scale is part of
-what is differentiated. For torque limits see `torque`.
+what is differentiated. What couples joints is in `restriction`.
 """
 
 import math
@@ -19,9 +19,11 @@ from torch import Tensor
 from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
-from torchid.excitation.descent import Progress, descend
+from torchid.excitation.clearance import Clearance
+from torchid.excitation.descent import HARDLY, Progress, descend
 from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
 from torchid.excitation.limits import motion_limits
+from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.base_parameters import (
@@ -51,6 +53,8 @@ class Excitation:
         criterion: what was improved, `condition` or `d_optimal`.
         base: the base parameters it was designed for.
         warnings: sentences for the user.
+        gain: how much lower the cost is than the median start's: the logarithm of the standard
+            deviation of what the criterion looks at, which a motion of as much driving time leaves.
         torque: the torque limits kept; None where there are none, or no model.
     """
 
@@ -60,7 +64,14 @@ class Excitation:
     criterion: Criterion
     base: BaseParameters
     warnings: tuple[str, ...]
+    gain: float
     torque: TorqueLimits | None = None
+
+    @property
+    def hardly(self) -> bool:
+        """Whether it is hardly better than a random motion within the same limits: by less than a
+        tenth more driving time is."""
+        return self.gain < HARDLY
 
     @property
     def start_condition(self) -> float:
@@ -83,11 +94,13 @@ def excite(
     *,
     effects: Sequence[str] = EXCITED_EFFECTS,
     criterion: Criterion = "condition",
+    basis: Basis | None = None,
     duration: float = 20.0,
     harmonics: int = HARMONICS,
     restarts: int = 8,
     iterations: int = 250,
-    usage: float = 1.0,
+    usage: float = 0.7,
+    clearance: Clearance | None = None,
     seed: int = 0,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
@@ -103,11 +116,14 @@ def excite(
         effects: names of effects to be identified with it, on every joint.
         criterion: `condition`, the condition number of the regressor, or `d_optimal`, the
             determinant of the information matrix.
+        basis: of the base parameters whose condition number it is; the robot's own if None.
         duration: [s].
         harmonics: of the Fourier series.
         restarts: random starts of the design.
         iterations: of the search from each.
         usage: share of the limits that may be used.
+        clearance: distances that the motion keeps, from
+            `torchid.excitation.clearance.motion_clearance`; none if None.
         seed: of the random starts; the result is a function of it.
         device: where regressors are evaluated.
         progress: called with (iterations done, all iterations).
@@ -131,8 +147,10 @@ def excite(
         seed=seed,
         restarts=restarts,
         criterion=criterion,
+        basis=basis,
         iterations=iterations,
         usage=usage,
+        clearance=clearance,
         harmonics=harmonics,
         duration=duration,
         device=device,
@@ -222,6 +240,7 @@ def optimise_trajectory(
     weights: Float[Tensor, " n"] | None = None,
     usage: float = 1.0,
     torque: TorqueLimits | None = None,
+    clearance: Clearance | None = None,
     harmonics: int = HARMONICS,
     w_f: float = BASE_PULSATION,
     duration: float = 20.0,
@@ -243,13 +262,14 @@ def optimise_trajectory(
         weights: (n,) of the torque rows; by default 1 / torque limits where they are known.
         usage: share of the limits that may be used.
         torque: limits to keep too; by default the robot's, by its nominal parameters, if any.
+        clearance: distances to keep too.
         harmonics, w_f, duration, ramp: see FourierTrajectory.
         device: where regressors are evaluated; the trajectories stay on the CPU.
         progress: called with (iterations done, all iterations).
 
     Raises:
         RobotError: the limits are incomplete, see `motion_limits`, or no motion keeps the torque
-            limits.
+            limits and the clearance.
         TorchidError: unknown criterion, or no restarts.
         IdentificationError: the trajectories have fewer torques than base parameters.
     """
@@ -264,6 +284,7 @@ def optimise_trajectory(
         )
     limits = motion_limits(robot, usage=usage)
     torque = torque or nominal_torque_limits(robot, usage=usage)
+    kept = restricted(torque, clearance)
     base = base_parameters(robot, effects, basis=basis)
     weights = row_weights(robot) if weights is None else weights
     start = random_trajectory(
@@ -277,7 +298,7 @@ def optimise_trajectory(
         duration=duration,
         ramp=ramp,
     )
-    given = start if torque is None else torque.within(start)
+    given = start if kept is None else kept.within(start)
 
     def information(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         motion = trajectory.at(t).to(device)
@@ -292,14 +313,15 @@ def optimise_trajectory(
         motion = trajectory.sample(_RATE).motion
         return condition_number(robot, base, motion, weights, effects=effects)
 
-    found = descend(start, limits, cost, iterations, progress, torque)
+    found = descend(start, limits, cost, iterations, progress, kept)
     before = [condition(given.select(k)) for k in range(restarts)]
     t = torch.arange(0, duration, 1 / _RATE, dtype=torch.float64)
     # Starts compete too: a search that found nothing better returns the best of them.
     candidates = [x.select(k) for x in (given, found) for k in range(restarts)]
     with torch.no_grad():
         costs = torch.cat([cost(given, t), cost(found, t)])
-    best = candidates[int(torch.nan_to_num(costs, nan=math.inf).argmin())]
+    costs = torch.nan_to_num(costs, nan=math.inf)
+    best = candidates[int(costs.argmin())]
     return Excitation(
         best,
         tuple(before),
@@ -307,6 +329,7 @@ def optimise_trajectory(
         criterion,
         base,
         tuple(dict.fromkeys([*limits.warnings, *base.warnings])),
+        float(costs[:restarts].quantile(0.5) - costs.min()),
         torque,
     )
 

@@ -149,6 +149,17 @@ class FourierTrajectory:
         """The motion about q0 times a factor a joint (..., n); q0 stays."""
         return replace(self, a=self.a * factor.unsqueeze(-1), b=self.b * factor.unsqueeze(-1))
 
+    def at_speed(self, speed: float) -> "FourierTrajectory":
+        """The same path at `speed` times the velocity, in 1 / speed times the duration."""
+        return replace(
+            self,
+            a=self.a * speed,
+            b=self.b * speed,
+            w_f=self.w_f * speed,
+            duration=self.duration / speed,
+            ramp=self.ramp / speed,
+        )
+
     def towards(
         self, rest: Float[Tensor, " n"], share: Float[Tensor, "*batch"]
     ) -> "FourierTrajectory":

@@ -20,10 +20,12 @@ from typing import Any, Literal
 import torch
 
 from torchid.errors import TorchidError
-from torchid.excitation.descent import Progress, descend
+from torchid.excitation.clearance import Clearance
+from torchid.excitation.descent import HARDLY, Progress, descend
 from torchid.excitation.design import base_regressor, optimise_trajectory
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
+from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, identified_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.identification.values import Prior
@@ -63,6 +65,12 @@ class InformedDesign:
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
 
+    @property
+    def hardly(self) -> bool:
+        """Whether it adds less to the plain motion's standard deviations than a tenth more driving
+        time would."""
+        return math.log(self.shrinks(self.with_plain) / self.shrinks(self.after)) < HARDLY
+
     def shrinks(self, std: Float[Tensor, " B"]) -> float:
         """Geometric mean over the targets of std against before (or, where that is infinite,
         against the plain motion's)."""
@@ -82,6 +90,7 @@ def design_for(
     usage: float = 1.0,
     harmonics: int = 5,
     duration: float = 20.0,
+    clearance: Clearance | None = None,
     progress: Progress | None = None,
 ) -> InformedDesign:
     """The motion after which, with the log, the parameters are known best.
@@ -91,11 +100,12 @@ def design_for(
         prior: from `read_prior`.
         seed: of the random starts.
         goal: `a_optimal` for the least known parameters, `d_optimal` for all.
-        restarts, iterations, usage, harmonics, duration: as for `optimise_trajectory`.
+        restarts, iterations, usage, harmonics, duration, clearance: as for `optimise_trajectory`.
         progress: called with (iterations done, all iterations).
 
     Raises:
-        RobotError: the limits are incomplete, or no motion keeps the torque limits.
+        RobotError: the limits are incomplete, or no motion keeps the torque limits and the
+            clearance.
         TorchidError: unknown goal.
     """
     if goal not in ("a_optimal", "d_optimal"):
@@ -105,18 +115,19 @@ def design_for(
     torque = identified_torque_limits(robot, prior, usage=usage)
     plain = optimise_trajectory(
         robot, prior.effects, seed=seed, restarts=restarts, iterations=iterations, torque=torque,
-        basis=prior.base.basis, **settings,
+        basis=prior.base.basis, clearance=clearance, **settings,
     )  # fmt: skip
     # The plain design is a start too: the result is never worse than it.
     random = random_trajectory(robot, seed, count=restarts, fill=True, **settings)
     start = _with_last(random, plain.trajectory)
-    given = start if torque is None else torque.within(start)
+    kept = restricted(torque, clearance)
+    given = start if kept is None else kept.within(start)
     targets = least_known(prior) if goal == "a_optimal" else torch.ones(len(prior.base)).bool()
 
     def cost(trajectory: FourierTrajectory, t: Tensor) -> Tensor:
         return _cost(prior, information(robot, prior, trajectory, t), targets, goal)
 
-    found = descend(start, limits, cost, iterations, progress, torque)
+    found = descend(start, limits, cost, iterations, progress, kept)
     t = _times(prior, duration)
     with torch.no_grad():
         costs = torch.cat([cost(x, t) for x in (given, found)])

@@ -1,17 +1,12 @@
 """Torque limits of a planned motion, by a model of the arm.
 
 Torque is no function of one joint's motion: it couples the joints, and gravity stays however small
-or slow the motion. So a motion is not scaled joint by joint. A search pays a penalty for torque
-beyond the limits, and what it leaves is shrunk towards a posture in which the arm holds itself
-with the least share of its limits: along q_r + s (q - q_r) position, velocity and acceleration
-stay within their limits too for s in [0, 1], and for small s the torque is that at rest.
+or slow the motion (see `restriction`).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TypeVar
 
 import torch
 
@@ -20,13 +15,13 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import Valued, model_torque, nominal_effects
 from torchid.errors import RobotError
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.excitation.limits import motion_limits
+from torchid.excitation.restriction import Restriction
 from torchid.excitation.trajectories import Sinusoid
 from torchid.identification.base_parameters import nominal_values
 from torchid.identification.values import Prior
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 MARGIN = 0.01
 """Share of the usable torque that is left free, for what happens between instants."""
@@ -39,12 +34,6 @@ _SEARCH_SAMPLES = 150
 _RATE = 100.0  # [Hz] at least, of the instants that torque is checked at
 _PER_PERIOD = 250  # instants a period of the fastest harmonic, at least
 _FEWEST = 500
-_HALVINGS = 12
-_POSTURES = 2048
-_WIDTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the range, around the best posture so far
-
-
-Planned = TypeVar("Planned", FourierTrajectory, Sinusoid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +45,18 @@ class TorqueUse:
         largest: (n,) size of the torque that comes nearest to its limit [N m; N].
         limits: (n, 2) [N m; N], infinite where there is none.
         share: (n,) of the limit.
+        frictionless: joints (from 0) whose forecast has no friction in it.
     """
 
     source: str
     largest: Float[Tensor, " n"]
     limits: Float[Tensor, "n 2"]
     share: Float[Tensor, " n"]
+    frictionless: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class TorqueLimits:
+class TorqueLimits(Restriction):
     """Torque limits, and a model that predicts the torque.
 
     Attributes:
@@ -109,26 +100,15 @@ class TorqueLimits:
         excess = self._shares(self._along(trajectory, t)) / (1 - _SEARCH_MARGIN) - 1
         return _PENALTY * excess.clamp(min=0).sum(-1)
 
-    def within(self, trajectory: Planned) -> Planned:
-        """Each motion itself if it keeps the torque limits at every instant, else the largest that
-        does between it and rest.
+    def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
+        """Whether each motion keeps the torque limits at every instant."""
+        with torch.no_grad():
+            shares = self._shares(self._along(trajectory, _instants(trajectory)))
+        return (shares <= 1).all(-1)
 
-        Raises:
-            RobotError: no motion keeps them, for gravity and friction alone need too much.
-        """
-        t = _instants(trajectory)
-        fits = self._fits(trajectory, t)
-        if bool(fits.all()):
-            return trajectory
-        low, high = fits.double(), torch.ones(fits.shape, dtype=torch.float64)
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            inside = fits | self._fits(trajectory.towards(self.rest, middle), t)
-            low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
-        low = torch.where(fits, 1.0, low)
-        if not bool((low > 0).all()):
-            raise self._impossible(self.rest)
-        return trajectory.towards(self.rest, low)
+    def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
+        """The largest share of what is usable that gravity and friction take at rest."""
+        return self._shares(self._at_rest(q)).amax(-1)
 
     def use(self, trajectories: Sequence[FourierTrajectory | Sinusoid]) -> TorqueUse:
         """The largest torque that several motions need of every joint."""
@@ -136,34 +116,12 @@ class TorqueLimits:
         tau = torch.cat(torques)
         size, rows = _of_limit(tau, self.limits).max(0)
         largest = tau[rows, torch.arange(self.robot.n)].abs()
-        return TorqueUse(self.source, largest, self.limits, size)
-
-    @cached_property
-    def rest(self) -> Float[Tensor, " n"]:
-        """The posture (n,) in which gravity and friction take the least share of the limits.
-
-        Raises:
-            RobotError: even that is beyond them.
-        """
-        bounds = motion_limits(self.robot, usage=self.usage).position
-        lower, upper = bounds.unbind(-1)
-        generator = torch.Generator().manual_seed(0)
-        best = bounds.mean(-1)
-        for width in _WIDTHS:
-            drawn = torch.rand((_POSTURES, self.robot.n), generator=generator, dtype=torch.float64)
-            near = (best + width * (upper - lower) * (drawn - 0.5)).clamp(lower, upper)
-            tried = torch.cat([best.unsqueeze(0), near])
-            best = tried[self._shares(self._at_rest(tried)).amax(-1).argmin()]
-        if bool((self._shares(self._at_rest(best.unsqueeze(0))) > 1).any()):
-            raise self._impossible(best)
-        return best
+        rubbing = {j for e, _ in self.effects if "friction" in e.name for j in e.joints}
+        smooth = tuple(j for j in range(self.robot.n) if j not in rubbing)
+        return TorqueUse(self.source, largest, self.limits, size, smooth)
 
     def _along(self, trajectory: FourierTrajectory | Sinusoid, t: Tensor) -> Tensor:
         return self.torque(trajectory.at(t)._replace(t=t))
-
-    def _fits(self, trajectory: FourierTrajectory | Sinusoid, t: Tensor) -> Tensor:
-        with torch.no_grad():
-            return (self._shares(self._along(trajectory, t)) <= 1).all(-1)
 
     def _shares(self, tau: Float[Tensor, "*batch T n"]) -> Float[Tensor, "*batch n"]:
         """Largest share of what is usable, over time."""
@@ -180,7 +138,8 @@ class TorqueLimits:
         ways = [Motion(q, still, still, still + way) for way in (-1.0, 1.0)]
         return torch.stack([model_torque(self.robot, static, way) for way in ways], -2)
 
-    def _impossible(self, q: Float[Tensor, " n"]) -> RobotError:
+    def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
+        """Which joint gravity and friction alone ask too much of."""
         both = self._at_rest(q.unsqueeze(0))
         j = int(self._shares(both).argmax())
         still = torch.zeros_like(q)
@@ -195,7 +154,8 @@ class TorqueLimits:
             f"posture that asks least of the drives, by the {self.source}",
             expected=f"below {self.usage * (1 - MARGIN) * abs(limit):.4g} {unit}, of a limit of "
             f"{abs(limit):.4g}",
-            hint="check the limit, the parameters and the direction of gravity: torchid robot",
+            hint="check the limit, the parameters and the direction of gravity: torchid robot"
+            + ("; `usage=...` says which share of the limit may be used" if self.usage < 1 else ""),
         )
 
 

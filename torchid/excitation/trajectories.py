@@ -114,6 +114,15 @@ class Sinusoid:
         """Highest frequency [Hz]."""
         return 1 / float(self.period.min())
 
+    def at_speed(self, speed: float) -> "Sinusoid":
+        """The same path at `speed` times the velocity, in 1 / speed times the duration."""
+        return replace(
+            self,
+            amplitude=self.amplitude * speed,
+            period=self.period / speed,
+            duration=self.duration / speed,
+        )
+
     def towards(self, rest: Float[Tensor, " n"], share: Float[Tensor, ""]) -> "Sinusoid":
         """rest + share (q - rest): the motion drawn towards a posture (n,)."""
         start = torch.lerp(rest, self.start, share)

@@ -16,8 +16,11 @@ import numpy as np
 import torch
 
 from torchid.errors import TorchidError
+from torchid.excitation.clearance import Clearance
+from torchid.excitation.descent import LONGER
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
+from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, corrected_torque_limits
 from torchid.excitation.trajectories import random_trajectory
 from torchid.next_motion.rows import Rows, Setting
@@ -78,6 +81,11 @@ class Separation:
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
 
+    @property
+    def hardly(self) -> bool:
+        """Whether the plain motion, driven a tenth longer, comes as near to deciding all."""
+        return _hardly(self.after, self.with_plain)
+
 
 def design_separation(
     setting: Setting,
@@ -87,9 +95,13 @@ def design_separation(
     seed: int,
     evaluations: int = 600,
     usage: float = 1.0,
+    clearance: Clearance | None = None,
     progress: Progress | None = None,
 ) -> Separation:
     """The motion, of the length and harmonics of `plain`, that separates most pairs.
+
+    There is no search where the plain motion decides all that the search would look at, and half
+    of one where it hardly beats the plain motion by then.
 
     Args:
         setting: model and noise.
@@ -98,18 +110,20 @@ def design_separation(
         seed: of the search.
         evaluations: trajectories tried.
         usage: share of the limits that may be used.
+        clearance: distances to keep.
         progress: called with (evaluations done, all).
 
     Raises:
-        RobotError: the limits are incomplete, no motion keeps the torque limits, or the robot has
-            no parameters.
+        RobotError: the limits are incomplete, no motion keeps torque limits and clearance, or
+            the robot has no parameters.
         TorchidError: no motion tried separates any pair.
     """
     limits = motion_limits(setting.robot, usage=usage)
     torque = corrected_torque_limits(setting.robot, setting.given, usage=usage)
+    kept_by = restricted(torque, clearance)
     tried = [plain, *_random(setting.robot, plain, seed, usage, evaluations)]
-    if torque is not None:
-        tried = [torque.within(x) for x in tried]
+    if kept_by is not None:
+        tried = [kept_by.within(x) for x in tried]
         plain = tried[0]
     seen = list(zip(*(separations(setting, rivals, x) for x in tried[:FIRST]), strict=True))
     kept = [k for k, told in enumerate(seen) if max(t.difference for t in told) > HOPELESS]
@@ -123,7 +137,7 @@ def design_separation(
 
     def score(x: FourierTrajectory) -> float:
         value = _score(separations(setting, asked, x))
-        return value if torque is None else value - float(torque.penalty(x))
+        return value if kept_by is None else value - float(kept_by.penalty(x))
 
     scores = []
     for x in tried:
@@ -131,9 +145,16 @@ def design_separation(
         if progress is not None:
             progress(len(scores), evaluations)
     start = tried[int(np.argmax(scores))]
-    found = _search(start, limits, score, seed, evaluations, progress)
-    if torque is not None:
-        found = torque.within(found)
+    of_plain = separations(setting, asked, plain)
+
+    def hardly(x: FourierTrajectory) -> bool:
+        return _hardly(separations(setting, asked, x), of_plain)
+
+    found = start
+    if not all(t.reached >= 1 for t in of_plain):
+        found = _search(start, limits, score, hardly, seed, evaluations, progress)
+    if kept_by is not None:
+        found = kept_by.within(found)
     wanted = [rivals[k] for k in kept]
     # The search looks at some pairs and forms; what counts is all of them.
     told = {x: separations(setting, wanted, x) for x in (found, start, plain)}
@@ -176,6 +197,12 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     return replace(rival, others=tuple(rival.others[k] for k in near))
 
 
+def _hardly(told: Sequence[Told], of_plain: Sequence[Told]) -> bool:
+    """Whether a plain motion, driven a tenth longer, comes as near to deciding all pairs."""
+    longer = sum(min(t.reached * LONGER, 1.0) for t in of_plain)
+    return sum(min(t.reached, 1.0) for t in told) <= longer
+
+
 def _score(told: Sequence[Told]) -> float:
     """About how many pairs are decided; and, where all or none are, how far they are from it."""
     reached = np.array([max(t.reached, 1e-12) for t in told])
@@ -201,11 +228,13 @@ def _search(
     start: FourierTrajectory,
     limits: MotionLimits,
     score: Callable[[FourierTrajectory], float],
+    hardly: Callable[[FourierTrajectory], bool],
     seed: int,
     evaluations: int,
     progress: Progress | None,
 ) -> FourierTrajectory:
-    """CMA-ES on the score; the start competes too."""
+    """CMA-ES on the score; the start competes too. It stops half-way if the best hardly beats a
+    plain motion."""
     n = start.n
     reach = 0.9 * limits.half_range
     size = torch.linalg.vector_norm(start.coefficients, dim=-1, keepdim=True).clamp(min=1e-12)
@@ -222,6 +251,7 @@ def _search(
 
     best, highest, done = start, score(start), round(_RANDOM_SHARE * evaluations)
     options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": True}
+    asks_halfway = True
     search = cma.CMAEvolutionStrategy(first.numpy(), _SPREAD, options)
     while done < evaluations and not search.stop():
         asked = search.ask()
@@ -236,4 +266,8 @@ def _search(
         done += len(asked)
         if progress is not None:
             progress(min(done, evaluations), evaluations)
+        if asks_halfway and 2 * done >= evaluations:
+            asks_halfway = False
+            if hardly(best):
+                break
     return best

@@ -1,8 +1,10 @@
 """A planned motion for people and as data: what it asks of the drives, and what it adds."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
+from torchid.excitation.clearance import FAR, Clearance, Nearest
 from torchid.excitation.informed import InformedDesign
 from torchid.excitation.torque import TorqueUse, has_torque_limits
 from torchid.json_data import plain
@@ -49,6 +51,56 @@ def not_checked(robot: Robot) -> str | None:
         f"torque limits were not checked: robot '{robot.name}' has no inertial parameters, which "
         "predict torque."
     )
+
+
+HARDLY_BETTER = (
+    "the designed motion hardly beats a plain one: driving that a tenth longer tells as much."
+)
+
+
+def frictionless(use: TorqueUse) -> tuple[str, ...]:
+    """That the forecast of torque has no friction in it, where it has none."""
+    if not use.frictionless:
+        return ()
+    every = len(use.frictionless) == len(use.largest)
+    joints = ", ".join(str(j + 1) for j in use.frictionless)
+    of = "" if every else f" of joint {joints}"
+    return (
+        f"the forecast torque has no friction in it{of}: the drives need more. Friction is known "
+        "from the robot's `effects`, a URDF's <dynamics>, or --for an identification.",
+    )
+
+
+def nearest_words(clearance: Clearance, nearest: Nearest) -> str:
+    """How near the motions come, in one sentence."""
+    if math.isinf(nearest.spare):
+        return f"room: nothing comes nearer than {1000 * (clearance.clearance + FAR):.0f} mm."
+    return (
+        f"room: {nearest.second} comes nearest to {nearest.first}, {1000 * nearest.distance:.0f} "
+        f"mm after {nearest.time:.1f} s (at least {1000 * (nearest.distance - nearest.spare):.0f} "
+        "mm are kept at every instant)."
+    )
+
+
+def clearance_record(
+    clearance: Clearance | None, nearest: Nearest | None, unknown: Sequence[str] = ()
+) -> dict[str, Any]:
+    """JSON-ready; `unknown` is what could not be checked, one sentence each."""
+    if clearance is None or nearest is None:
+        return {"checked": False, "not_checked": list(unknown)}
+    near = None if math.isinf(nearest.spare) else nearest
+    return {
+        "checked": True,
+        "clearance": clearance.clearance,
+        "pairs": len(clearance.pairs),
+        "nearest": near
+        and {
+            "distance": near.distance,
+            "between": [near.first, near.second],
+            "time": near.time,
+        },
+        "not_checked": [*unknown, *clearance.notes],
+    }
 
 
 MOST_ROWS = 20

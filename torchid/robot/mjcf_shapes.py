@@ -45,6 +45,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     model = compiled(mujoco, path)
     own = [_body_shapes(mujoco, model, body) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
+    read: dict[str, list[Solid]] = {}
     problems = []
     for body in range(1, model.nbody):
         if model.body_jntnum[body] == 0:
@@ -58,13 +59,44 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
             solids and any(model.body_mass[b] and not model.body_geomnum[b] for b in members)
         )
         parts[name] = (solids, " and ".join(kinds)) if whole and solids else None
+        read[name] = solids
         if not whole and name in robot.link_names:
             problems.append(f"'{name}'")
     warning = (
         f"shapes of {', '.join(problems)} are unknown: a geom has no end (plane, height field), or "
         "a body has mass and no geom."
     )
-    return assembled([parts.get(name) for name in robot.link_names], (warning,) * bool(problems))
+    base, planes = _world(mujoco, model)
+    return assembled(
+        [parts.get(name) for name in robot.link_names],
+        (warning,) * bool(problems),
+        solids=tuple(tuple(read.get(name, ())) for name in robot.link_names),
+        base=base,
+        planes=planes,
+        left_out=tuple(name for name in read if name not in robot.link_names),
+    )
+
+
+def _world(mujoco: Any, model: Any) -> tuple[tuple[Solid, ...] | None, Tensor]:
+    """Solids of what collides and is fixed to the world, None where one is a height field; and
+    planes (F, 4), unit normal and offset."""
+    kinds = mujoco.mjtGeom
+    solids, planes, known = [], [], True
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if _moved_by(model, body) or not collides:
+            continue
+        placed, kind = _placed(model, body), int(model.geom_type[geom])
+        if kind == kinds.mjGEOM_PLANE:
+            at = placed @ given_pose(model, "geom", geom)
+            planes.append(torch.cat([at[:3, 2], (at[:3, 2] @ at[:3, 3])[None]]))
+        elif kind == kinds.mjGEOM_HFIELD:
+            known = False
+        else:
+            solids.append(_solid(mujoco, model, geom, placed))
+    none = torch.zeros((0, 4), dtype=torch.float64)
+    return tuple(solids) if known else None, torch.stack(planes) if planes else none
 
 
 def _moved_by(model: Any, body: int) -> int:

@@ -1,8 +1,9 @@
-"""Boxes with sides along the axes, and volumes, of placed solids."""
+"""Placed solids: their boxes with sides along the axes, and their volumes."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import torch
 
@@ -11,15 +12,25 @@ from torchid.typing import Float, Tensor
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The smallest box with sides along the axes that holds a solid, and the solid's volume.
+    """A convex solid in a link's frame.
 
     Attributes:
-        box: (3, 2) lower and upper corner [m].
+        kind: what it is.
+        pose: (4, 4) of its own frame in the link's.
+        size: (3,) [m]: half sides of a box, semi-axes of an ellipsoid; radius, half length and 0
+            of a cylinder or capsule, along z; zeros of a hull.
+        box: (3, 2) lower and upper corner of the smallest box along the link's axes that holds it
+            [m].
         volume: [m^3].
+        corners: (V, 3) of a hull, in its own frame [m]; None of others.
     """
 
+    kind: Literal["box", "ellipsoid", "cylinder", "capsule", "hull"]
+    pose: Float[Tensor, "4 4"]
+    size: Float[Tensor, "3"]
     box: Float[Tensor, "3 2"]
     volume: float
+    corners: Float[Tensor, "V 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +43,22 @@ class LinkShapes:
             hull, shapes that overlap count twice); nan where unknown.
         kinds: (n,) elements they come from: `collision`, `visual`, both, or None where unknown.
         warnings: what could not be read.
+        solids: (n,) the shapes that were read, in the link frames, of links too whose box is
+            unknown for a part of it.
+        base: those of what does not move, in the base frame; None where a part could not be read.
+        planes: (F, 4) unit normal and offset [m], in the base frame, of half-spaces n'x < offset
+            that are solid: planes that an MJCF fixes to the world.
+        left_out: names of links off the chain, whose shapes are in none of these.
     """
 
     boxes: Float[Tensor, "n 3 2"]
     volumes: Float[Tensor, " n"]
     kinds: tuple[str | None, ...]
     warnings: tuple[str, ...] = ()
+    solids: tuple[tuple[Solid, ...], ...] = ()
+    base: tuple[Solid, ...] | None = ()
+    planes: Float[Tensor, "F 4"] = field(default_factory=lambda: torch.zeros(0, 4).double())
+    left_out: tuple[str, ...] = ()
 
     @property
     def known(self) -> tuple[bool, ...]:
@@ -47,13 +68,14 @@ class LinkShapes:
 
 def box(pose: Float[Tensor, "4 4"], half: Float[Tensor, "3"]) -> Solid:
     """A box with half sides `half` about its centre."""
-    return _around(pose, pose[:3, :3].abs() @ half, 8 * float(half.prod()))
+    return _around("box", pose, half, pose[:3, :3].abs() @ half, 8 * float(half.prod()))
 
 
 def ellipsoid(pose: Float[Tensor, "4 4"], semi_axes: Float[Tensor, "3"]) -> Solid:
     """An ellipsoid about its centre."""
     extent = (pose[:3, :3] * semi_axes).norm(dim=-1)
-    return _around(pose, extent, 4 / 3 * math.pi * float(semi_axes.prod()))
+    volume = 4 / 3 * math.pi * float(semi_axes.prod())
+    return _around("ellipsoid", pose, semi_axes, extent, volume)
 
 
 def cylinder(pose: Float[Tensor, "4 4"], radius: float, length: float) -> Solid:
@@ -61,46 +83,57 @@ def cylinder(pose: Float[Tensor, "4 4"], radius: float, length: float) -> Solid:
     # A disc with axes u and v reaches r (u_k^2 + v_k^2)^1/2 in direction k.
     across = pose[:3, :2].norm(dim=-1)
     extent = pose[:3, 2].abs() * (length / 2) + across * radius
-    return _around(pose, extent, math.pi * radius**2 * length)
+    size = pose.new_tensor([radius, length / 2, 0.0])
+    return _around("cylinder", pose, size, extent, math.pi * radius**2 * length)
 
 
 def capsule(pose: Float[Tensor, "4 4"], radius: float, length: float) -> Solid:
     """A cylinder of this length along z with a half ball on each end; a ball of length 0."""
     extent = pose[:3, 2].abs() * (length / 2) + radius
-    return _around(pose, extent, math.pi * radius**2 * (length + 4 / 3 * radius))
+    size = pose.new_tensor([radius, length / 2, 0.0])
+    return _around("capsule", pose, size, extent, math.pi * radius**2 * (length + 4 / 3 * radius))
 
 
 def points(pose: Float[Tensor, "4 4"], vertices: Float[Tensor, "V 3"]) -> Solid:
     """The convex hull of points."""
     placed = vertices @ pose[:3, :3].T + pose[:3, 3]
-    return Solid(torch.stack([placed.amin(0), placed.amax(0)], -1), _hull_volume(vertices))
-
-
-def together(solids: Sequence[Solid]) -> Solid:
-    """The box of all solids; the sum of their volumes, at most the box's."""
-    boxes = torch.stack([solid.box for solid in solids])
-    union = torch.stack([boxes[..., 0].amin(0), boxes[..., 1].amax(0)], -1)
-    whole = float((union[:, 1] - union[:, 0]).prod())
-    return Solid(union, min(whole, sum(solid.volume for solid in solids)))
+    around = torch.stack([placed.amin(0), placed.amax(0)], -1)
+    return Solid("hull", pose, pose.new_zeros(3), around, _hull_volume(vertices), vertices)
 
 
 def assembled(
-    parts: Sequence[tuple[list[Solid], str] | None], warnings: tuple[str, ...]
+    parts: Sequence[tuple[list[Solid], str] | None], warnings: tuple[str, ...], **more: Any
 ) -> LinkShapes:
-    """LinkShapes from each link's solids and their kind, None where they are unknown."""
-    nowhere = Solid(torch.full((3, 2), torch.nan, dtype=torch.float64), math.nan)
-    merged = [nowhere if part is None else together(part[0]) for part in parts]
+    """LinkShapes from each link's solids and their kind, None where they are unknown; `more` are
+    its other attributes."""
+    nowhere = torch.full((3, 2), torch.nan, dtype=torch.float64), math.nan
+    merged = [nowhere if part is None else _together(part[0]) for part in parts]
     return LinkShapes(
-        torch.stack([solid.box for solid in merged]),
-        torch.tensor([solid.volume for solid in merged], dtype=torch.float64),
+        torch.stack([around for around, _ in merged]),
+        torch.tensor([volume for _, volume in merged], dtype=torch.float64),
         tuple(None if part is None else part[1] for part in parts),
         warnings,
+        **more,
     )
 
 
-def _around(pose: Tensor, extent: Tensor, volume: float) -> Solid:
+def _together(solids: Sequence[Solid]) -> tuple[Tensor, float]:
+    """The box (3, 2) of all solids; the sum of their volumes, at most the box's."""
+    boxes = torch.stack([solid.box for solid in solids])
+    union = torch.stack([boxes[..., 0].amin(0), boxes[..., 1].amax(0)], -1)
+    whole = float((union[:, 1] - union[:, 0]).prod())
+    return union, min(whole, sum(solid.volume for solid in solids))
+
+
+def _around(
+    kind: Literal["box", "ellipsoid", "cylinder", "capsule"],
+    pose: Tensor,
+    size: Tensor,
+    extent: Tensor,
+    volume: float,
+) -> Solid:
     centre = pose[:3, 3]
-    return Solid(torch.stack([centre - extent, centre + extent], -1), volume)
+    return Solid(kind, pose, size, torch.stack([centre - extent, centre + extent], -1), volume)
 
 
 def _hull_volume(vertices: Tensor) -> float:

@@ -79,20 +79,36 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
     tree = urdf_tree(root, str(path), [])
     elements = dict(_named(root, str(path)))
     parts: list[tuple[list[Solid], str] | None] = []
+    read: list[list[Solid]] = []
     problems: dict[str, str] = {}
-    for link in robot.link_names:
-        members = {
+
+    def shapes_of(link: str) -> dict[str, _OwnShapes]:
+        return {
             name: _own_shapes(elements[name], placed, f"link '{name}'", path)
             for name, placed in _group(tree, link).items()
         }
+
+    for link in robot.link_names:
+        members = shapes_of(link)
         solids = [solid for own in members.values() for solid in own.solids]
         kinds = dict.fromkeys(own.kind for own in members.values() if own.kind)
         troubles = {name: own.problem for name, own in members.items() if own.problem}
         parts.append((solids, " and ".join(kinds)) if solids and not troubles else None)
+        read.append(solids)
         # A link of which nothing is drawn is no news; one of which a part is missing is.
         if solids or not all(problem.endswith(_BARE) for problem in troubles.values()):
             problems |= troubles
-    return assembled(parts, _unknown(problems))
+    still = shapes_of(tree.root()).values()
+    unread = any(own.problem and not own.problem.endswith(_BARE) for own in still)
+    base = None if unread else tuple(solid for own in still for solid in own.solids)
+    carried = {name for link in (tree.root(), *robot.link_names) for name in _group(tree, link)}
+    return assembled(
+        parts,
+        _unknown(problems),
+        solids=tuple(map(tuple, read)),
+        base=base,
+        left_out=tuple(name for name in tree.links if name not in carried),
+    )
 
 
 def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:

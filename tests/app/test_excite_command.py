@@ -1,0 +1,122 @@
+"""`torchid excite` from the outside: room, first runs, files for controllers."""
+
+import json
+import sys
+
+import pytest
+import torch
+
+from tests.excitation.shaped import shaped_arm
+from torchid.log.readers import read_log
+from torchid.robot.library import load_robot
+
+RANDOM = ("--kind", "random", "--duration", 8, "--max-acceleration", 5)
+
+
+def words(text):
+    return " ".join(text.split())
+
+
+def test_a_first_run_at_a_tenth_of_the_speed(command, tmp_path):
+    """All files hold the same slow motion along the path of the fast one."""
+    arm, files = shaped_arm("6r", tmp_path), ("fast", "slow")
+    for name, speed in zip(files, (1, 0.1), strict=True):
+        target = tmp_path / name
+        done = command(
+            "excite", arm, *RANDOM, "--max-velocity", 0.15, "--floor", -0.4, "--speed", speed,
+            "--rate", 50, "--to", f"{target}.csv", "--json", f"{target}.out",
+            "--ros2", f"{target}.json", "--urscript", f"{target}.script",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        assert "the forecast torque has no friction in it: the drives need more" in words(done.out)
+        assert "room: " in done.out
+        assert "at least 20 mm are kept at every instant" in words(done.out)
+    fast, slow = (read_log(tmp_path / f"{name}.csv") for name in files)
+    torch.testing.assert_close(slow.q[::10], fast.q)
+    torch.testing.assert_close(slow.dq[::10], 0.1 * fast.dq)
+    torch.testing.assert_close(slow.ddq[::10], 0.01 * fast.ddq)
+    message = json.loads((tmp_path / "slow.json").read_text())
+    assert len(message["points"]) == len(slow.t) == 4001
+    assert message["points"][-1]["time_from_start"] == {"sec": 80, "nanosec": 0}
+    assert (tmp_path / "slow.script").read_text().count("servoj([") == 4001
+    records = [json.loads((tmp_path / f"{name}.out").read_text()) for name in files]
+    assert [r["speed"] for r in records] == [1, 0.1]
+    near = [r["clearance"]["nearest"] for r in records]
+    assert near[1]["distance"] == pytest.approx(near[0]["distance"], abs=1e-6)
+    assert near[1]["time"] == pytest.approx(10 * near[0]["time"], abs=1e-6)
+    assert records[1]["trajectories"][0]["duration"] == pytest.approx(80)
+
+
+def test_seventy_per_cent_of_the_limits_unless_told(command, tmp_path):
+    robot = load_robot("3r")
+    for usage, expected in (((), 0.7), (("--usage", 1), 1.0)):
+        done = command("excite", "3r", "--kind", "random", *usage, "--to", tmp_path / "m.csv")
+        assert done.code == 0, done.err
+        log = read_log(tmp_path / "m.csv")
+        shares = [
+            (x.abs().amax(0) / limit[:, 1]).max()
+            for x, limit in (
+                (log.q, robot.limits.position),
+                (log.dq, robot.limits.velocity),
+                (log.ddq, robot.limits.acceleration),
+            )
+        ]
+        assert float(max(shares)) == pytest.approx(expected, rel=0.02)
+        assert float(max(shares)) <= expected
+
+
+def test_friction_that_is_known_is_no_news(command, tmp_path):
+    arm = shaped_arm("7r", tmp_path, friction=1.0)
+    done = command("excite", arm, *RANDOM, "--to", tmp_path / "m.csv")
+    assert "largest torque" in done.out
+    assert "no friction" not in done.out
+
+
+@pytest.mark.parametrize(
+    ("robot", "arguments", "message"),
+    [
+        ("6r", ("--floor", 0.8), "clear of the floor"),
+        ("6r", ("--workspace", "1,0,0,1,0,1"), "a workspace is a box"),
+        ("6r", ("--workspace", "0,1,0,1,0"), "a workspace is a box"),
+        ("6r", ("--workspace", "a,1,0,1,0,1"), "--workspace is not a number"),
+        ("6r", ("--clearance", -1), "a clearance is a distance"),
+        ("6r", ("--speed", 0), "--speed must be positive"),
+        ("6r", ("--speed", 1.5), "share of the designed speed"),
+        ("6r", ("--speed", 1e-6), "more than ten million samples"),
+        ("6r", ("--count", 2, "--ros2", "M"), "hold one motion"),
+        ("7r", ("--urscript", "M"), "cannot run a URScript program"),
+    ],
+)
+def test_refused_and_nothing_written(command, tmp_path, robot, arguments, message):
+    arm = shaped_arm(robot, tmp_path)
+    given = [tmp_path / "motion" if a == "M" else a for a in arguments]
+    done = command("excite", arm, *RANDOM, "--to", tmp_path / "m.csv", *given)
+    assert done.code == 1
+    assert message in words(done.err)
+    assert [path.name for path in tmp_path.iterdir()] == [arm.name]
+
+
+def test_without_mujoco_only_what_is_asked_for_is_refused(command, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    arm = shaped_arm("6r", tmp_path)
+    data = tmp_path / "m.json"
+    done = command("excite", arm, *RANDOM, "--to", tmp_path / "m.csv", "--json", data)
+    assert done.code == 0, done.err
+    assert "collisions were not checked" in done.out
+    assert "torchid[mjcf]" in done.out
+    record = json.loads(data.read_text())["clearance"]
+    assert record["checked"] is False
+    assert "mujoco" in record["not_checked"][0]
+    done = command("excite", arm, *RANDOM, "--to", tmp_path / "n.csv", "--floor", -1)
+    assert done.code == 1
+    assert "torchid[mjcf]" in done.err
+    assert not (tmp_path / "n.csv").exists()
+
+
+def test_table_5_1_is_not_repaired(command, tmp_path):
+    target = tmp_path / "m.csv"
+    done = command("excite", "3r", "--kind", "paper", "--floor", 0, "--to", target)
+    assert done.code == 1
+    assert "table 5.1" in done.err
+    assert not target.exists()
+    assert command("excite", "3r", "--kind", "paper", "--floor", -2, "--to", target).code == 0

@@ -1,0 +1,101 @@
+"""What a planned motion keeps clear of, and the files that it goes into."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchid.app import options as opt
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.files import atomic_write
+from torchid.json_data import write_json
+
+if TYPE_CHECKING:
+    from torchid.excitation.clearance import Clearance
+    from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.trajectories import Sinusoid
+    from torchid.robot.model import Robot
+
+_BOX = "XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """What a motion keeps clear of.
+
+    Attributes:
+        clearance: Distance that the links keep from each other, the floor and the workspace's
+            sides [m].
+        floor: Height of a floor, in the base frame [m].
+        workspace: Box that no moving link leaves, in the base frame [m].
+    """
+
+    clearance: float = 0.02
+    floor: float | None = None
+    workspace: Annotated[str | None, typer.Option(metavar=_BOX)] = None
+
+    def of(self, robot: "Robot", usage: float) -> "tuple[Clearance | None, tuple[str, ...]]":
+        """What the robot's motions are checked for, None where there is nothing; and what is not
+        checked for want of knowledge, one sentence each.
+
+        Raises:
+            MissingExtraError: a floor or a workspace is asked for, and MuJoCo is not installed.
+            TorchidError: numbers that are none.
+        """
+        from torchid.excitation.clearance import motion_clearance
+
+        box = None
+        if self.workspace is not None:
+            parts = self.workspace.split(",")
+            box = [opt.number("--workspace", part, _BOX) for part in parts]
+        try:
+            found = motion_clearance(
+                robot, clearance=self.clearance, floor=self.floor, workspace=box, usage=usage
+            )
+        except MissingExtraError as error:
+            if self.floor is not None or box is not None:
+                raise
+            return None, (f"collisions were not checked: {error.problem} {error.hint}",)
+        return (found if len(found.pairs) else None), found.warnings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controllers:
+    """Files for robot controllers.
+
+    Attributes:
+        ros2: ROS 2 JointTrajectory message, as JSON (which `ros2 topic pub` takes as YAML).
+        urscript: Program for an arm of Universal Robots (choose --rate 125, or 500 on
+            e-Series).
+    """
+
+    ros2: opt.File = None
+    urscript: opt.File = None
+
+    def check(self, robot: "Robot", count: int) -> None:
+        """That the files can hold what is asked for.
+
+        Raises:
+            TorchidError: several motions, or a robot that no URScript program moves.
+        """
+        from torchid.excitation.controllers import require_six_joints
+
+        if count != 1 and (self.ros2 or self.urscript):
+            raise TorchidError("--ros2 and --urscript hold one motion.", got=count)
+        if self.urscript:
+            require_six_joints(robot)
+
+    def write(
+        self, robot: "Robot", made: "Sequence[FourierTrajectory | Sinusoid]", rate: float
+    ) -> list[Path]:
+        """The files written."""
+        from torchid.excitation.controllers import joint_trajectory, urscript
+
+        if self.ros2:
+            write_json(joint_trajectory(robot, made[0].sample(rate)), self.ros2)
+        if self.urscript:
+            with atomic_write(self.urscript) as file:
+                file.write(urscript(robot, made[0].sample(rate)))
+        return [path for path in (self.ros2, self.urscript) if path]

@@ -1,0 +1,86 @@
+"""Planned motions as robot controllers take them: ROS 2 and Universal Robots."""
+
+from typing import Any
+
+from torchid.errors import RobotError
+from torchid.excitation.fourier import SampledMotion
+from torchid.json_data import plain
+from torchid.robot.model import JointType, Robot
+
+AT_START = 0.02
+"""How far from the start posture a script lets the arm begin [rad]."""
+
+_LOOKAHEAD = 0.1  # [s], of servoj; its default
+_GAIN = 300  # of servoj; its default
+
+
+def joint_trajectory(robot: Robot, motion: SampledMotion) -> dict[str, Any]:
+    """The fields of a ROS 2 message trajectory_msgs/msg/JointTrajectory.
+
+    Args:
+        robot: its joints' names.
+        motion: of one trajectory, (T, n).
+    """
+    nanoseconds = (motion.t * 1e9).round().long().tolist()
+    states = zip(*(plain(x) for x in (motion.q, motion.dq, motion.ddq)), strict=True)
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+        "joint_names": list(robot.joint_names),
+        "points": [
+            {
+                "positions": q,
+                "velocities": dq,
+                "accelerations": ddq,
+                "effort": [],
+                "time_from_start": {"sec": ns // 10**9, "nanosec": ns % 10**9},
+            }
+            for ns, (q, dq, ddq) in zip(nanoseconds, states, strict=True)
+        ],
+    }
+
+
+def urscript(robot: Robot, motion: SampledMotion) -> str:
+    """A URScript program that moves an arm of Universal Robots along a motion, sample by sample.
+
+    It does not drive to the start, for nobody has checked that way: away from the start posture it
+    tells the user where that is, and halts.
+
+    Args:
+        robot: with six revolute joints.
+        motion: of one trajectory, (T, 6).
+
+    Raises:
+        RobotError: not six revolute joints.
+    """
+    require_six_joints(robot)
+    rows = [f"[{','.join(f'{x:.6f}' for x in q)}]" for q in motion.q.tolist()]
+    degrees = ", ".join(f"{x:.1f}" for x in motion.q[0].rad2deg().tolist())
+    step = float(motion.t[1] - motion.t[0])
+    lines = [
+        f"start = {rows[0]}",
+        "actual = get_actual_joint_positions()",
+        "j = 0",
+        "while j < 6:",
+        f"  if actual[j] - start[j] > {AT_START} or start[j] - actual[j] > {AT_START}:",
+        f'    popup("Bring the arm to {degrees} deg first.", "torchid", False, True, True)',
+        "    halt",
+        "  end",
+        "  j = j + 1",
+        "end",
+        *(f"servoj({row}, 0, 0, {step:.6g}, {_LOOKAHEAD}, {_GAIN})" for row in rows),
+        "stopj(1.0)",
+    ]
+    head = f"# {robot.name}: {float(motion.t[-1]):g} s, a set point every {1000 * step:g} ms"
+    body = "\n".join("  " + line for line in lines)
+    return f"{head}\ndef torchid_motion():\n{body}\nend\n"
+
+
+def require_six_joints(robot: Robot) -> None:
+    """Raise RobotError unless the robot has six revolute joints, as those of Universal Robots."""
+    kinds = "".join(robot.joint_types)
+    if kinds != 6 * JointType.REVOLUTE:
+        raise RobotError(
+            f"robot '{robot.name}' cannot run a URScript program.",
+            got=f"{robot.n} joints: {kinds}",
+            expected="the six revolute joints of an arm of Universal Robots",
+        )

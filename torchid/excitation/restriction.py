@@ -1,0 +1,140 @@
+"""What a planned motion has to keep beyond its joints' own limits, and how it is made to.
+
+Such a restriction (torque, clearance) couples the joints, and some motions break it however small
+they are, so a motion is not scaled joint by joint. A search pays a penalty for breaking it, and
+what the search leaves is shrunk towards a posture at rest that keeps the restriction with the most
+room: along q_r + s (q - q_r) position, velocity and acceleration stay within their limits too for
+s in [0, 1], and for small s nothing is left but that posture.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import and_
+from typing import TypeVar
+
+import torch
+
+from torchid.errors import RobotError
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.limits import motion_limits
+from torchid.excitation.trajectories import Sinusoid
+from torchid.robot.model import Robot
+from torchid.typing import Bool, Float, Tensor
+
+_HALVINGS = 12
+_POSTURES = 2048
+_WIDTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the range, around the best posture so far
+
+Planned = TypeVar("Planned", FourierTrajectory, Sinusoid, FourierTrajectory | Sinusoid)
+
+
+class Restriction(ABC):
+    """What a motion has to keep at every instant.
+
+    Attributes:
+        robot: with the limits within which postures lie.
+        usage: share of those limits that may be used.
+    """
+
+    robot: Robot
+    usage: float
+
+    @abstractmethod
+    def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
+        """What a search pays for breaking it; differentiable, 0 where it is kept."""
+
+    @abstractmethod
+    def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
+        """Whether each motion keeps it at every instant."""
+
+    @abstractmethod
+    def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
+        """How near an arm at rest in postures is to breaking it; above 1 it does."""
+
+    @abstractmethod
+    def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
+        """That even the best posture q breaks it."""
+
+    def within(self, trajectory: Planned) -> Planned:
+        """Each motion itself if it keeps the restriction at every instant, else the largest found
+        that does between it and rest.
+
+        Raises:
+            RobotError: no posture keeps it.
+        """
+        fits = self.fits(trajectory)
+        if bool(fits.all()):
+            return trajectory
+        low, high = fits.double(), torch.ones(fits.shape, dtype=torch.float64)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            inside = fits | self.fits(trajectory.towards(self.rest, middle))
+            low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
+        low = torch.where(fits, 1.0, low)
+        if not bool((low > 0).all()):
+            raise self.impossible(self.rest)
+        return trajectory.towards(self.rest, low)
+
+    @cached_property
+    def rest(self) -> Float[Tensor, " n"]:
+        """The posture (n,) with the least strain.
+
+        Raises:
+            RobotError: even that breaks the restriction.
+        """
+        bounds = motion_limits(self.robot, usage=self.usage).position
+        lower, upper = bounds.unbind(-1)
+        generator = torch.Generator().manual_seed(0)
+        best = bounds.mean(-1)
+        for width in _WIDTHS:
+            drawn = torch.rand((_POSTURES, self.robot.n), generator=generator, dtype=torch.float64)
+            near = (best + width * (upper - lower) * (drawn - 0.5)).clamp(lower, upper)
+            tried = torch.cat([best.unsqueeze(0), near])
+            best = tried[self.strain(tried).argmin()]
+        if bool((self.strain(best.unsqueeze(0)) > 1).any()):
+            raise self.impossible(best)
+        return best
+
+
+@dataclass(frozen=True, eq=False)
+class AllOf(Restriction):
+    """Several restrictions of one robot at once.
+
+    Attributes:
+        parts: at least one.
+    """
+
+    parts: tuple[Restriction, ...]
+
+    @property
+    def robot(self) -> Robot:  # type: ignore[override]
+        """Of the first part."""
+        return self.parts[0].robot
+
+    @property
+    def usage(self) -> float:  # type: ignore[override]
+        """Of the first part."""
+        return self.parts[0].usage
+
+    def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
+        """The sum of all penalties."""
+        return torch.stack([part.penalty(trajectory) for part in self.parts]).sum(0)
+
+    def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
+        """Whether all are kept."""
+        return reduce(and_, [part.fits(trajectory) for part in self.parts])
+
+    def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
+        """The largest."""
+        return torch.stack([part.strain(q) for part in self.parts]).amax(0)
+
+    def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
+        """Of the part that is broken most."""
+        return max(self.parts, key=lambda part: float(part.strain(q.unsqueeze(0)))).impossible(q)
+
+
+def restricted(*parts: Restriction | None) -> Restriction | None:
+    """All that are not None at once; None where nothing is left."""
+    left = tuple(part for part in parts if part is not None)
+    return AllOf(left) if left else None
