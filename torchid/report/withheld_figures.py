@@ -43,7 +43,7 @@ def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
     axes.set(xlim=(-2, 102), ylim=(-2, 102))
     axes.set_xlabel("how sure it was said to be [%]", fontsize=_SMALL, color=INK)
     axes.set_ylabel("right [%]", fontsize=_SMALL, color=INK)
-    return finish(figure, "How sure names were said to be, and how often they were right", axes)
+    return finish(figure, "How sure, and how often right", axes)
 
 
 def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
