@@ -48,6 +48,11 @@ class Move:
         order = next((r.order for r in self.repairs if isinstance(r, Reorder)), self.joints)
         return " ".join(filter(None, (self.kind, ",".join(str(k + 1) for k in order))))
 
+    @property
+    def signals(self) -> int:
+        """How many of the log's signals change sign, scale or order."""
+        return sum(len(r.signals) for r in self.repairs if isinstance(r, Scale | Reorder))
+
 
 def moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """All moves from a hypothesis, with repairs of the signals that the log has."""

@@ -115,10 +115,11 @@ def _best(
     if not tried:
         return None
     tried.sort(key=lambda x: x[0])
-    # Of those as good, the chosen one, or one that concerns fewest joints: a mirrored arm on the
-    # ceiling moves as one on the floor does, and nobody negates every joint.
+    # Of those as good, the chosen one, or one that concerns fewest joints, and of these fewest
+    # signals: a mirrored arm on the ceiling moves as one on the floor does, and nobody negates
+    # every joint; one that is its own mirror image moves alike with q or with tau negated.
     tied = [x for x in tried if x[0] < tried[0][0] + TIE]
-    tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints)))
+    tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints), x[1].signals))
     loss, move, errors, gains = tied[0]
     gain = _loss(held) - loss
     agreeing, judged = int((gains > 0).sum()), int(np.isfinite(held).any(1).sum())
