@@ -210,11 +210,16 @@ def together(bodies: "list[Bodies]") -> Bodies | None:
     return Bodies(*(torch.cat([getattr(b, name) for b in bodies]) for name in names))
 
 
+def _least_mass(pi: Float[Tensor, "n 10"]) -> float:
+    """A massless link may still have the mass of a twentieth of the others [kg]."""
+    return 0.05 * float(pi[:, 0].abs().mean()) + 1e-9
+
+
 def usual_bodies(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
     """Of each link a small body about its centre: a twentieth of the links' mean mass, three
     centimetres of the link's own mass wide."""
     mass, com = pi[:, 0].abs(), InertialParameters(pi).com
-    small = torch.full_like(mass, 0.05 * float(mass.mean()) + 1e-9)
+    small = torch.full_like(mass, _least_mass(pi))
     wide = torch.maximum(mass, small) * WIDTH**2
     # A second moment of `wide` along each axis is an inertia of twice that about each.
     zero = torch.zeros_like(wide)
@@ -225,8 +230,7 @@ def usual_bodies(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
 def body_sizes(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
     """How large the parameters of links are: the mass, the mass at the radius of gyration, and the
     inertia at it; of a link without mass, those of a twentieth of the others'."""
-    # A massless link may still have the mass of a twentieth of the others.
-    mass = pi[:, 0].abs().clamp(min=0.05 * float(pi[:, 0].abs().mean()) + 1e-9)
+    mass = pi[:, 0].abs().clamp(min=_least_mass(pi))
     inertia = (0.5 * pi[:, [4, 7, 9]].sum(1)).abs()
     # Radius of gyration of each link, five centimetres at least.
     radius = (inertia / mass).sqrt().clamp(min=0.05)

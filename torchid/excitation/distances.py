@@ -22,7 +22,6 @@ class Distances:
     Args:
         solids: in their links' frames.
         planes: (F, 4) unit normal and offset of solid half-spaces n'x < offset [1, m].
-
     """
 
     def __init__(self, solids: Sequence[Solid], planes: Float[Tensor, "F 4"]):

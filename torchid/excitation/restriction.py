@@ -9,8 +9,7 @@ s in [0, 1], and for small s nothing is left but that posture.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property, reduce
-from operator import and_
+from functools import cached_property
 from typing import TypeVar
 
 import torch
@@ -122,8 +121,14 @@ class AllOf(Restriction):
         return torch.stack([part.penalty(trajectory) for part in self.parts]).sum(0)
 
     def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
-        """Whether all are kept."""
-        return reduce(and_, [part.fits(trajectory) for part in self.parts])
+        """Whether all are kept; a part is asked only while some motion keeps those before it."""
+        first, *others = self.parts
+        fits = first.fits(trajectory)
+        for part in others:
+            if not bool(fits.any()):
+                break
+            fits = fits & part.fits(trajectory)
+        return fits
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
         """The largest."""

@@ -88,8 +88,11 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
             for name, placed in _group(tree, link).items()
         }
 
+    base_members = shapes_of(tree.root())
+    carried = set(base_members)
     for link in robot.link_names:
         members = shapes_of(link)
+        carried |= set(members)
         solids = [solid for own in members.values() for solid in own.solids]
         kinds = dict.fromkeys(own.kind for own in members.values() if own.kind)
         troubles = {name: own.problem for name, own in members.items() if own.problem}
@@ -98,10 +101,9 @@ def urdf_shapes(path: Path, robot: Robot) -> LinkShapes:
         # A link of which nothing is drawn is no news; one of which a part is missing is.
         if solids or not all(problem.endswith(_BARE) for problem in troubles.values()):
             problems |= troubles
-    still = shapes_of(tree.root()).values()
+    still = base_members.values()
     unread = any(own.problem and not own.problem.endswith(_BARE) for own in still)
     base = None if unread else tuple(solid for own in still for solid in own.solids)
-    carried = {name for link in (tree.root(), *robot.link_names) for name in _group(tree, link)}
     return assembled(
         parts,
         _unknown(problems),
