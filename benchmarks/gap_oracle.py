@@ -117,7 +117,7 @@ def _fresh_log(arm: Arm, work: Path) -> Log:
     for log, start in zip(
         true_logs(arm.case, work, fresh=True), fresh_scene(arm).starts, strict=True
     ):
-        seen = sensed_log(log, on_clock(arm.effects, start))
+        seen = sensed_log(arm.scene.robot, log, on_clock(arm.effects, start))
         parts.append(seen.replace(dq=seen.dq if own else None, ddq=None))
     return Log.concatenate(parts)
 

@@ -209,7 +209,7 @@ def gap(scene: Scene, effects: Sequence[Valued]) -> list[Tensor]:
         seen = motion._replace(torque=rigid + effect_torque(arm, torques, motion, rigid))
         for effect, values in own:
             if changes_measurement(effect):
-                seen = effect.measured(seen, values)  # type: ignore[attr-defined]
+                seen = effect.measured(seen, values, arm)  # type: ignore[attr-defined]
         out.append(seen.require("torque", "a gap") - model_torque(robot, nominal, seen))
     return out
 

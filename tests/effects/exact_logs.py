@@ -38,7 +38,7 @@ def gap(effect: ModelEffect, robot: Robot, values: Sequence[float]) -> tuple[Ten
     see only what a diagnosis has: the measured motion and the torque of the model along it.
     """
     true = smooth_motion(effect.plant(robot, values))
-    log = effect.measured(true, values)
+    log = effect.measured(true, values, robot)
     assert log.torque is not None
     model = inverse_dynamics(robot, *log.state)
     columns = effect.torque_columns(log._replace(torque=model), robot)

@@ -68,7 +68,7 @@ def test_sensors_are_undone_where_they_can_be(
     robot = bare("3r")
     law = [effect(robot, name, **entries)]
     (true,) = closed_loop(robot, [reference(robot, 0.2)], [law])
-    seen = sensed_log(true, law)
+    seen = sensed_log(robot, true, law)
     assert seen.dq is not None
     assert seen.tau is not None
     out = rollout(robot, law, seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)

@@ -44,7 +44,7 @@ def test_effects_in_the_sensors_show_and_those_of_the_arm_do_not(robot: Robot, t
         effect(robot, "encoder_offset", joint=3, offset=0.05),
         effect(robot, "time_delay", joint=3, delay=0.004),
     ]
-    seen = sensed_log(true, law)
+    seen = sensed_log(robot, true, law)
     assert torch.allclose(seen.tau[:, 1], 1.1 * true.tau[:, 1])
     assert torch.allclose(seen.q[:, 2], true.q[:, 2] - 0.05)
     # Two samples at 500 Hz.
@@ -55,7 +55,7 @@ def test_effects_in_the_sensors_show_and_those_of_the_arm_do_not(robot: Robot, t
 def test_the_clock_of_effects_starts_with_each_trajectory(robot: Robot, true: Log) -> None:
     late = true.replace(t=true.t + 1000.0)
     law = [effect(robot, "dropped_samples", joint=1, hold=1.0, rate=2.0, length=0.05, seed=3)]
-    two = sensed_log(Log.concatenate([true, late]), law)
+    two = sensed_log(robot, Log.concatenate([true, late]), law)
     first, second = two.trajectories()
     assert torch.allclose(first.tau, second.tau, atol=1e-9)
     assert float((first.tau - true.tau)[:, 0].abs().max()) > 1e-3

@@ -15,7 +15,7 @@ import torch
 
 from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
-from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.registry import Valued, in_rounds, model_torque
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
@@ -48,10 +48,14 @@ class Model:
     def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
         """Torque along a segment. Effects that differentiate the model's torque see the motion
         low-passed like the samples, as their columns do: twice differentiated, the encoder's noise
-        would be all that is left of them."""
+        would be all that is left of them. Of blurred ones the torque is low-passed so."""
         rough = [p for p in self.effects if p[0].smooth]
-        others = [p for p in self.effects if not p[0].smooth]
+        blurred = [p for p in self.effects if p[0].blurred]
+        others = [p for p in self.effects if not (p[0].smooth or p[0].blurred)]
         tau = model_torque(self.robot, others, segment.motion)
+        for effect, v in blurred:
+            torque = effect.all_torques(segment.motion, v, self.robot)
+            tau = tau + samples.low_passed(torque)
         if rough:
             motion = segment.motion._replace(torque=self.load(segment.motion))
             low = smoothed(motion, samples)
@@ -59,9 +63,10 @@ class Model:
         return tau
 
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
-        """Torque that effects see: of the body and of the effects that need no torque
+        """Torque that effects see: of the body and of the sharp effects that need no torque
         themselves."""
-        return model_torque(self.robot, in_rounds(self.effects)[0], motion)
+        sharp = [p for p in self.effects if not p[0].blurred]
+        return model_torque(self.robot, in_rounds(sharp)[0], motion)
 
     def described(self) -> Robot:
         """The model as a robot description."""
@@ -121,12 +126,38 @@ class Columns:
             self._kept[effect] = type(effect), place, columns
         return place, columns
 
+    def of_several(
+        self, effects: Sequence[ModelEffect]
+    ) -> Iterator[tuple[Place, Float[Tensor, "..."]]]:
+        """Columns of effects of one kind, those of a joint side by side, as `of`: so many at once
+        as memory bears."""
+        size = max(len(m.q) for m in self.motions) * self.n
+        at_once = max(1, AT_ONCE // size)
+        for k in range(0, len(effects), at_once):
+            asked = effects[k : k + at_once]
+            some = [e for e in asked if self._kept is None or e not in self._kept]
+            motions = self._smooth if effects[0].smooth else self.motions
+            found = zip(
+                *(type(effects[0]).columns_of(some, m, self.model.robot) for m in motions),
+                strict=True,
+            )
+            new = {
+                e: self._felt(self._sampled([x.permute(2, 1, 0) for x in signals]))
+                for e, signals in zip(some, found, strict=True)
+            }
+            if self._kept is not None:
+                self._kept |= {e: (type(e), *x) for e, x in new.items()}
+            yield from (new[e] if e in new else self.of(e) for e in asked)
+
     def _evaluated(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         if isinstance(effect, JointEffect):
             motions = [only(m, effect.joint) for m in self.motions]
             one = replace(effect, joint=0)
             return effect.joint, self._sampled([one.columns(m).T for m in motions])
-        columns = self._sampled(self._signals(effect))
+        return self._felt(self._sampled(self._signals(effect)))
+
+    def _felt(self, columns: Float[Tensor, "C n N"]) -> tuple[Place, Float[Tensor, "..."]]:
+        """Columns on the joint that alone feels them, or on all."""
         peak = columns.abs().amax(2)
         # What only rounding has put there would be given any coefficient.
         columns = columns * (peak > ROUNDING * peak.max()).unsqueeze(2)

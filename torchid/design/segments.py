@@ -100,9 +100,8 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
         tau = m.tau
         if step > 1:
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
-        sensed = tau[::step].contiguous()
-        motion = m.motion.every(step)._replace(sensed=sensed)
-        out.append(Segment(m.name, m.rate / step, band, motion, sensed, m.own_velocity))
+        motion, tau = m.motion.every(step), tau[::step].contiguous()
+        out.append(Segment(m.name, m.rate / step, band, motion, tau, m.own_velocity))
     return out
 
 

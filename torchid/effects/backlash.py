@@ -1,56 +1,57 @@
-"""Backlash of a gear: which flank is in contact depends on the past of the torque."""
+"""Backlash of a gear: the link flies from one flank to the other."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from torchid.effects.base import Coefficient, Columns, Example, Motion
-from torchid.effects.instants import derivative, interval
+from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
+from torchid.effects.gear import Gear, joint_load, link_lag
 from torchid.effects.variation import (
     OneJointEffect,
     link_lag_torque,
     needed,
     secant_at,
-    with_joint,
 )
 from torchid.robot.model import Robot
-from torchid.typing import Float
 
-CALM = 4
-"""Crossings over which the torque that drives the play is averaged, against its noise, and, where
-only the model's torque is known, against the pulse that this has at a crossing."""
+STEP = 1.5
+"""Ratio of plays that are tried, one to the next."""
+
+WIDTHS = tuple((2e-4 * STEP ** np.arange(13)).tolist())
+"""Plays that a search begins with [rad or m]: when a link lands depends on how far it flew, so that
+the columns of plays that differ by more than a half have little in common."""
 
 
 @dataclass(frozen=True)
 class Backlash(OneJointEffect):
-    """The gear has play, and the encoder is on the motor: q_link = q_motor - b/2 s(t).
+    """The gear has play, and the encoder is on the motor.
 
-    s = 1 or -1 is the flank in contact, a play operator driven by the torque: it flips when the
-    torque exceeds a dead band on the other side and holds in between. The link crosses the play in
-    a finite time, along a raised cosine. The column is the secant of the model's torque in b.
-
-    When it flips, the measured torque says, its sign alone: the model's torque along the motor's
-    motion has a pulse there that is larger than what it passes through.
+    Where the gear's torque changes sign the link leaves one flank, flies, and lands on the other:
+    two masses with a stiff, damped gear beyond the play (see `gear`). The motor's motion drives the
+    link, and the column is the secant of the model's torque in the play.
 
     Attributes:
         at: width of the play the secant is taken at [rad or m].
-        band: dead band, as a share of the joint's 99 % torque along the motion.
-        crossing: time a flip takes [s].
+        contact: resonance of the link on its gear, at the mean of its inertia [Hz].
+        ratio: damping of that, relative to the critical one.
     """
 
     at: float = 1e-3
-    band: float = 0.02
-    crossing: float = 0.03
+    contact: float = 20.0
+    ratio: float = 0.1
 
     name = "backlash"
     family = "hysteresis"
-    needs = frozenset({"robot", "torque", "t"})
+    needs = frozenset({"robot", "t"})
     jumps = True
+    blurred = True
     coefficients = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
     meaning = "Gear teeth lose contact and cross the play when the torque reverses."
-    equation = "tau(q - width/2 s e_j, ..) - tau(q, ..), s = 1 or -1 the flank in contact"
+    equation = (
+        "tau(q - d e_j, ..) - tau(q, ..), M_jj d'' + D d' + k dz(d) = tau_j(q, ..), dz what of d "
+        "is beyond width/2"
+    )
     signature = "pulses where the joint's torque, not its speed, changes sign"
     experiment = "bias the joint with a gravity load so that its torque does not change sign"
     remedy = (
@@ -62,64 +63,52 @@ class Backlash(OneJointEffect):
         "Automatica 38(10), section 2"
     )
     example = Example((2e-3,), "time")
-    smooth = True
-    linearised = True
+
+    @classmethod
+    def starts(cls, robot: Robot) -> list[ModelEffect]:
+        """Plays of every width on every joint."""
+        return [cls(joint, at=width) for joint in range(robot.n) for width in WIDTHS]
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """Secant of the torque of all joints over the width of the play (T, n, 1)."""
-        arm = needed(robot, self.name)
-        at = secant_at(self.at, 1e-7)
-        lag = (at / 2 * s for s in self.flank(motion, CALM))
-        change = link_lag_torque(arm, motion, self.joint, *lag)
-        return (change / at).to(motion.q).unsqueeze(-1)
+        return next(self.columns_of([self], motion, robot))
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
-        """The motor's motion in place of the link's."""
-        state = (
-            with_joint(x, self.joint, (values[0] / 2 * s).to(x))
-            for x, s in zip(motion.state, self.flank(motion), strict=True)
-        )
-        return motion._replace(**dict(zip(("q", "dq", "ddq"), state, strict=True)))
+    @classmethod
+    def columns_of(
+        cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
+    ) -> Iterator[Columns]:
+        """Those of several, the links of all of them side by side."""
+        arm = needed(robot, cls.name)
+        plays = [e for e in effects if isinstance(e, cls)]
+        for joint in dict.fromkeys(e.joint for e in plays):
+            own = [e for e in plays if e.joint == joint]
+            widths = [secant_at(e.at, 1e-7) for e in own]
+            load, inertia = joint_load(arm, motion.state, joint)
+            inertia = inertia[:, joint]
+            contact, ratio = [e.contact for e in own], [e.ratio for e in own]
+            gear = Gear.ringing(float(inertia.abs().mean()), contact, ratio, widths)
+            lags = link_lag(load, inertia, motion.require("t", cls.name), gear)
+            change = link_lag_torque(arm, motion, joint, *(x.T for x in lags))
+            for at, torque in zip(widths, change, strict=True):
+                yield (torque / at).to(motion.q).unsqueeze(-1)
 
-    def flank(
-        self, motion: Motion, calm: float = 0.0
-    ) -> tuple[Float[Tensor, " T"], Float[Tensor, " T"], Float[Tensor, " T"]]:
-        """The flank in contact, smoothed over the crossing, and its first two derivatives.
+    def around(self, level: int, interval: float) -> "list[Backlash]":
+        """Plays, contacts and dampings a little larger and smaller: within the steps of `WIDTHS` at
+        0, a third of that at 1, ..."""
+        return [
+            replace(self, **{name: getattr(self, name) * factor ** (sign * 3.0 ** -(level + 1))})
+            for name, factor in (("at", STEP), ("contact", 3.0), ("ratio", 9.0))
+            for sign in (-2, -1, 1, 2)
+        ]
 
-        Args:
-            motion: with t, and with torque, or torque as sensed.
-            calm: crossings over which the torque is averaged first.
-        """
-        drive = motion.require("torque", self.name) if motion.sensed is None else motion.sensed
-        torque = drive[:, self.joint].double()
-        t = motion.require("t", self.name)
-        if torque.shape[0] == 0:
-            return torque, torque, torque
-        samples = self.crossing / interval(t)
-        if calm:
-            torque = _smooth(torque, calm * samples)
-        band = self.band * float(torch.quantile(torque[:: 1 + len(torque) // 100_000].abs(), 0.99))
-        s = _smooth(_relay(torque, band), samples)
-        rate = derivative(s, t)
-        return s, rate, derivative(rate, t)
+    def unsure(self, values: Sequence[float]) -> list[float]:
+        """The columns' width and the coefficient are two estimates of one play."""
+        return [abs(values[0] - self.at)]
 
-
-def _relay(x: Float[Tensor, " T"], band: float) -> Float[Tensor, " T"]:
-    """Sign of the last value outside the band; before the first one, of that one."""
-    outside = x.abs() > band
-    if not outside.any():
-        return torch.zeros_like(x)
-    index = torch.arange(x.shape[0], device=x.device)
-    last = torch.where(outside, index, -torch.ones_like(index)).cummax(0).values
-    first = int(outside.to(torch.int8).argmax())
-    return torch.sign(x)[last.clamp(min=first)]
-
-
-def _smooth(s: Float[Tensor, " T"], samples: float) -> Float[Tensor, " T"]:
-    """Average over a raised cosine of that many samples: its shape is the speed of a step."""
-    half = max(1, round(samples / 2))
-    angle = torch.linspace(-torch.pi, torch.pi, 2 * half + 3, dtype=s.dtype, device=s.device)
-    window = (1 + torch.cos(angle))[1:-1]
-    kernel = (window / window.sum()).reshape(1, 1, -1)
-    ends = (s[:1].expand(half), s, s[-1:].expand(half))
-    return torch.nn.functional.conv1d(torch.cat(ends).reshape(1, 1, -1), kernel).reshape(-1)
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
+        """The torque of the link that flies, the motion being the motor's."""
+        torque = motion.require("torque", self.name)
+        own = replace(self, at=values[0]) if values[0] > 0 else self
+        return motion._replace(torque=torque + own.all_torques(motion, values, robot).to(torque))

@@ -17,7 +17,7 @@ delay, a wave number, ...). Its columns X are torque per unit coefficient. There
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from types import MappingProxyType
@@ -104,6 +104,8 @@ class Effect(ABC):
         inertial: whether it is a change of the bodies' inertial parameters.
         smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
             motion that is low-passed as the rows are.
+        blurred: whether what its columns hold above the rows' band is of no use: the time of an
+            impact, say, is known less well than that.
         linearised: whether its columns are a secant, taken at the field `at`.
     """
 
@@ -129,6 +131,7 @@ class Effect(ABC):
     shared: ClassVar[bool] = False
     inertial: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
+    blurred: ClassVar[bool] = False
     linearised: ClassVar[bool] = False
 
     @classmethod
@@ -175,6 +178,11 @@ class Effect(ABC):
         if not self.linearised or not abs(float(values[0])) > 0:
             return self
         return replace(self, at=float(values[0]))  # type: ignore[call-arg]
+
+    def unsure(self, values: Sequence[float]) -> list[float]:
+        """By how much coefficients are less sure than a fit of its columns says: nothing, unless
+        the columns are those of another size and stay so."""
+        return [0.0] * len(values)
 
     @property
     def becomes(self) -> str | None:
@@ -344,11 +352,37 @@ class ModelEffect(Effect):
         """One instance a place of the arm where it can be, with the first shapes of the grid."""
         return [cls()]
 
+    @classmethod
+    def starts(cls, robot: "Robot") -> "list[ModelEffect]":
+        """What a search begins with: several at a place where the column is another one at another
+        secant."""
+        return cls.candidates(robot)
+
+    @classmethod
+    def columns_of(
+        cls, effects: "Sequence[ModelEffect]", motion: Motion, robot: "Robot | None" = None
+    ) -> Iterator[Columns]:
+        """Columns of several effects of this kind, one after the other, joint by joint; a kind
+        whose columns have much in common evaluates that once."""
+        yield from (effect.torque_columns(motion, robot) for effect in effects)
+
+    def around(self, level: int, interval: float) -> "Sequence[ModelEffect]":
+        """The effect with what no coefficient scales a little otherwise, ever less so with `level`;
+        none where there is no such thing.
+
+        Args:
+            level: from 0.
+            interval: between samples [s].
+        """
+        return []
+
     def plant(self, robot: "Robot", values: Sequence[float]) -> "Robot":
         """The arm as it is with this effect; the same where it only changes what is measured."""
         return robot
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: "Robot | None" = None
+    ) -> Motion:
         """What the sensors make of a true motion whose `torque` is the true one; time is the first
         axis. The same where the effect changes the arm."""
         return motion

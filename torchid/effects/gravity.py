@@ -99,7 +99,9 @@ class TorqueShare(OneJointEffect):
         torque = motion.require("torque", self.name)
         return on_joint(torque[:, self.read], self.joint, torque.shape[1])
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The joint's torque with that share in it."""
         torque = motion.require("torque", self.name)
         share = values[0] * torque[:, self.read]
@@ -205,7 +207,9 @@ class EncoderOffset(OneJointEffect):
         moved = rigid_torque(arm, with_joint(q.double(), self.joint, at), dq, ddq)
         return ((moved - rigid_torque(arm, q, dq, ddq)) / at).to(q).unsqueeze(-1)
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The joint's position as its encoder says."""
         return motion._replace(q=with_joint(motion.q, self.joint, -values[0]))
 

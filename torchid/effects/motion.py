@@ -18,8 +18,6 @@ class Motion(NamedTuple):
             where it is known.
         age: (..., n) [s] by which the measured torque is older than its stamp, where samples were
             held; where it is known.
-        sensed: (..., n) measured torque, of which effects may use the sign alone; where there is a
-            log.
         lag: (..., n) by which the link's own encoder is behind the motor's [rad; m]; where a log
             has both.
     """
@@ -31,7 +29,6 @@ class Motion(NamedTuple):
     t: Tensor | None = None
     torque: Tensor | None = None
     age: Tensor | None = None
-    sensed: Tensor | None = None
     lag: Tensor | None = None
 
     @property

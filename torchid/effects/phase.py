@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from torch import Tensor
 
 from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
+from torchid.effects.gear import Gear, joint_load, link_lag
 from torchid.effects.instants import derivative, interval, shifted
 from torchid.effects.variation import (
     OneJointEffect,
@@ -60,7 +62,9 @@ class TimeDelay(OneJointEffect):
         late = (shifted(own, t, -self.at) - own) / self.at if self.at > 0 else -derivative(own, t)
         return on_joint(late[:, 0], self.joint, torque.shape[1])
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The joint's torque, late."""
         torque, t = motion.require("torque", self.name), motion.require("t", self.name)
         late = torque.clone()
@@ -109,7 +113,9 @@ class FilterLag(ModelEffect):
         early = rigid_torque(arm, q, shifted(dq.double(), t, at), shifted(ddq.double(), t, at))
         return ((early - rigid_torque(arm, q, dq, ddq)) / at).to(q).unsqueeze(-1)
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """Velocity and acceleration, late."""
         t = motion.require("t", self.name)
         late = (shifted(x, t, -values[0]) for x in (motion.dq, motion.ddq))
@@ -129,13 +135,17 @@ class JointElasticity(OneJointEffect):
     compliance what is left is of third order in it. The correction differentiates twice more than
     the column, so beyond the joint's resonance it would be noise: it is low-passed.
 
+    Where the gear's damping is known, the link swings instead (see `gear`).
+
     Attributes:
         at: compliance the secant is taken at [rad/(N m) or m/N].
         band: cut-off of the correction [Hz]; well above that of the rows.
+        damping: of the gear [N m s/rad or N s/m]; 0 for a link that does not ring.
     """
 
     at: float = 1e-5
     band: float = 20.0
+    damping: float = 0.0
 
     name = "joint_elasticity"
     family = "phase"
@@ -167,6 +177,12 @@ class JointElasticity(OneJointEffect):
         """Secant of the torque of all joints over the joint's compliance (T, n, 1)."""
         arm, t = needed(robot, self.name), motion.require("t", self.name)
         at = secant_at(self.at, 1e-10)
+        if self.damping > 0:
+            rigid, column = joint_load(arm, motion.state, self.joint)
+            gear = Gear(*np.array([[1 / at], [self.damping], [0.0]]))
+            lag = link_lag(rigid, column[:, self.joint], t, gear)
+            change = link_lag_torque(arm, motion, self.joint, *(x[:, 0] for x in lag))
+            return (change / at).to(motion.q).unsqueeze(-1)
         load = motion.require("torque", self.name)[:, self.joint].double()
         # Twice: the deflection changes the torque that causes it.
         change = self._change(arm, motion, t, at * load)[:, self.joint]
@@ -181,7 +197,9 @@ class JointElasticity(OneJointEffect):
         rate = derivative(lag, t)
         return link_lag_torque(robot, motion, self.joint, lag, rate, derivative(rate, t))
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The motor's motion in place of the link's."""
         load = motion.require("torque", self.name)[:, self.joint]
         t = motion.require("t", self.name)

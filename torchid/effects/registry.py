@@ -1,7 +1,7 @@
 """The library of effects: one line a kind."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -252,4 +252,7 @@ def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
         effect = kind(**{place: record[place] - 1 for place in places}, **given)
     except (TypeError, ValueError) as error:
         raise RobotError(f"{where} cannot be made: {error}", got=dict(record)) from error
-    return effect, [float(record[name]) for name in names]
+    values = [float(record[name]) for name in names]
+    if "at" in own and "at" not in record and values[0] > 0:
+        effect = replace(effect, at=values[0])  # type: ignore[call-arg]
+    return effect, values

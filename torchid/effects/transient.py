@@ -74,7 +74,9 @@ class Saturation(JointEffect):
         excess = (torque.abs() - limit).clamp(min=0)
         return -(excess * torch.sign(torque)).unsqueeze(-1)
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The joint's torque, clipped."""
         torque = motion.require("torque", self.name)
         return motion._replace(torque=torque + self.torque_columns(motion)[..., 0] * values[0])
@@ -141,17 +143,15 @@ class Contact(ModelEffect):
 
     def around(self, level: int, interval: float) -> "list[Contact]":
         """Contacts whose window begins and ends a little earlier or later, ever less so with
-        `level`: a fifth of the window at 0, but at least an interval, half of that at 1, ...
+        `level`: a fifth of the window at 0, but at least an interval, half of that at 1, ...; one
+        that lasts has no ends to move.
 
         Args:
             level: from 0.
-            interval: between rows [s].
-
-        Raises:
-            ValueError: a contact without both ends.
+            interval: between samples [s].
         """
         if self.start is None or self.stop is None:
-            raise ValueError("a contact that lasts has no ends to move.")
+            return []
         step = max(interval, 0.2 * (self.stop - self.start)) / 2**level
         ends = (
             (self.start + a * step, self.stop + b * step) for a, b in product((-1, 0, 1), repeat=2)
@@ -212,7 +212,9 @@ class DroppedSamples(OneJointEffect):
         own = torque[:, self.joint, None]
         return on_joint((shifted(own, t, -age) - own)[:, 0], self.joint, torque.shape[1])
 
-    def measured(self, motion: Motion, values: Sequence[float]) -> Motion:
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: Robot | None = None
+    ) -> Motion:
         """The joint's torque held in windows at random, and its age.
 
         Exact copies of the sample held, as a logger makes them: after the noise, if there is any.

@@ -70,8 +70,11 @@ def needed(robot: Robot | None, effect: str) -> Robot:
 
 
 def rigid_torque(
-    robot: Robot, q: Float[Tensor, "T n"], dq: Float[Tensor, "T n"], ddq: Float[Tensor, "T n"]
-) -> Float[Tensor, "T n"]:
+    robot: Robot,
+    q: Float[Tensor, "*batch n"],
+    dq: Float[Tensor, "*batch n"],
+    ddq: Float[Tensor, "*batch n"],
+) -> Float[Tensor, "*batch n"]:
     """The model's torque in float64, of which small differences can be taken."""
     return inverse_dynamics(robot, q.double(), dq.double(), ddq.double())
 
@@ -83,10 +86,13 @@ def on_joint(signal: Float[Tensor, " T"], joint: int, n: int) -> Float[Tensor, "
     return out
 
 
-def with_joint(x: Float[Tensor, "T n"], joint: int, add: Tensor | float) -> Float[Tensor, "T n"]:
-    """A copy of joint signals with something added to one joint's."""
-    out = x.clone()
-    out[:, joint] += add
+def with_joint(
+    x: Float[Tensor, "T n"], joint: int, add: Float[Tensor, "*batch T"] | float
+) -> Float[Tensor, "*batch T n"]:
+    """Copies of joint signals with something added to one joint's."""
+    batch = add.shape[:-1] if isinstance(add, Tensor) else ()
+    out = x.expand(*batch, *x.shape).clone()
+    out[..., joint] += add
     return out
 
 
@@ -94,10 +100,10 @@ def link_lag_torque(
     robot: Robot,
     motion: Motion,
     joint: int,
-    by: Float[Tensor, " T"],
-    rate: Float[Tensor, " T"],
-    acceleration: Float[Tensor, " T"],
-) -> Float[Tensor, "T n"]:
+    by: Float[Tensor, "*batch T"],
+    rate: Float[Tensor, "*batch T"],
+    acceleration: Float[Tensor, "*batch T"],
+) -> Float[Tensor, "*batch T n"]:
     """Change of the model's torque (float64) when a joint's link lags its motor by an angle.
 
     Args:

@@ -145,7 +145,7 @@ def simulate(
     log = Log.concatenate(true).replace(source=true[0].source)
     sensed = [*nominal_effects(robot), *own]
     if noise is None:
-        return sensed_log(log, sensed)
+        return sensed_log(robot, log, sensed)
     return measured_log(robot, log, sensed, Sensors(noise), seed)
 
 

@@ -1,7 +1,8 @@
 """From logs to data: checked, resampled, differentiated and filtered before anything is sought."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 
@@ -18,6 +19,7 @@ from torchid.design.bands import (
 from torchid.design.columns import Columns
 from torchid.design.held import held_ages_of
 from torchid.design.motion import MOVING, measurements
+from torchid.design.resonance import Swing, swings
 from torchid.design.segments import (
     EDGE,
     HARDLY,
@@ -28,6 +30,7 @@ from torchid.design.segments import (
     still_joints,
 )
 from torchid.design.signal import DRIVE_GAIN, from_current, without_signal
+from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
 from torchid.identification.identify import prepared
 from torchid.log.model import Log
@@ -56,6 +59,7 @@ class Data:
         warnings: sentences for the user.
         lag: (n, N) by which links are behind their motors [rad; m]; None without encoders of the
             links.
+        swings: links that swing on their joints' gears, by joint from 0.
     """
 
     samples: Samples
@@ -69,6 +73,7 @@ class Data:
     positions: Float[Tensor, " n"]
     warnings: tuple[str, ...]
     lag: Float[Tensor, "n N"] | None = None
+    swings: Mapping[int, Swing] = field(default_factory=dict)
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -105,6 +110,20 @@ class Data:
         )
         keep = self.keep & ~silent.unsqueeze(1)
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
+
+    def with_swings(self, columns: Columns, alpha: float) -> "Data":
+        """The same data, with the links that are seen to swing above the fit's band.
+
+        Args:
+            columns: at the model as given.
+            alpha: level of a false one.
+        """
+        # Encoders of the links say more; a model that has elastic joints swings by itself.
+        if self.lag is not None or any(
+            isinstance(effect, JointElasticity) for effect, _ in columns.model.effects
+        ):
+            return self
+        return replace(self, swings=swings(columns, self.keep, alpha))
 
 
 def prepare(

@@ -15,6 +15,7 @@ import torch
 from torchid.design.bands import SAME_RATE
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
+from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import Data, prepare
@@ -136,6 +137,8 @@ def diagnose(
     data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
+    if JointElasticity.name in wanted.names:
+        data = data.with_swings(at_start, settings.alpha)
     block = _blocks(data, at_start)
     found = explained(at_start, data, wanted, settings, folds.parts, block)
 

@@ -75,7 +75,7 @@ def rollout(
     if not 0 < dt < math.inf:
         raise TorchidError("the time between samples is positive.", got=dt, expected="> 0 s")
     plant = plant_of(robot, [list(effects)], q0)
-    true, shift, ignored = _undone(effects, tau)
+    true, shift, ignored = _undone(robot, effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
     arms, total, _ = true.shape
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
@@ -95,15 +95,14 @@ def rollout(
 
 
 def _undone(
-    effects: Sequence[Valued], tau: Float[Tensor, "B T n"]
+    robot: Robot, effects: Sequence[Valued], tau: Float[Tensor, "B T n"]
 ) -> tuple[Float[Tensor, "B T n"], Float[Tensor, " n"], tuple[str, ...]]:
     """True torques; how much more the encoders read than the true position; who is ignored."""
-    n = tau.shape[-1]
-    shift, ignored = tau.new_zeros(n), []
+    shift, ignored = tau.new_zeros(robot.n), []
     for effect, values in reversed(effects):
         if not changes_measurement(effect):
             continue
-        found = _affine(effect, values, n)
+        found = _affine(robot, effect, values)
         if found is None:
             ignored.append(effect.name)
             continue
@@ -114,19 +113,19 @@ def _undone(
 
 
 def _affine(
-    effect: Effect, values: Sequence[float], n: int
+    robot: Robot, effect: Effect, values: Sequence[float]
 ) -> tuple[Tensor, Tensor, Tensor] | None:
     """G, o and d where the effect measures G torque + o and q + d at every instant; else None.
 
     Found by probing it with random motions, which it must map so, too.
     """
     g = torch.Generator().manual_seed(0)
-    samples = 4 * n + 16
+    n, samples = robot.n, 4 * robot.n + 16
     q, dq, ddq, torque = torch.randn(4, samples, n, generator=g, dtype=torch.float64)
     t = torch.arange(samples, dtype=torch.float64) * 1e-3
     motion = Motion(q, dq, ddq, t=t, torque=10 * torque)
     assert isinstance(effect, ModelEffect) or hasattr(effect, "measured")
-    seen = effect.measured(motion, values)
+    seen = effect.measured(motion, values, robot)
     ones = torch.cat([10 * torque, torch.ones(samples, 1, dtype=torch.float64)], -1)
     fit = torch.linalg.lstsq(ones, seen.torque).solution
     moved = (seen.q - q)[0]

@@ -85,11 +85,12 @@ class Sensors:
             raise TorchidError("sizes of noise must not be negative.", got=self)
 
 
-def sensed_log(log: Log, effects: Sequence[Valued]) -> Log:
+def sensed_log(robot: Robot, log: Log, effects: Sequence[Valued]) -> Log:
     """What the effects in the sensors make of a true motion: a gain, a delay, a compliance under
     the encoder, ...
 
     Args:
+        robot: the true arm.
         log: true q, dq, ddq, tau of one or several trajectories, e.g. of `closed_loop`.
         effects: of this arm, in the order in which they act; those that change how it moves are
             passed over.
@@ -111,7 +112,7 @@ def sensed_log(log: Log, effects: Sequence[Valued]) -> Log:
         motion = Motion(part.q, part.dq, part.ddq, t=part.t - part.t[0], torque=part.tau)
         for effect, values in effects:
             if changes_measurement(effect):
-                motion = effect.measured(motion, values)  # type: ignore[attr-defined]
+                motion = effect.measured(motion, values, robot)  # type: ignore[attr-defined]
         q, dq, ddq = motion.state
         parts.append(part.replace(q=q, dq=dq, ddq=ddq, tau=motion.torque))
     return Log.concatenate(parts).replace(source=log.source)
@@ -138,7 +139,8 @@ def measured_log(
     """
     generator = torch.Generator().manual_seed(seed)
     lost = [pair for pair in effects if isinstance(pair[0], DroppedSamples)]
-    seen = sensed_log(log, [pair for pair in effects if not isinstance(pair[0], DroppedSamples)])
+    others = [pair for pair in effects if not isinstance(pair[0], DroppedSamples)]
+    seen = sensed_log(robot, log, others)
     parts = [_measured(robot, part, sensors, generator) for part in seen.trajectories()]
     return Log.concatenate([_held(p, lost) for p in parts]).replace(source=log.source)
 

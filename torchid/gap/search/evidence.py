@@ -125,9 +125,11 @@ class Question:
         )
 
     def shows(self, term: Term) -> bool:
-        """Whether another sensor than that of torque shows as much of a cause as is worth a
-        name."""
-        return term.seen is not None and term.seen.explained >= self.settings.worthwhile
+        """Whether another sensor, or the torque above the fit's band, shows as much of a cause as
+        is worth a name."""
+        if term.seen is None or term.seen.size < self.settings.worthwhile_torque:
+            return False
+        return term.seen.explained >= self.settings.worthwhile
 
     def price(self) -> float:
         """Of a cause."""

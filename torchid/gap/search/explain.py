@@ -8,7 +8,7 @@ import torch
 
 from torchid.design.columns import Columns, Model, on_joint
 from torchid.design.gram import Normal, visible_root
-from torchid.effects.base import Effect, JointEffect
+from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.search.climb import (
@@ -229,10 +229,15 @@ def without_terms(
 def refined(question: Question, fit: Fitted) -> list[Effect]:
     """Shapes of the terms between those of the grid, where they explain more."""
     columns = question.candidates.columns
+    interval = columns.samples.interval
     out: list[Effect] = []
     for term in fit.terms[len(question.fixed) :]:
         effect = term.effects[0] if len(term.effects) == 1 else None
-        if not (isinstance(effect, Contact) or (isinstance(effect, JointEffect) and term.shapes)):
+        if isinstance(effect, JointEffect):
+            movable = term.shapes > 0
+        else:
+            movable = isinstance(effect, ModelEffect) and bool(effect.around(0, interval))
+        if effect is None or not movable:
             continue
         # The shape that leaves least, all coefficients fitted anew with it.
         others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
@@ -282,9 +287,10 @@ def _closest(
             tried = [replace(best, **dict(zip(names, v, strict=True))) for v in shapes.tolist()]
             rows = columns.of_shapes(type(best), best.joint, shapes).unsqueeze(2)
         else:
-            assert isinstance(best, Contact)
+            assert isinstance(best, ModelEffect)
             tried = best.around(level, columns.samples.interval)
-            rows = torch.stack([columns.on_all_joints(e) for e in tried])
+            found = columns.of_several(tried)
+            rows = torch.stack([x if p is None else on_joint(x, p, columns.n) for p, x in found])
         gains = [gained(x) for x in rows]
         k = max(range(len(gains)), key=gains.__getitem__)
         if gains[k] > most:

@@ -145,6 +145,9 @@ def solved(
     std = fit_statistics(table, rest, torch.cat([block.repeat(len(best.left)), own])).std
     # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
     std = torch.hypot(std, data.gain_std * whole)
+    pairs = zip(best.terms, best.values, strict=True)
+    unsure = [t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v) for t, v in pairs]
+    std = torch.hypot(std, torch.tensor([u for own in unsure for u in own], dtype=torch.float64))
     return replace(best, std=tuple(std.split([len(v) for v in best.values])))
 
 

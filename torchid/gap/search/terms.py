@@ -19,6 +19,7 @@ from torchid.design.bodies import (
 from torchid.design.columns import Columns, Place
 from torchid.design.deflection import Compliance, compliance
 from torchid.design.gram import Gram
+from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect, ModelEffect
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS, Valued
@@ -55,7 +56,7 @@ class Term:
         sigma: (C,) standard deviations of the coefficients before the log is seen; None: unknown.
         bodies: what is known of them as corrections of bodies, in the place of `sigma`, with which
             candidates are only ranked; None: nothing.
-        seen: what another sensor than that of torque says of it.
+        seen: what is known of it beside the fit's torque: from other sensors, or above its band.
     """
 
     name: str
@@ -67,7 +68,7 @@ class Term:
     instead: tuple[tuple[int, "Term", Tensor], ...] = ()
     sigma: Float[Tensor, " C"] | None = None
     bodies: Bodies | None = None
-    seen: Compliance | None = None
+    seen: Compliance | Swing | None = None
 
     @cached_property
     def limits(self) -> Float[Tensor, "C 3"]:
@@ -240,15 +241,15 @@ def candidates_of(
         effect = effects[0]
         coefficients, known = effect.coefficients, _known(effects, given)
         # Another sensor says what a coefficient is, or else physics how large it can be.
-        seen = _lagging(columns, data, effect)
+        seen = _seen(columns, data, effect)
         sizes = [c.largest / 2 for c in coefficients] if seen is None else [seen.std]
         sigma = torch.tensor(sizes, dtype=torch.float64)
         return Term(effect.name, effects, place, at, coefficients, known, sigma=sigma, seen=seen)
 
     # Effects of the whole arm, and those that all joints share.
-    for effect in _model_effects(wanted, data, columns, extra):
-        place, x = columns.of(effect)
-        terms.append(put((effect,), place, x))
+    for some in _model_effects(wanted, data, columns, extra):
+        for effect, (place, x) in zip(some, columns.of_several(some), strict=True):
+            terms.append(put((effect,), place, x))
     for name in wanted.names:
         if KINDS[name].shared:
             every = tuple(KINDS[name].candidates(robot))  # type: ignore[attr-defined]
@@ -321,10 +322,13 @@ def _bodies(columns: Columns, wanted: Wanted) -> list[Term]:
     return [*out, base if wanted.free else replace(base, sigma=spread)]
 
 
-def _lagging(columns: Columns, data: Data, effect: Effect) -> Compliance | None:
-    """The compliance that a link's own encoder tells of a joint; None where there is none."""
-    if not isinstance(effect, JointElasticity) or data.lag is None:
+def _seen(columns: Columns, data: Data, effect: Effect) -> Compliance | Swing | None:
+    """What a link's own encoder, or its swinging, tells of its joint's compliance; None where
+    neither does."""
+    if not isinstance(effect, JointElasticity):
         return None
+    if data.lag is None:
+        return data.swings.get(effect.joint) if effect.damping > 0 else None
     samples, joint = columns.samples, effect.joint
     parts = [
         torch.stack([m.require("torque", effect.name)[:, joint], m.q[:, joint]])
@@ -336,14 +340,23 @@ def _lagging(columns: Columns, data: Data, effect: Effect) -> Compliance | None:
 
 def _model_effects(
     wanted: Wanted, data: Data, columns: Columns, extra: Sequence[Effect]
-) -> Iterator[ModelEffect]:
-    """Effects of the whole arm at all their places, where the log holds what they need."""
+) -> Iterator[list[ModelEffect]]:
+    """Effects of the whole arm at all their places, where the log holds what they need; kind by
+    kind, then those that were refined or found in a window."""
     for name in wanted.names:
         kind = KINDS[name]
         unknown = kind.inertial or kind.windowed or kind.needs & data.missing
         if issubclass(kind, ModelEffect) and not unknown:
-            yield from kind.candidates(columns.model.robot)
-    yield from (e for e in extra if isinstance(e, ModelEffect))
+            yield [_swinging(e, data) for e in kind.starts(columns.model.robot)]
+    yield from ([e] for e in extra if isinstance(e, ModelEffect))
+
+
+def _swinging(effect: ModelEffect, data: Data) -> ModelEffect:
+    """An elastic joint as it swings, where its link is seen to; any other effect as it is."""
+    swing = data.swings.get(effect.joint) if isinstance(effect, JointElasticity) else None
+    if swing is None:
+        return effect
+    return replace(effect, at=swing.value, damping=swing.damping)  # type: ignore[call-arg]
 
 
 def _joint_kinds(wanted: Wanted, data: Data, joint: int) -> Iterator[type[JointEffect]]:

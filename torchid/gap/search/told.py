@@ -256,11 +256,7 @@ def _notes(
         if own:
             out.append(f"{c.name} is a correction: the model has {own:.4g}, the arm {own + v:.4g}")
     if term.seen is not None:
-        seen = term.seen
-        out.append(
-            f"the encoders of motor and link tell {seen.value:.3g} ± {seen.std:.2g}, which lowers "
-            f"a lag of {1e3 * seen.rms:.2g} mrad (mm) by {100 * seen.explained:.0f} %"
-        )
+        out.append(term.seen.said)
     if term.instead:
         out.append("it stands in the place of the model's own, whose shape is another")
     if isinstance(effect, JointSpring) and effect.curvature:

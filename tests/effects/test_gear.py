@@ -1,0 +1,77 @@
+"""Links behind gears against scipy's integration of the two masses."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.effects.two_masses import INERTIA, driven, gear_torque, pendulum
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.backlash import Backlash
+from torchid.effects.gear import Gear, joint_load, link_lag
+from torchid.effects.phase import JointElasticity
+from torchid.log.filtering import ZeroPhaseFilter
+
+RATE = 250.0
+
+
+@pytest.mark.parametrize("hertz", [5.0, 9.0, 25.0])
+def test_an_elastic_joint_rings_as_it_does(tmp_path: Path, hertz: float) -> None:
+    robot = pendulum(tmp_path)
+    motion, at = driven([0.4, 0.1, 0.01], [0.3, 1.1, 6.0], 6.0, RATE)
+    assert motion.t is not None
+    gear = Gear.ringing(INERTIA, hertz, 0.05)
+    true = gear_torque(at, motion.t, float(gear.stiffness[0]), float(gear.damping[0]))
+    rigid = inverse_dynamics(robot, *motion.state)[:, 0]
+    effect = JointElasticity(0, at=1 / float(gear.stiffness[0]), damping=float(gear.damping[0]))
+    found = effect.all_torques(motion._replace(torque=rigid.unsqueeze(1)), [effect.at], robot)[:, 0]
+    later = motion.t > 3.0
+    assert float((true - rigid)[later].norm()) > 0.01 * float(rigid[later].norm())
+    assert float((true - rigid - found)[later].norm()) < 0.04 * float((true - rigid)[later].norm())
+
+
+@pytest.mark.parametrize("play", [0.002, 0.02])
+def test_a_play_is_crossed_as_it_is(tmp_path: Path, play: float) -> None:
+    """Below 8 Hz, where a fit looks: when the link lands is known, how it bounces less well."""
+    robot = pendulum(tmp_path)
+    motion, at = driven([1.9, 0.6], [0.25, 0.7], 8.0, RATE, centre=math.pi / 2)
+    assert motion.t is not None
+    gear = Gear.ringing(INERTIA, 20.0, 0.1)
+    true = gear_torque(at, motion.t, float(gear.stiffness[0]), float(gear.damping[0]), play)
+    rigid = inverse_dynamics(robot, *motion.state)[:, 0]
+    found = Backlash(0, at=play).all_torques(motion, [play], robot)[:, 0]
+    low = ZeroPhaseFilter(RATE, 8.0)
+    before, after = (low.apply(x)[100:-100] for x in (true - rigid, true - rigid - found))
+    assert float(rigid.sign().diff().abs().sum()) > 4
+    assert float(after.norm()) < 0.2 * float(before.norm())
+
+
+def test_gears_side_by_side_are_gears_alone(tmp_path: Path) -> None:
+    robot = pendulum(tmp_path)
+    motion, _ = driven([0.8, 0.3], [0.4, 1.3], 5.0, RATE)
+    assert motion.t is not None
+    load, column = joint_load(robot, motion.state, 0)
+    torch.testing.assert_close(column[:, 0], torch.full_like(load, INERTIA))
+    torch.testing.assert_close(load, inverse_dynamics(robot, *motion.state)[:, 0])
+    for plays in ([0.0, 0.0], [1e-3, 1e-2]):
+        together = Gear.ringing(INERTIA, [8.0, 20.0], [0.05, 0.1], plays)
+        both = link_lag(load, column[:, 0], motion.t, together)
+        for k in range(2):
+            own = Gear(*(x[k : k + 1] for x in together))
+            alone = link_lag(load, column[:, 0], motion.t, own)
+            # Steps are as fine as the stiffest gear needs.
+            for x, y in zip(both, alone, strict=True):
+                torch.testing.assert_close(
+                    x[:, k], y[:, 0], rtol=0.05, atol=0.05 * float(y.abs().max())
+                )
+
+
+def test_a_joint_that_no_body_has_stays_finite() -> None:
+    t = torch.arange(500, dtype=torch.float64) / RATE
+    gear = Gear.ringing(1.0, [5.0, 20.0], 0.1, [0.0, 0.01])
+    lag = link_lag(torch.sin(5 * t), torch.cos(t), t, gear)
+    assert all(bool(torch.isfinite(x).all()) for x in lag)
+    assert lag.angle.shape == (500, 2)
+    assert np.isfinite(gear.stiffness).all()

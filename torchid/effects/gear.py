@@ -1,0 +1,179 @@
+"""A gear that gives way between two masses: how far the link is behind the motor whose encoder is
+logged.
+
+    M(q) d'' + D d' + k dz(d) = tau,    d = q_motor - q_link
+
+tau is the torque that a rigid link would ask for along the motor's motion, M the inertia that its
+joint moves, k and D the gear's stiffness and damping, and dz(d) what of d lies beyond the play. So
+the motor's motion alone drives the link: no measured torque enters (Spong 1987, Modeling and
+control of elastic joint robots, J. Dyn. Sys. Meas. Control 109(4); with play Nordin and Gutman
+2002, Controlling mechanical systems with backlash: a survey, Automatica 38(10), section 2).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from torchid.effects.instants import interval
+from torchid.effects.variation import rigid_torque
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+STEPS = 12
+"""Steps of integration in a period of the gear's resonance with the lightest link, at least: its
+frequency is then right to 1 %, and others better."""
+
+PIECE = 1.0
+"""Length into which a motion is cut, so that its pieces are integrated side by side [s]."""
+
+LEAD = 2.0
+"""Length before each piece in which the link forgets how it began [s]."""
+
+LEAST_INERTIA = 0.05
+"""Inertia of a joint that no body has (zero or less somewhere), relative to its mean."""
+
+
+class Gear(NamedTuple):
+    """Of one joint, for B gears at once.
+
+    Attributes:
+        stiffness: (B,) [N m/rad; N/m].
+        damping: (B,) [N m s/rad; N s/m].
+        play: (B,) between the flanks [rad; m].
+    """
+
+    stiffness: Float[np.ndarray, " B"]
+    damping: Float[np.ndarray, " B"]
+    play: Float[np.ndarray, " B"]
+
+    @classmethod
+    def ringing(
+        cls,
+        inertia: float,
+        hertz: Sequence[float] | float,
+        ratio: Sequence[float] | float,
+        play: Sequence[float] | float = 0.0,
+    ) -> "Gear":
+        """Gears by their resonance [Hz] with a link of this inertia before a held motor, and their
+        damping relative to the critical one."""
+        given = [np.atleast_1d(np.asarray(x, dtype=float)) for x in (hertz, ratio, play)]
+        omega, ratios, plays = np.broadcast_arrays(2 * math.pi * given[0], *given[1:])
+        return cls(inertia * omega**2, 2 * ratios * inertia * omega, plays)
+
+
+class Lag(NamedTuple):
+    """By which a link is behind its motor, (T, B): angle and its derivatives [rad, s]."""
+
+    angle: Float[Tensor, "T B"]
+    rate: Float[Tensor, "T B"]
+    acceleration: Float[Tensor, "T B"]
+
+
+def joint_load(
+    robot: Robot, state: tuple[Tensor, Tensor, Tensor], joint: int
+) -> tuple[Float[Tensor, " T"], Float[Tensor, "T n"]]:
+    """Torque (T,) that a rigid link would ask for along a motion (T, n), and the joint's column
+    M(q) e_j (T, n) of the mass matrix."""
+    q, dq, ddq = state
+    unit = torch.zeros_like(q)
+    unit[:, joint] = 1.0
+    torque, more = (rigid_torque(robot, q, dq, a) for a in (ddq, ddq + unit))
+    return torque[:, joint], more - torque
+
+
+def link_lag(
+    load: Float[Tensor, " T"], inertia: Float[Tensor, " T"], t: Float[Tensor, " T"], gear: Gear
+) -> Lag:
+    """How links lag behind their motor, one a gear.
+
+    Args:
+        load: (T,) torque that a rigid link would ask for [N m; N].
+        inertia: (T,) that the joint moves; one that no body has, zero or less, is raised.
+        t: (T,) uniform grid [s].
+        gear: B of them.
+    """
+    total, rate = load.shape[0], 1 / interval(t)
+    # All pieces side by side, each with its lead; before the first instant the motion is held.
+    piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
+    starts = np.arange(0, total, piece)
+    index = np.clip(starts + np.arange(-lead, piece)[:, None], 0, total - 1)
+    u = load.double().numpy()[index][..., None]
+    least = max(LEAST_INERTIA * float(inertia.abs().mean()), 1e-12)
+    m = inertia.double().clamp(min=least).numpy()[index][..., None]
+    # At rest on the flank that the torque presses against.
+    x = u[0] / gear.stiffness + np.sign(u[0]) * gear.play / 2
+    integrate = _flights if gear.play.any() else _swings
+    x, v = integrate(u, m, gear, rate, x)
+    spring = gear.stiffness * _beyond(x, gear.play / 2)
+    parts = x, v, (u - spring - gear.damping * v) / m
+    # Pieces one after the other again, without their leads.
+    flat = [
+        p[lead:].transpose(1, 0, 2).reshape(len(starts) * piece, -1)[:total].copy() for p in parts
+    ]
+    return Lag(*map(torch.from_numpy, flat))
+
+
+def _beyond(x: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """What of a lag is beyond half the play."""
+    return x - np.minimum(np.maximum(x, -half), half)
+
+
+def _swings(
+    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and rate (W, P, B) without play: exact where the torque is linear and the inertia
+    constant from one sample to the next.
+
+    Args:
+        u, m: (W, P, 1) torque and inertia of P pieces.
+        gear: B gears, damped less than critically.
+        rate: of the samples [Hz].
+        x: (P, B) angle at the first sample, at rest.
+    """
+    k, damping = gear.stiffness, gear.damping
+    # The deflection that follows a torque which grows so, and how the link swings about it.
+    slope = np.diff(u, axis=0) * rate / k
+    still = u[:-1] / k - damping / k * slope
+    m = m[:-1]
+    decay = damping / (2 * m)
+    omega = np.sqrt(np.maximum(k / m - decay**2, 1e-12))
+    fade = np.exp(-decay / rate)
+    sine, cosine = fade * np.sin(omega / rate) / omega, fade * np.cos(omega / rate)
+    own, cross, back, rest = cosine + decay * sine, sine, -k / m * sine, cosine - decay * sine
+    xs, vs = np.empty((2, len(u), *x.shape))
+    v = np.zeros_like(x)
+    xs[0], vs[0] = x, v
+    for i in range(len(still)):
+        away, speed = x - still[i], v - slope[i]
+        x = still[i] + slope[i] / rate + own[i] * away + cross[i] * speed
+        v = slope[i] + back[i] * away + rest[i] * speed
+        xs[i + 1], vs[i + 1] = x, v
+    return xs, vs
+
+
+def _flights(
+    u: np.ndarray, m: np.ndarray, gear: Gear, rate: float, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same with play, by leapfrog steps (angles at the samples, rates half a step before), the
+    damping implicit."""
+    k, half = gear.stiffness, gear.play / 2
+    # So many steps between two samples as the stiffest gear with the lightest link needs.
+    fastest = math.sqrt(float(k.max() / m.min())) / (2 * math.pi)
+    steps = max(1, math.ceil(STEPS * fastest / rate))
+    h = 1 / (steps * rate)
+    slope = np.diff(u, axis=0) / steps
+    gain = h / m
+    brake = 1 / (1 + gain * gear.damping)
+    xs, vs = np.empty((2, len(u), *x.shape))
+    v = np.zeros_like(x)
+    xs[0], vs[0] = x, v
+    for i in range(len(slope)):
+        for step in range(steps):
+            now = u[i] + step * slope[i]
+            v = (v + gain[i] * (now - k * _beyond(x, half))) * brake[i]
+            x = x + h * v
+        xs[i + 1], vs[i + 1] = x, v
+    return xs, vs
