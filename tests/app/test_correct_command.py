@@ -1,5 +1,5 @@
-"""`torchid correct`, `torchid gap --for` and `torchid export RESULT --log`: one function, three ways
-to it, and nothing written where it cannot be used."""
+"""`torchid correct`, `torchid gap --for` and `torchid export RESULT --log`: one function, three
+ways to it, and nothing written where it cannot be used."""
 
 import json
 from dataclasses import replace

@@ -232,6 +232,6 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 """Name of the golden file -> the document. A gap's name says which status it must have."""
 
 SLOW = (
-    "atlas", "correct", "excite", "gap_parametric_only", "gap_rollout", "simulate", "study", "withheld_own",
-    "wrenches",
+    "atlas", "correct", "excite", "gap_parametric_only", "gap_rollout", "simulate", "study",
+    "withheld_own", "wrenches",
 )  # fmt: skip
