@@ -79,7 +79,7 @@ def logs(full: Robot) -> tuple[Log, Log]:
 @pytest.fixture(scope="module")
 def done(full, logs, tmp_path_factory) -> Correction:
     folder = tmp_path_factory.mktemp("corrected")
-    return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1])
+    return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1], with_effects=True)
 
 
 def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
@@ -126,8 +126,8 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert set(kept) == {"stribeck_friction", "load_dependent_friction", "torque_offset"}
     assert all(0 <= one.share <= 1 for one in kept.values())
     assert (kept["stribeck_friction"].field, kept["stribeck_friction"].joint) == ("frictionloss", 0)
-    assert done.export.files[0].name == "3r_corrected.xml"
-    assert "no field for" in done.export.files[0].read_text()
+    assert done.exports[0].files[0].name == "3r_corrected.xml"
+    assert "no field for" in done.exports[0].files[0].read_text()
 
 
 def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):

@@ -8,7 +8,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output, progress_bar
-from torchid.app.signature import Fields, command
+from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
@@ -40,6 +40,7 @@ def correct_command(
     trials: opt.Trials,
     to: Simulated,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    with_effects: Switch = False,
     effects: str = "all",
     background: opt.Names = "none",
     settings: Annotated[
@@ -66,6 +67,9 @@ def correct_command(
         to: Format to write (mjcf, urdf), or a simulator that reads one of them: a copy of ROBOT
             where it is of that format, else a new file of its kinematics, without shapes.
         name: Of the file, without suffix; the robot's name and `_corrected`.
+        with_effects: Also write NAME_effects, fitted together with the effects that the format has
+            no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
+            time.
         effects: Effects to search over, comma-separated; `all` for the whole library.
         background: Effects that are part of the simulator already, on every joint; fitted with the
             base parameters where the robot has no parameters.
@@ -90,7 +94,7 @@ def correct_command(
         result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     output.verdict(verdict(result))
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
-    corrected_by(output, found, result, log, apart, kind, name, keep, settings)
+    corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
 
 
 def corrected_by(
@@ -103,12 +107,14 @@ def corrected_by(
     name: str | None,
     keep: list[Path],
     settings: GapSettings,
+    with_effects: bool = False,
 ) -> None:
     """Refit, check and write a file to the output's folder, and tell what it is worth.
 
     Args:
         output: of the command.
-        robot, full, log, held_out, to, name, keep, settings: see `torchid.export.correct.correct`.
+        robot, full, log, held_out, to, name, keep, settings, with_effects: see
+            `torchid.export.correct.correct`.
     """
     from rich.markup import escape
 
@@ -118,10 +124,23 @@ def corrected_by(
 
     folder = output.folder or Path()
     done = correct(
-        robot, full, log, to, folder, name, held_out=held_out, settings=settings, keep=keep
+        robot,
+        full,
+        log,
+        to,
+        folder,
+        name,
+        held_out=held_out,
+        settings=settings,
+        with_effects=with_effects,
+        keep=keep,
     )
     output.verdict(headline(done))
     output.say(*tables(done, robot))
-    output.warn((*done.warnings, *export_warnings(done.export)))
-    output.say(f"\nwritten: {escape(', '.join(map(str, done.export.files)))}")
+    output.warn(
+        dict.fromkeys((*done.warnings, *(w for x in done.exports for w in export_warnings(x))))
+    )
+    output.say(
+        f"\nwritten: {escape(', '.join(str(file) for x in done.exports for file in x.files))}"
+    )
     output.write_json(correction_record(done, robot), "correction.json")

@@ -77,6 +77,7 @@ class Judged:
         full: (n,) of the diagnosed robot with all its effects.
         claim: (n,) of the file, by its own numbers.
         engine: (n,) of the file, by the engine that runs it.
+        run_time: (n,) of a file with the effects that are added to it at run time.
         by: that engine.
         band: [Hz].
         forward: by horizon; on the log that was fitted where no other is given.
@@ -87,6 +88,7 @@ class Judged:
     full: Float[Tensor, " n"]
     claim: Float[Tensor, " n"]
     engine: Float[Tensor, " n"]
+    run_time: Float[Tensor, " n"]
     by: str
     band: float
     forward: tuple[Forward, ...]
@@ -99,13 +101,13 @@ class Correction:
     Attributes:
         projection: what is in it.
         judged: what it is worth.
-        export: what was written.
+        exports: what was written: the file, and the one with effects beside it.
         warnings: sentences for the user.
     """
 
     projection: Projection
     judged: Judged
-    export: Export
+    exports: tuple[Export, ...]
     warnings: tuple[str, ...]
 
 
@@ -127,6 +129,7 @@ def correct(
     *,
     held_out: Log | None = None,
     settings: GapSettings | None = None,
+    with_effects: bool = False,
     keep: Sequence[Path] = (),
 ) -> Correction:
     """Write a robot as a simulator's file can say it, refitted to the log's torque.
@@ -141,6 +144,8 @@ def correct(
         held_out: trajectories that judge it. Without them a diagnosis is judged by fits without
             each of its folds, a corrected robot on the log it was fitted to.
         settings: of the diagnosis; those of a robot's logs are the defaults.
+        with_effects: write a second file, `_effects` after its name, fitted together with the
+            effects that have no field: they lie in its sidecar, and are added at run time.
         keep: files that are never overwritten.
 
     Raises:
@@ -169,9 +174,12 @@ def correct(
     projection = projector.projection()
     # Fits without each fold judge the kind of file; one fit to all is written.
     by_folds = apart is None and diagnosis is not None
+    parts = [torch.ones(len(data.samples), dtype=torch.bool)]
     fitted = [projection.robot]
     if by_folds:
-        fitted = [projector.without(folds.fitted(k)) for k in range(folds.count)]
+        parts = [folds.fitted(k) for k in range(folds.count)]
+        fitted = [projector.without(part) for part in parts]
+    running = [projector.with_effects(part) for part in parts]
     on = data if apart is None else apart
     shown: Sequence[Trace] = ()
     if diagnosis is not None:
@@ -185,15 +193,18 @@ def correct(
         for k, one in enumerate(fitted):
             path = whole.with_stem(f"fold_{k}")
             engines.append(simulator(path, _in_file(one, path, original)))
-        parts = folds if by_folds else None
-        own = traces(on.samples, parts, [_model(one) for one in fitted], engines, data.band)
-        words = "parts that were not fitted" if by_folds else "the log that was fitted"
+        split = folds if by_folds else None
+        own = traces(on.samples, split, [_model(one) for one in fitted], engines, data.band)
+        models = [_model(one) for one in running]
+        all_of_it = traces(on.samples, split, models[:1], models, data.band)
+        alone = "parts that were not fitted" if by_folds else "the log that was fitted"
         judged = Judged(
-            words if apart is None else "a held-out log",
+            alone if apart is None else "a held-out log",
             _percent(shown, [t.before for t in shown]),
             _percent(shown, [t.after for t in shown]),
             _percent(shown, [t.before for t in own]),
             _percent(shown, [t.after for t in own]),
+            _percent(shown, [t.after for t in all_of_it]),
             engines[0].name,
             data.band,
             (),
@@ -203,20 +214,31 @@ def correct(
         forward = _forward(inside, whole, before, full, on, settings)
         judged = replace(judged, forward=forward)
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
-    title = f"'{robot.name}', corrected and refitted to {to}"
-    if beside:
-        title += f"; no field for {', '.join(beside)}"
-    export = export_dynamics(
-        Dynamics(projection.robot, "robot", title),
-        to,
-        folder,
-        f"{robot.name}_corrected" if name is None else name,
-        nominal=robot,
-        seed=settings.seed,
-        geometry="none",
-        keep=keep,
-    )
-    return Correction(projection, judged, export, _warnings(projection, judged, robot))
+    stem = f"{robot.name}_corrected" if name is None else name
+
+    def write(one: Robot, stem: str, title: str) -> Export:
+        return export_dynamics(
+            Dynamics(one, "robot", title),
+            to,
+            folder,
+            stem,
+            nominal=robot,
+            seed=settings.seed,
+            geometry="none",
+            keep=keep,
+        )
+
+    words = f"'{robot.name}', corrected and refitted to {to}"
+    title = words + (f"; no field for {', '.join(beside)}" if beside else "")
+    files = [write(projection.robot, stem, title)]
+    if with_effects:
+        every = torch.ones(len(data.samples), dtype=torch.bool)
+        files.append(
+            write(
+                projector.with_effects(every), f"{stem}_effects", f"{words}, with effects beside it"
+            )
+        )
+    return Correction(projection, judged, tuple(files), _warnings(projection, judged, robot))
 
 
 def _require_better(judged: Judged) -> None:

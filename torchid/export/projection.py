@@ -22,6 +22,8 @@ from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, r
 from torchid.gap.data import Data
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
+from torchid.simulation.loads import changes_measurement
+from torchid.simulation.open_loop import runs, undone
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Tensor
 
@@ -127,11 +129,11 @@ class Projector:
             springs = [JointSpring(j) for j in sorted(at)]
         every = torch.ones(len(self.data.samples), dtype=torch.bool)
         bodies = self.room
-        without = self._quadratic(every)
+        without = self._quadratic(self.fields, every)
         found = nearest_bodies(without, bodies)
         if springs:
             self.fields += springs
-            with_springs = self._quadratic(every)
+            with_springs = self._quadratic(self.fields, every)
             other = nearest_bodies(with_springs, bodies)
             if other.least < (1 - WORTH) * found.least:
                 without, found = with_springs, other
@@ -150,21 +152,33 @@ class Projector:
         self.price = max(0.0, found.error / least - 1)
         self.found, self.quadratic = found, without
 
-    def _matrix(self) -> Float[Tensor, "K n N"]:
+    def _matrix(self, fields: Sequence[Effect]) -> Float[Tensor, "K n N"]:
         """Columns of the bodies and of the fields."""
-        own = [self.columns.on_all_joints(field) for field in self.fields]
+        own = [self.columns.on_all_joints(field) for field in fields]
         return torch.cat([self.columns.regressor.flatten(0, 1), *own])
 
-    def _quadratic(self, fitted: Bool[Tensor, " N"]) -> Quadratic:
+    def _quadratic(
+        self,
+        fields: Sequence[Effect],
+        fitted: Bool[Tensor, " N"],
+        torque: Float[Tensor, "n N"] | None = None,
+    ) -> Quadratic:
+        """Squared error of the measured torque, or of another one."""
         weight = self.weight * fitted
-        a, y = (self._matrix() * weight).flatten(1), (self.torque * weight).flatten()
-        positive = [c.non_negative or c.name == "k" for f in self.fields for c in f.coefficients]
+        y = ((self.torque if torque is None else torque) * weight).flatten()
+        a = (self._matrix(fields) * weight).flatten(1)
+        # A file's spring pulls back.
+        positive = [
+            c.non_negative or (c.name == "k" and f in self.fields)
+            for f in fields
+            for c in f.coefficients
+        ]
         return Quadratic(a @ a.T, a @ y, float(y @ y), torch.tensor(positive).bool())
 
     def projection(self) -> Projection:
         """The fit to all samples."""
         return Projection(
-            self._robot(self.found),
+            self._robot(self.fields, self.found),
             self.to,
             self._kept(),
             self.believable,
@@ -174,15 +188,37 @@ class Projector:
 
     def without(self, fitted: Bool[Tensor, " N"]) -> Robot:
         """The same fit to some samples only."""
-        found = nearest_bodies(self._quadratic(fitted), self.room, strength=self.found.strength)
-        return self._robot(found)
+        torque = self._quadratic(self.fields, fitted)
+        strength = self.found.strength
+        return self._robot(self.fields, nearest_bodies(torque, self.room, strength=strength))
 
-    def _robot(self, found: NearBodies) -> Robot:
+    def with_effects(self, fitted: Bool[Tensor, " N"]) -> Robot:
+        """A fit to some samples of the fields together with the effects that a simulation adds to
+        the file at run time, and those in the torque sensors as they were diagnosed."""
+        others, sensed = [], []
+        for effect, values in nominal_effects(self.full):
+            if isinstance(effect, BodyEffect) or not runs(effect, values, self.nominal.n):
+                continue
+            if changes_measurement(effect):
+                sensed.append((effect, values))
+            elif effect.attributes(values, self.to == "mjcf") is None:
+                others.append(effect)
+        # A spring of the diagnosis stands in the place of the file's.
+        at = {e.joints for e in others if isinstance(e, JointSpring)}
+        own = [f for f in self.fields if not isinstance(f, JointSpring) or f.joints not in at]
+        fields = [*own, *dict.fromkeys(others)]
+        true = undone(sensed, self.torque.T.unsqueeze(0))[0][0].T
+        torque = self._quadratic(fields, fitted, true)
+        found = nearest_bodies(torque, self.room, strength=self.found.strength)
+        robot = self._robot(fields, found)
+        return replace(robot, effects=(*robot.effects, *records(sensed)))
+
+    def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:
         """Nominal kinematics, fitted bodies, and fields that carry anything."""
         sizes = (self.torque * self.data.keep).square().sum(1).sqrt()
         pairs: list[Valued] = []
         values = iter(found.coefficients.tolist())
-        for field in self.fields:
+        for field in fields:
             own = [next(values) for _ in field.coefficients]
             columns = self.columns.on_all_joints(field) * self.data.keep
             torque = torch.tensordot(torch.tensor(own, dtype=torch.float64), columns, 1)
@@ -201,7 +237,7 @@ class Projector:
             ):
                 key = (effect.name, tuple(values), effect.shape_values)
                 alike.setdefault(key, []).append((effect, values))
-        matrix, bodies = self._matrix(), PARAMETERS_PER_LINK * self.nominal.n
+        matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n
         weighted = (matrix * self.weight).flatten(1)
         # Of each coefficient its field, and where that field's first one is.
         names = [f for f in self.fields for _ in f.coefficients]

@@ -28,7 +28,11 @@ def correction_record(done: Correction, nominal: Robot) -> dict[str, Any]:
             "judged": {
                 **picked(judged, "on=held_out engine=by band_hz=band"),
                 "torque_error_percent": {
-                    **picked(judged, "nominal full file_claimed=claim file_in_engine=engine")
+                    **picked(
+                        judged,
+                        "nominal full file_claimed=claim file_in_engine=engine "
+                        "with_effects=run_time",
+                    )
                 },
                 "forward": [
                     picked(one, "horizon_s=horizon starts nominal full file_in_engine=engine")
@@ -52,7 +56,7 @@ def correction_record(done: Correction, nominal: Robot) -> dict[str, Any]:
                 **picked(bodies, "mass com inertia_about_com"),
                 "fields": list(projection.robot.effects),
             },
-            "export": export_record(done.export),
+            "exports": [export_record(one) for one in done.exports],
             "warnings": list(done.warnings),
         }
     )
@@ -78,6 +82,7 @@ def tables(done: Correction, nominal: Robot) -> list[Table]:
         ("all effects", judged.full),
         ("the file alone, claimed", judged.claim),
         (f"the file alone, {judged.by}", judged.engine),
+        ("with effects at run time", judged.run_time),
     ]
     out = [
         Table(

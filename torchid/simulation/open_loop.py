@@ -13,7 +13,7 @@ from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
 from torchid.simulation.integrate import LONGEST_STEP, Drive
-from torchid.simulation.loads import changes_measurement
+from torchid.simulation.loads import adds_torque, changes_measurement
 from torchid.typing import Bool, Float
 
 Hold = Literal["linear", "zero_order"]
@@ -75,7 +75,7 @@ def rollout(
     if not 0 < dt < math.inf:
         raise TorchidError("the time between samples is positive.", got=dt, expected="> 0 s")
     plant = plant_of(robot, [list(effects)], q0)
-    true, shift, ignored = _undone(effects, tau)
+    true, shift, ignored = undone(effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
     arms, total, _ = true.shape
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
@@ -94,10 +94,11 @@ def rollout(
     return Rollout(q + shift, dq, ~state.alive, ignored)
 
 
-def _undone(
+def undone(
     effects: Sequence[Valued], tau: Float[Tensor, "B T n"]
 ) -> tuple[Float[Tensor, "B T n"], Float[Tensor, " n"], tuple[str, ...]]:
-    """True torques; how much more the encoders read than the true position; who is ignored."""
+    """True torques of measured ones; how much more the encoders read than the true position; names
+    of effects in the sensors that cannot be undone."""
     n = tau.shape[-1]
     shift, ignored = tau.new_zeros(n), []
     for effect, values in reversed(effects):
@@ -111,6 +112,15 @@ def _undone(
         tau = torch.linalg.solve_ex(gain, (tau - offset).unsqueeze(-1))[0].squeeze(-1)
         shift = shift + moved
     return tau, shift, tuple(dict.fromkeys(reversed(ignored)))
+
+
+def runs(effect: Effect, values: Sequence[float], n: int) -> bool:
+    """Whether a simulation of n joints can have an effect beside its bodies: it adds torque, or is
+    in the torque sensors alone and can be undone there."""
+    if not changes_measurement(effect):
+        return adds_torque(effect)
+    found = _affine(effect, values, n)
+    return found is not None and not bool(found[2].any())
 
 
 def _affine(
