@@ -1,6 +1,7 @@
 """A diagnosed robot carried out into the simulator: what the file is worth there, and what it keeps
 of the effects that it has no field for."""
 
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import pytest
 import torch
 
 from tests.arms import arm
+from tests.documents import ROOT
+from tests.export.arms import write_mjcf, write_urdf
 from torchid.design.segments import Samples
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
@@ -20,7 +23,9 @@ from torchid.export.write_xml import xml_of
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
+from torchid.log.readers import write_log
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import rollouts
@@ -121,6 +126,29 @@ def test_the_claim_is_what_the_engine_says(done):
         assert float(one.engine.norm()) < 0.5 * float(one.nominal.norm())
 
 
+def test_a_file_with_its_effects_has_the_full_models_error(done):
+    assert float((done.judged.run_time - done.judged.full).abs().max()) < 0.3
+    main, side = done.exports[1].files
+    assert (main.name, side.name) == (
+        "3r_corrected_effects.xml",
+        "3r_corrected_effects.xml.effects.yaml",
+    )
+    beside = {e["effect"] for e in load_robot(main).effects}
+    assert {"stribeck_friction", "load_dependent_friction", "torque_offset"} <= beside
+
+
+def test_the_example_replays_a_log(done, logs, tmp_path, monkeypatch, capsys):
+    """With the effects the arm is nearer to the log on each of the joints that have them."""
+    write_log(logs[1], tmp_path / "run.csv")
+    script = ROOT / "examples" / "effects_in_mujoco.py"
+    words = [str(done.exports[0].files[0]), str(tmp_path / "run.csv"), "--seconds", "0.2"]
+    monkeypatch.setattr("sys.argv", [str(script), *words, "--starts", "8"])
+    runpy.run_path(str(script), run_name="__main__")
+    *_, alone, beside = capsys.readouterr().out.strip().splitlines()
+    errors = [[float(x) for x in line.partition(":")[2].split()] for line in (alone, beside)]
+    assert sum(errors[1]) < 0.7 * sum(errors[0])
+
+
 def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     kept = {one.effect.name: one for one in done.projection.kept}
     assert set(kept) == {"stribeck_friction", "load_dependent_friction", "torque_offset"}
@@ -130,12 +158,15 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert "no field for" in done.exports[0].files[0].read_text()
 
 
+@pytest.mark.usefixtures("types_unchecked")
 def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
     """Against two whole projections, one of a log without a tenth of the effect: what the file
     takes over of that tenth."""
     data = prepare(arm("3r"), logs[0], None, widest=20.0)
     projector = Projector(arm("3r"), full, data, "mjcf")
     kept = {one.effect.name: one for one in projector.projection().kept}
+    every = torch.ones(len(data.samples), dtype=torch.bool)
+    before = projector.without(every)
     for effect, values in nominal_effects(full):
         if effect.name not in kept or effect.name == "torque_offset":
             continue
@@ -150,8 +181,7 @@ def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
         other = Projector(arm("3r"), full, less, "mjcf")
         other.weight = projector.weight
         other.fields, other.room, other.found = projector.fields, projector.room, projector.found
-        every = torch.ones(len(data.samples), dtype=torch.bool)
-        before, after = projector.without(every), other.without(every)
+        after = other.without(every)
         samples, weight = data.samples, projector.weight
         taken, whole = (
             samples.of([x.T for x in parts]) * weight
@@ -162,6 +192,28 @@ def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
         )
         share = 1 - float((whole - taken).norm() / whole.norm())
         assert kept[effect.name].share == pytest.approx(share, abs=0.05), effect.name
+
+
+@pytest.mark.parametrize("write", [write_mjcf, write_urdf])
+def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
+    """Class defaults, included files, shapes and the like are the user's; the original stays."""
+    path = write(tmp_path)
+    robot = load_robot(path)
+    before = path.read_text()
+    limits = {"velocity": 1.5, "acceleration": 5.0}
+    bare = replace(robot, effects=()).with_limits(**limits)
+    dry = [{"effect": "coulomb_friction", "joint": j + 1, "Fc": 2.0} for j in range(robot.n)]
+    slow = [{"effect": "viscous_friction", "joint": j + 1, "Fv": 3.0} for j in range(robot.n)]
+    true = replace(bare, effects=(*dry, *slow))
+    to = "mjcf" if path.suffix == ".xml" else "urdf"
+    settings = GapSettings(rollout=False)
+    done = correct(robot, true, log_of(true), to, tmp_path / "out", settings=settings)
+    assert path.read_text() == before
+    assert done.exports[0].original == path
+    assert float(done.judged.engine.mean()) < 0.2 * float(done.judged.nominal.mean())
+    again = load_robot(done.exports[0].files[0])
+    friction = {e["joint"]: e["Fc"] for e in again.effects if e["effect"] == "coulomb_friction"}
+    assert friction[1] == pytest.approx(2.0, rel=0.1)
 
 
 def torque(robot: Robot, motion):  # type: ignore[no-untyped-def]

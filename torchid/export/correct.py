@@ -22,6 +22,7 @@ from torchid.export.export import SUFFIXES, Export, export_dynamics
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.replay import InMujoco, simulator
 from torchid.export.write_xml import xml_of
+from torchid.extraction.entropic import SPREAD
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.gap.data import Data
 from torchid.gap.diagnose import read
@@ -39,9 +40,6 @@ STARTS = 128
 
 CLAIMED = 1.15
 """Error in the engine over the claimed one, from which it is said; beside 1 % of the torque."""
-
-SPREAD = 5.0
-"""Factor from a nominal principal inertia from which it is said."""
 
 NO_BETTER = 1.02
 """Mean error over that of the nominal robot from which a file is refused."""
@@ -143,7 +141,8 @@ def correct(
         name: of the file, without suffix; the robot's own, with `_corrected`, by default.
         held_out: trajectories that judge it. Without them a diagnosis is judged by fits without
             each of its folds, a corrected robot on the log it was fitted to.
-        settings: of the diagnosis; those of a robot's logs are the defaults.
+        settings: of the diagnosis, of which cut-off, band, folds and `rollout` count here: without
+            the last nothing is simulated forwards.
         with_effects: write a second file, `_effects` after its name, fitted together with the
             effects that have no field: they lie in its sidecar, and are added at run time.
         keep: files that are never overwritten.
@@ -152,6 +151,17 @@ def correct(
         LogError: logs that do not fit the robot.
         MissingExtraError: no engine that runs the format is installed.
         TorchidError: another arm, or a file that is no better than the robot as given.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> import torchid
+    >>> simulated, arm = torchid.load_robot("3r"), torchid.load_robot("3r_friction")
+    >>> motion = torchid.excite(arm, duration=6.0, restarts=1, iterations=5).log()
+    >>> log = torchid.simulate(arm, motion)
+    >>> settings = torchid.GapSettings(rollout=False)
+    >>> with TemporaryDirectory() as folder:
+    ...     done = correct(simulated, arm, log, "mjcf", folder, settings=settings)
+    >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
+    True
     """
     require_engine(to)
     settings = settings or GapSettings()
@@ -210,9 +220,10 @@ def correct(
             (),
         )
         _require_better(judged)
-        inside = _in_file(projection.robot, whole, original)
-        forward = _forward(inside, whole, before, full, on, settings)
-        judged = replace(judged, forward=forward)
+        if settings.rollout:
+            inside = _in_file(projection.robot, whole, original)
+            forward = _forward(inside, whole, before, full, on, settings)
+            judged = replace(judged, forward=forward)
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
     stem = f"{robot.name}_corrected" if name is None else name
 
@@ -321,9 +332,10 @@ def _warnings(projection: Projection, judged: Judged, nominal: Robot) -> tuple[s
     said = []
     if not projection.believable:
         said.append(
-            "masses within a factor 2 of the nominal ones and centres of mass within 5 cm of the "
-            f"links would cost {100 * projection.believable_price:.0f} % more torque error than "
-            f"any parameters leave; the bodies in the file cost {100 * projection.price:.0f} %"
+            "masses within a factor 2 of the nominal ones, second moments of a fifth of theirs and "
+            "centres of mass within 5 cm of the links would cost "
+            f"{100 * projection.believable_price:.0f} % more torque error than any parameters "
+            f"leave; the bodies in the file cost {100 * projection.price:.0f} %"
         )
     elif projection.price > PRICE:
         said.append(

@@ -201,7 +201,7 @@ class Projector:
                 continue
             if changes_measurement(effect):
                 sensed.append((effect, values))
-            elif effect.attributes(values, self.to == "mjcf") is None:
+            elif not self._has_field(effect, values):
                 others.append(effect)
         # A spring of the diagnosis stands in the place of the file's.
         at = {e.joints for e in others if isinstance(e, JointSpring)}
@@ -212,6 +212,11 @@ class Projector:
         found = nearest_bodies(torque, self.room, strength=self.found.strength)
         robot = self._robot(fields, found)
         return replace(robot, effects=(*robot.effects, *records(sensed)))
+
+    def _has_field(self, effect: Effect, values: Sequence[float]) -> bool:
+        """Whether the file says this effect as it is."""
+        own = (f for f in self.fields if f.identity == effect.identity)
+        return effect.attributes(values, self.to == "mjcf") is not None and any(own)
 
     def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:
         """Nominal kinematics, fitted bodies, and fields that carry anything."""
@@ -232,9 +237,7 @@ class Projector:
         # Equal effects of several joints are one: a gain of all currents.
         alike: dict[tuple[object, ...], list[Valued]] = {}
         for effect, values in nominal_effects(self.full):
-            if not isinstance(effect, BodyEffect) and (
-                effect.attributes(values, self.to == "mjcf") is None
-            ):
+            if not isinstance(effect, BodyEffect) and not self._has_field(effect, values):
                 key = (effect.name, tuple(values), effect.shape_values)
                 alike.setdefault(key, []).append((effect, values))
         matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n

@@ -10,12 +10,12 @@ Dynamic Identification: A Convex Programming Approach", IEEE T-RO 36(2), 2020, s
 which depends on no frame and no unit. With N the nominal bodies, U a small one of each link's size
 (beside which a change counts: placeholders in a file are no knowledge), and e the least error,
 
-    |A x - y|^2 / (2 e^2) + lambda sum_links [D(P + U, N + U) - w log det(P - U / 1000)]
+    |A x - y|^2 / (2 e^2) + lambda sum_links [D(P + U, N + U) - w log det(P - L)]
 
-is smooth, convex and infinite where a link stops being a body: Newton steps minimise it from the
-inside (Boyd and Vandenberghe 2004, section 9.6). Of a path of lambdas the largest whose error is
-within `SPENT` of the least one is answered: what the log determines is the log's, all else stays
-nominal.
+with L the least body that each link holds, is smooth, convex and infinite where a link stops being
+a body: Newton steps minimise it from the inside (Boyd and Vandenberghe 2004, section 9.6). Of a
+path of lambdas the largest whose error is within `SPENT` of the least one is answered: what the log
+determines is the log's, all else stays nominal.
 """
 
 from dataclasses import dataclass, replace
@@ -34,6 +34,9 @@ SPENT = 0.02
 
 BELIEVABLE = 2.0
 """Factor from a link's nominal mass, up and down, within which a person believes it."""
+
+SPREAD = 5.0
+"""Factor by which a person believes that second moments of a nominal body shrink, at most."""
 
 NEAR = 0.05
 """How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
@@ -86,25 +89,28 @@ class Room:
     Attributes:
         nominal: (n, 10), bodies.
         small: (n, 10) of each link's size.
+        least: (n, 10) what each of them holds at least.
         rows, offset: (n, C, 10), (n, C): rows pi + offset is positive of every link; no row where
             nothing is asked but that it is a body.
     """
 
     nominal: Float[Tensor, "n 10"]
     small: Float[Tensor, "n 10"]
+    least: Float[Tensor, "n 10"]
     rows: Float[Tensor, "n C 10"]
     offset: Float[Tensor, "n C"]
 
     @property
     def bodies_alone(self) -> "Room":
         """The same, asking for nothing but bodies."""
-        return replace(self, rows=self.rows[:, :0], offset=self.offset[:, :0])
+        none = {"rows": self.rows[:, :0], "offset": self.offset[:, :0]}
+        return replace(self, least=INSIDE * self.small, **none)
 
 
 def room_of(robot: Robot) -> Room:
     """Masses within a factor 2 of the nominal ones, and of nothing denser than the densest
-    material; centres of mass within 5 cm of the link's shape, or of the nominal one where no shape
-    is known.
+    material; second moments of at least a fifth of theirs; centres of mass within 5 cm of the
+    link's shape, or of the nominal one where no shape is known.
 
     Of nominal links that are no bodies the nearest bodies are taken. A robot without parameters has
     links of `PER_METRE` about the middle between their joints, and their centres are asked to be
@@ -157,7 +163,8 @@ def room_of(robot: Robot) -> Room:
     ]
     offset = torch.zeros(len(pi), 8, dtype=torch.float64)
     offset[:, 0], offset[:, 1] = -low / mass, high / mass
-    return Room(body, small, torch.cat(rows, 1), offset)
+    least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
+    return Room(body, small, least, torch.cat(rows, 1), offset)
 
 
 @dataclass(frozen=True, eq=False)

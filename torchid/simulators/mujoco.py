@@ -90,6 +90,11 @@ class Effects:
             model.dof_armature[self._rows] = inertia.diagonal().numpy()
             model.dof_solimp[self._rows, :3] = SHARP
 
+    def place(self, simulation: int, q: Float[Tensor, " n"], dq: Float[Tensor, " n"]) -> None:
+        """Set the joints of one simulation [rad, rad/s; m, m/s]; `restart` after the last one."""
+        _, data = self.simulations[simulation]
+        data.qpos[self._places], data.qvel[self._rows] = q.numpy(), dq.numpy()
+
     def restart(self) -> None:
         """States of the effects as at the beginning: after the simulations were set elsewhere."""
         now = self.motion()
