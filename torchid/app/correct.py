@@ -135,7 +135,7 @@ def corrected_by(
         with_effects=with_effects,
         keep=keep,
     )
-    output.verdict(headline(done))
+    output.verdict(headline(done, robot))
     output.say(*tables(done, robot))
     output.warn(
         dict.fromkeys((*done.warnings, *(w for x in done.exports for w in export_warnings(x))))

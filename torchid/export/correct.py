@@ -15,10 +15,11 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import find_repeats
+from torchid.design.segments import Samples, Segment
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.dynamics import Dynamics
-from torchid.export.export import SUFFIXES, Export, export_dynamics
+from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
 from torchid.export.replay import InMujoco, simulator
 from torchid.export.write_xml import xml_of
@@ -31,6 +32,8 @@ from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import make_folds, traces
 from torchid.log.model import Log
 from torchid.robot.model import Robot
+from torchid.simulation.loads import changes_measurement
+from torchid.simulation.open_loop import true_torque
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
 from torchid.typing import Float, Tensor
@@ -107,6 +110,35 @@ class Correction:
     judged: Judged
     exports: tuple[Export, ...]
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class AtRunTime:
+    """What the log would read of a simulation with effects: its torque, and the sensors' own
+    effects on all of that.
+
+    Attributes:
+        model: without effects in the torque sensors.
+        gain, offset: (n, n), (n,) of the true torque for a measured one.
+    """
+
+    model: Model
+    gain: Float[Tensor, "n n"]
+    offset: Float[Tensor, " n"]
+
+    @staticmethod
+    def of(robot: Robot) -> "AtRunTime":
+        """That of a robot with all its effects."""
+        pairs = nominal_effects(robot)
+        sensed = [pair for pair in pairs if changes_measurement(pair[0])]
+        others = tuple(pair for pair in pairs if pair not in sensed)
+        gain, offset = true_torque(sensed, robot.n)
+        return AtRunTime(Model(robot, others), gain, offset)
+
+    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
+        """Torque (T, n) [N m; N] along a segment."""
+        true = self.model.torque(segment, samples) - self.offset
+        return torch.linalg.solve(self.gain, true.T).T
 
 
 def require_engine(to: Target) -> None:
@@ -205,7 +237,7 @@ def correct(
             engines.append(simulator(path, _in_file(one, path, original)))
         split = folds if by_folds else None
         own = traces(on.samples, split, [_model(one) for one in fitted], engines, data.band)
-        models = [_model(one) for one in running]
+        models = [AtRunTime.of(one) for one in running]
         all_of_it = traces(on.samples, split, models[:1], models, data.band)
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
         judged = Judged(
@@ -225,7 +257,7 @@ def correct(
             forward = _forward(inside, whole, before, full, on, settings)
             judged = replace(judged, forward=forward)
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
-    stem = f"{robot.name}_corrected" if name is None else name
+    stem = f"{stem_of(robot)}_corrected" if name is None else name
 
     def write(one: Robot, stem: str, title: str) -> Export:
         return export_dynamics(

@@ -322,13 +322,12 @@ class _Question:
     def _parts(self, pi: Float[Tensor, "n 10"]) -> tuple[Tensor, Tensor, Tensor]:
         """Pseudo-inertias, less what they hold at least and with U, in units of N + U; and the
         half-spaces' values."""
-        own = torch.einsum("na,naij->nij", pi, self.near)
-        small = torch.einsum("na,naij->nij", self.room.small, self.near)
-        return (
-            own - INSIDE * small,
-            own + small,
-            (self.room.rows @ pi.unsqueeze(-1))[..., 0] + self.room.offset,
+        own, small, least = (
+            torch.einsum("na,naij->nij", each, self.near)
+            for each in (pi, self.room.small, self.room.least)
         )
+        inside = (self.room.rows @ pi.unsqueeze(-1))[..., 0] + self.room.offset
+        return own - least, own + small, inside
 
     def slopes(self, x: Float[Tensor, " K"], strength: float) -> tuple[Tensor, Tensor]:
         """Gradient (K,) and Hessian (K, K)."""

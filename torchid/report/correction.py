@@ -62,14 +62,19 @@ def correction_record(done: Correction, nominal: Robot) -> dict[str, Any]:
     )
 
 
-def headline(done: Correction) -> str:
+def _given(nominal: Robot) -> str:
+    """What a file is compared with."""
+    return "robot as given" if nominal.parameters is not None else "base parameters alone"
+
+
+def headline(done: Correction, nominal: Robot) -> str:
     """What the file is worth, in one sentence."""
     judged = done.judged
     means = [float(x.mean()) for x in (judged.engine, judged.full, judged.nominal)]
     return (
         f"On {judged.held_out} {judged.by} with the corrected file misses {means[0]:.1f} % of the "
         f"joints' torque on average; with all effects it would be {means[1]:.1f} %, and with the "
-        f"robot as given it is {means[2]:.0f} %."
+        f"{_given(nominal)} it is {means[2]:.0f} %."
     )
 
 
@@ -78,7 +83,7 @@ def tables(done: Correction, nominal: Robot) -> list[Table]:
     judged, n = done.judged, nominal.n
     joints = [str(j + 1) for j in range(n)]
     rows = [
-        ("robot as given", judged.nominal),
+        (_given(nominal), judged.nominal),
         ("all effects", judged.full),
         ("the file alone, claimed", judged.claim),
         (f"the file alone, {judged.by}", judged.engine),
@@ -98,7 +103,11 @@ def tables(done: Correction, nominal: Robot) -> list[Table]:
     motion = []
     turns = [kind is JointType.REVOLUTE for kind in nominal.joint_types]
     for one in judged.forward:
-        kinds = [("as given", one.nominal), ("all effects", one.full), ("the file", one.engine)]
+        kinds = [
+            (_given(nominal), one.nominal),
+            ("all effects", one.full),
+            ("the file", one.engine),
+        ]
         motion += [
             (f"{one.horizon:g} s", name, *_away(v, turns)) for name, v in kinds if v is not None
         ]

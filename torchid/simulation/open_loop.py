@@ -114,6 +114,20 @@ def undone(
     return tau, shift, tuple(dict.fromkeys(reversed(ignored)))
 
 
+def true_torque(
+    sensed: Sequence[Valued], n: int
+) -> tuple[Float[Tensor, "n n"], Float[Tensor, " n"]]:
+    """A (n, n) and b (n,) of the true torque A tau + b of a measured one.
+
+    Args:
+        sensed: effects in the torque sensors that can be undone (see `runs`).
+        n: number of joints.
+    """
+    unit = torch.eye(n, dtype=torch.float64)
+    true = undone(sensed, torch.cat([torch.zeros_like(unit[:1]), unit]).unsqueeze(0))[0][0]
+    return (true[1:] - true[:1]).T, true[0]
+
+
 def runs(effect: Effect, values: Sequence[float], n: int) -> bool:
     """Whether a simulation of n joints can have an effect beside its bodies: it adds torque, or is
     in the torque sensors alone and can be undone there."""

@@ -28,7 +28,7 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
 from torchid.simulation.loads import Loads, changes_measurement
-from torchid.simulation.open_loop import runs, undone
+from torchid.simulation.open_loop import runs, true_torque
 from torchid.typing import Float, Tensor
 
 SHARP = (0.999, 0.999, 0.001)
@@ -74,10 +74,7 @@ class Effects:
         zero = torch.zeros(len(simulations), robot.n, dtype=torch.float64)
         # True torque of a command in the units in which torque was logged: gains undone.
         sensed = [pair for pair in pairs if changes_measurement(pair[0])]
-        unit = torch.eye(robot.n, dtype=torch.float64)
-        probes = torch.cat([torch.zeros_like(unit[:1]), unit]).unsqueeze(0)
-        true = undone(sensed, probes)[0]
-        self._offset, self._gain = true[0, 0], (true[0, 1:] - true[0, :1]).T
+        self._gain, self._offset = true_torque(sensed, robot.n)
         own = [pair for pair in pairs if not changes_measurement(pair[0])]
         bare = replace(robot, effects=())
         self._plant = plant_of(bare, [own] * len(simulations), zero)
