@@ -371,8 +371,8 @@ def _warnings(projection: Projection, judged: Judged, nominal: Robot) -> tuple[s
         )
     elif projection.price > PRICE:
         said.append(
-            f"bodies cost {100 * projection.price:.0f} % more torque error than any parameters "
-            "leave, whatever their masses"
+            f"the bodies cost {100 * projection.price:.0f} % more torque error than any parameters "
+            "leave, and no others would cost much less"
         )
     if nominal.parameters is not None:
         inertias = inertia_eigenvalues(projection.robot.require_parameters("a correction"))

@@ -47,8 +47,10 @@ WORTH = 0.02
 """Share of the error that springs must take away to be in the file: a body's weight is one, too."""
 
 PRICE = 0.05
-"""Share of the error that bodies a person believes may cost; of more they are let go, and it is
-said what they would have cost."""
+"""Share of the error that bodies a person believes may cost before it is said."""
+
+MUCH = 0.1
+"""Share of the error that other bodies must take away for those to be let go."""
 
 NOTHING = 1e-3
 """Share of its joint's torque below which a field is left at zero."""
@@ -146,7 +148,7 @@ class Projector:
         self.believable = self.believable_price <= PRICE
         if not self.believable:
             other = nearest_bodies(without, bodies.bodies_alone)
-            self.believable = other.error > (1 - WORTH) * found.error
+            self.believable = other.error > (1 - MUCH) * found.error
             if not self.believable:
                 self.room, found = bodies.bodies_alone, other
         self.price = max(0.0, found.error / least - 1)
