@@ -216,6 +216,27 @@ def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     assert friction[1] == pytest.approx(2.0, rel=0.1)
 
 
+def test_a_file_that_an_engine_refuses_is_no_traceback(tmp_path):
+    """A body off the chain that cannot exist: Pinocchio reads it, MuJoCo does not."""
+    pytest.importorskip("pinocchio")
+    path = write_urdf(tmp_path)
+    robot = load_robot(path)
+    base = path.read_text().split('<parent link="')[1].split('"')[0]
+    bad = f"""<link name="antenna"><inertial><mass value="0.1"/>
+      <inertia ixx="-1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="aerial" type="fixed"><parent link="{base}"/><child link="antenna"/></joint>
+    </robot>"""
+    path.write_text(path.read_text().replace("</robot>", bad))
+    robot = load_robot(path).with_limits(velocity=1.5, acceleration=5.0)
+    dry = [{"effect": "coulomb_friction", "joint": j + 1, "Fc": 2.0} for j in range(robot.n)]
+    true = replace(robot, effects=tuple(dry))
+    with pytest.raises(TorchidError, match="cannot load the corrected file"):
+        InMujoco(path, robot)
+    done = correct(robot, true, log_of(true), "urdf", tmp_path / "out")
+    assert done.judged.forward[0].engine is None
+    assert any("refuses the file" in words for words in done.warnings)
+
+
 def torque(robot: Robot, motion):  # type: ignore[no-untyped-def]
     return model_torque(robot, nominal_effects(robot), motion)
 

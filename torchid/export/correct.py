@@ -57,7 +57,7 @@ class Forward:
         starts: number of simulations.
         nominal, full: (n,) RMS error [rad; m] of the robot as given and of the diagnosed one, by
             torchid; None where no trajectory is as long.
-        engine: (n,) of the file; None where MuJoCo, which runs it, is not installed.
+        engine: (n,) of the file; None where MuJoCo is not installed, or refuses a URDF.
     """
 
     horizon: float
@@ -336,7 +336,7 @@ def _forward(
         return ()
     windows = windows_of(on.segments, starts, max(horizons))
     positions = None
-    with suppress(MissingExtraError):
+    with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
         positions = InMujoco(path, robot).positions(windows)
     out = []
     for row in replayed["horizons"]:
@@ -374,6 +374,8 @@ def _warnings(projection: Projection, judged: Judged, nominal: Robot) -> tuple[s
             f"the bodies cost {100 * projection.price:.0f} % more torque error than any parameters "
             "leave, and no others would cost much less"
         )
+    if any(one.starts and one.engine is None for one in judged.forward):
+        said.append("MuJoCo is missing or refuses the file: it was not simulated forwards")
     if nominal.parameters is not None:
         inertias = inertia_eigenvalues(projection.robot.require_parameters("a correction"))
         ratio = inertias / inertia_eigenvalues(nominal.parameters).clamp(min=1e-12)

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from torchid.design.segments import Samples, Segment
-from torchid.errors import MissingExtraError
+from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.engines import mujoco_model, mujoco_places, pinocchio_torque
 from torchid.robot.model import Robot
 from torchid.simulation.shooting import Windows
@@ -46,6 +46,7 @@ class InMujoco:
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
+        TorchidError: it refuses the file, for a body off the chain for instance.
     """
 
     def __init__(self, path: Path, robot: Robot):
@@ -55,7 +56,10 @@ class InMujoco:
             purpose = f"Checking a file of '{robot.name}' on the log"
             raise MissingExtraError("mujoco", "mjcf", purpose) from error
         self.name = f"MuJoCo {self.mujoco.__version__}"
-        self.model = mujoco_model(self.mujoco, path)
+        try:
+            self.model = mujoco_model(self.mujoco, path)
+        except (ValueError, RuntimeError, self.mujoco.FatalError) as error:
+            raise _refused(self.name, robot, error) from error
         if path.suffix.lower() == ".urdf":
             self.model.opt.gravity[:] = robot.gravity.numpy()
         off = self.mujoco.mjtDisableBit
@@ -99,6 +103,13 @@ class InMujoco:
         return torch.from_numpy(out)
 
 
+def _refused(reader: str, robot: Robot, error: Exception) -> TorchidError:
+    return TorchidError(
+        f"{reader} cannot load the corrected file of '{robot.name}', so it cannot be judged.",
+        got=" ".join(str(error).split())[:300],
+    )
+
+
 @contextmanager
 def _silent(mujoco: Any) -> Iterator[None]:
     """An arm that runs away is part of the answer: MuJoCo neither prints it nor writes a file of
@@ -120,6 +131,7 @@ class InPinocchio:
 
     Raises:
         MissingExtraError: Pinocchio is not installed.
+        TorchidError: it refuses the file.
     """
 
     def __init__(self, path: Path, robot: Robot):
@@ -129,7 +141,10 @@ class InPinocchio:
             purpose = f"Checking a file of '{robot.name}' on the log"
             raise MissingExtraError("pinocchio", "bench", purpose) from error
         self.name = f"Pinocchio {self.pin.__version__}"
-        self.model = self.pin.buildModelFromUrdf(str(path))
+        try:
+            self.model = self.pin.buildModelFromUrdf(str(path))
+        except Exception as error:  # its own exception types differ between versions
+            raise _refused(self.name, robot, error) from error
         self.model.gravity.linear = robot.gravity.numpy()
         self.ids = [int(self.model.getJointId(name)) for name in robot.joint_names]
         dry = (
