@@ -40,6 +40,7 @@ _PUBLIC = {
     "check": "torchid.feasibility.record",
     "compare_wrenches": "torchid.study.equal_torque.given_sets",
     "export_dynamics": "torchid.export.export",
+    "correct": "torchid.export.correct",
     "diagnose": "torchid.gap.diagnose",
     "GapSettings": "torchid.gap.settings",
     "withheld_own": "torchid.withheld.own",

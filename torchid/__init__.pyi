@@ -9,6 +9,7 @@ from torchid.errors import TorchidError as TorchidError
 from torchid.excitation.design import excite as excite
 from torchid.excitation.synthetic import PaperNoise as PaperNoise
 from torchid.excitation.synthetic import simulate as simulate
+from torchid.export.correct import correct as correct
 from torchid.export.export import export_dynamics as export_dynamics
 from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract

@@ -196,6 +196,9 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "compare_sets": lambda b: b.run(
         "compare", b.sets, b.kept("more.json", json.loads(b.sets.read_text()) | {"note": "b"})
     ),
+    "correct": lambda b: b.run(
+        "correct", "3r", *b.runs("friction"), *FEW, "--to", "mjcf", "--out", b.folder / "corrected"
+    ),
     "doctor": _doctor,
     "effects": lambda b: b.run("effects"),
     "excite": lambda b: b.run(
@@ -229,6 +232,6 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 """Name of the golden file -> the document. A gap's name says which status it must have."""
 
 SLOW = (
-    "atlas", "excite", "gap_parametric_only", "gap_rollout", "simulate", "study", "withheld_own",
-    "wrenches",
+    "atlas", "correct", "excite", "gap_parametric_only", "gap_rollout", "simulate", "study",
+    "withheld_own", "wrenches",
 )  # fmt: skip

@@ -8,6 +8,7 @@ import typer
 from torchid import __version__
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
+from torchid.app.correct import correct_command
 from torchid.app.demo import demo_command
 from torchid.app.excite import excite_command
 from torchid.app.export import export_command
@@ -33,7 +34,7 @@ app = typer.Typer(
 for _one in (
     robot_command, excite_command, simulate_command, log_app, identify_command, extract_command,
     check_command, atlas_command, wrenches_command, payload_command, gap_command, effects_command,
-    export_command, compare_command, study_command, withheld_app, demo_command,
+    correct_command, export_command, compare_command, study_command, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)

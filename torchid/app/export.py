@@ -1,13 +1,16 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import typer
 
 from torchid.app import options as opt
+from torchid.app.correct import corrected_by
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
+from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
 
 
 @command
@@ -20,6 +23,9 @@ def export_command(
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     force: Switch = False,
     geometry: opt.Group = None,
+    log: opt.LogFiles = None,
+    held_out: opt.LogFiles = None,
+    reading: opt.Reading,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
     results: Computed,
@@ -33,21 +39,34 @@ def export_command(
     Example: `torchid export sets/extraction.json --robot arm.urdf --to urdf --out identified`
 
     Args:
-        result: JSON of `torchid identify` or `extract`, a file of parameter sets, the .yaml of
-            `torchid gap --save-model`, or any robot.
+        result: JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, the .yaml
+            of `torchid gap --save-model`, or any robot.
         to: Format to write.
         robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
             records.
         chosen: Set of a file of several; the feasible one of least loss.
         name: Of the file, without suffix; the robot's name.
         force: Write infeasible parameters, too.
+        log: Refit what is written to the torque of these logs, with bodies near to the robot's, and
+            run it in its engine on them (urdf and mjcf, see `torchid correct`). May be given
+            several times.
+        held_out: Whole trajectories that judge what was refitted.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
     output = results.open()
     from rich.markup import escape
 
     from torchid.export.export import export_dynamics
-    from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
+    from torchid.export.projection import Target
+    from torchid.export.results import (
+        CORRECTED,
+        base_dynamics,
+        diagnosis_dynamics,
+        load,
+        model_of,
+        robot_dynamics,
+        set_dynamics,
+    )
     from torchid.report.robot import (
         comparison_table,
         effect_lines,
@@ -57,18 +76,39 @@ def export_command(
     )
     from torchid.robot.library import is_robot, load_robot, named_robot
 
+    settings = GapSettings()
     if is_robot(result):
         nominal, original = opt.load_both(result, robot, tip)
         dynamics = robot_dynamics(nominal)
+    elif CORRECTED in (data := load(Path(result))):
+        dynamics, settings = diagnosis_dynamics(Path(result), data)
+        nominal = original = model_of(Path(result), data, robot, tip)
+        if log is None and to in get_args(Target):
+            raise TorchidError(
+                f"a diagnosis is refitted to what {to} can say, and needs its logs for that.",
+                hint="--log LOG (several times, with --gain or --columns as before); --to yaml "
+                "writes the corrected robot with all its effects",
+            )
     else:
         path = Path(result)
-        data = load(path)
         nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
         original = nominal
         if "sets" in data:
             dynamics = set_dynamics(path, data, nominal, chosen, geometry)
         else:
             dynamics = base_dynamics(path, nominal)
+    keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
+    if log is not None:
+        if to != "mjcf" and to != "urdf":
+            raise TorchidError(
+                "only files of simulators are refitted to a log.",
+                got=to,
+                available=get_args(Target),
+            )
+        read, apart = (reading.read(x, original) if x else None for x in (log, held_out))
+        assert read is not None
+        corrected_by(output, original, dynamics.robot, read, apart, to, name, keep, settings)
+        return
     done = export_dynamics(
         dynamics,
         to,
@@ -79,7 +119,7 @@ def export_command(
         geometry=geometry,
         force=force,
         seed=seed,
-        keep=[Path(file) for file in (result, robot) if file is not None],
+        keep=keep,
     )
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
     output.warn(export_warnings(done))

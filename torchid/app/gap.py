@@ -1,11 +1,13 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
+from torchid.app.correct import Simulated, corrected_by, file_format
 from torchid.app.output import Results, progress_bar, write_report
 from torchid.app.signature import Fields, command
 from torchid.errors import TorchidError
@@ -33,6 +35,7 @@ def gap_command(
         ),
     ],
     save_model: opt.File = None,
+    for_: Annotated[Simulated | None, typer.Option("--for")] = None,
     results: Results,
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
@@ -55,6 +58,8 @@ def gap_command(
             share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
         rollout: Simulate short motions with the model before and after.
         save_model: Write the corrected robot, with its effects, as a .yaml.
+        for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
+            does.
     """
     output = results.open()
     if save_model is not None and (save_model.is_dir() or not save_model.parent.is_dir()):
@@ -63,6 +68,9 @@ def gap_command(
             got=save_model,
             expected="FILE.yaml",
         )
+    if for_ is not None and output.folder is None:
+        raise TorchidError("--for writes a file, and needs --out DIR.")
+    kind = None if for_ is None else file_format(for_)
     settings = replace(
         settings,
         effects=opt.searched(effects),
@@ -90,6 +98,10 @@ def gap_command(
     if save_model is not None:
         write_robot(result.corrected, save_model)
         output.say(f"corrected robot written to {save_model}")
+    if kind is not None:
+        keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+        beside = replace(output, json_file=None)
+        corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
     # The worst joints of an earlier run may have been others.
     output.draw(lambda: figures(result), "gap.json", old=["gap_joint_*.png"])
     asked = {k: v for k, v in result.settings.items() if k not in ("seed", "only")}

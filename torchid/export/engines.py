@@ -69,7 +69,7 @@ def check_pinocchio(
     rows = [model.joints[k].idx_v for k in ids]
     wrong = _wrong(joints, {name: [read[name][row] for row in rows] for name in names})
     model.armature = np.zeros(model.nv)
-    torque = _pinocchio_torque(pin, model, ids, motion)
+    torque = pinocchio_torque(pin, model, ids, motion)
     found = compared(reader, what, motion, inverse_dynamics(robot, *motion.state), torque)
     found = _with_note(found, wrong, aside)
     if mjcf and not found.ok:
@@ -77,7 +77,8 @@ def check_pinocchio(
     return found
 
 
-def _pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:
+def pinocchio_torque(pin: Any, model: Any, ids: Sequence[int], motion: Motion) -> Joints:
+    """Torque (M, n) of Pinocchio's rnea on these joints; the others stay where they are."""
     data, neutral = model.createData(), pin.neutral(model)
     out = []
     for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
@@ -112,27 +113,16 @@ def check_mujoco(
     reader = f"MuJoCo {mujoco.__version__}"
     urdf = path.suffix.lower() == ".urdf"
     try:
-        if urdf:
-            root = read_xml(path).root
-            for node in [n for n in root.iter() if local(n) in ("visual", "collision")]:
-                node.getparent().remove(node)
-            model = mujoco.MjModel.from_xml_string(etree.tostring(root, encoding="unicode"))
-        else:
-            model = mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco_model(mujoco, path)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         return missing(reader, what, f"cannot load the file: {_line(error)}")
     note = _bare(mujoco, model, robot)
     if urdf:
         model.opt.gravity[:] = robot.gravity.numpy()
-    ids = []
-    for name in robot.joint_names:
-        k = int(mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name))
-        # By its number where the file gives no name (joint_3).
-        ids.append(k if k >= 0 else int(name.rstrip("_").rpartition("_")[2]))
-    rows = [int(model.jnt_dofadr[k]) for k in ids]
+    rows, places = mujoco_places(mujoco, model, robot)
     wrong = _wrong(joints, {"friction": [model.dof_frictionloss[row] for row in rows]})
     model.dof_frictionloss[:] = 0.0
-    data, places = mujoco.MjData(model), [int(model.jnt_qposadr[k]) for k in ids]
+    data = mujoco.MjData(model)
     torque = []
     for q, dq, ddq in zip(*(x.numpy() for x in motion.state), strict=True):
         data.qpos[places], data.qvel[rows], data.qacc[rows] = q, dq, ddq
@@ -146,6 +136,27 @@ def check_mujoco(
     expected = expected + stiffness * motion.q + offset
     found = compared(reader, what, motion, expected, torch.from_numpy(np.stack(torque)))
     return _with_note(found, wrong, note)
+
+
+def mujoco_model(mujoco: Any, path: Path) -> Any:
+    """The compiled model of an MJCF or URDF. Of a URDF the shapes are left out: MuJoCo looks for
+    their meshes itself."""
+    if path.suffix.lower() != ".urdf":
+        return mujoco.MjModel.from_xml_path(str(path))
+    root = read_xml(path).root
+    for node in [n for n in root.iter() if local(n) in ("visual", "collision")]:
+        node.getparent().remove(node)
+    return mujoco.MjModel.from_xml_string(etree.tostring(root, encoding="unicode"))
+
+
+def mujoco_places(mujoco: Any, model: Any, robot: Robot) -> tuple[list[int], list[int]]:
+    """Where the robot's joints are among the model's velocities, and among its positions."""
+    ids = []
+    for name in robot.joint_names:
+        k = int(mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name))
+        # By its number where the file gives no name (joint_3).
+        ids.append(k if k >= 0 else int(name.rstrip("_").rpartition("_")[2]))
+    return [int(model.jnt_dofadr[k]) for k in ids], [int(model.jnt_qposadr[k]) for k in ids]
 
 
 def _bare(mujoco: Any, model: Any, robot: Robot) -> list[str]:

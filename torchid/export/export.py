@@ -92,10 +92,8 @@ def export_dynamics(
     (['3r.urdf'], True)
     """
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
-    if name is None:
-        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in nominal.name)
-    elif not name or Path(name).name != name or name.startswith("."):
-        raise TorchidError("the name is that of a file, without folder.", got=name)
+    name = stem_of(nominal) if name is None else name
+    require_name(name)
     path = folder / f"{name}{SUFFIXES[to]}"
     model = nominal if original is None else original
     sources = [*keep, Path(nominal.source), Path(model.source)]
@@ -141,6 +139,17 @@ def export_dynamics(
         left_out=left_out,
         notes=draft.notes,
     )
+
+
+def stem_of(robot: Robot) -> str:
+    """The robot's name as that of a file."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in robot.name)
+
+
+def require_name(name: str) -> None:
+    """Raise TorchidError unless this names a file, without folder or suffix."""
+    if not name or Path(name).name != name or name.startswith("."):
+        raise TorchidError("the name is that of a file, without folder.", got=name)
 
 
 def require_feasible(dynamics: Dynamics, found: Check) -> None:

@@ -42,6 +42,9 @@ ATTRIBUTES = {
     "stiffness": "stiffness",
 }
 """Attributes of a <joint>, and what they are in `JointDynamics`."""
+SHARP = "0.999 0.999 0.001"
+"""solimpfriction of joints with dry friction. By MuJoCo's own, which gives way in proportion to
+the inertia, a light wrist has its friction only at speeds that it hardly reaches."""
 _DEGREES = 57.29577951308232
 _POSES = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia", "diaginertia")
 _OVERRIDES = ("boundmass", "boundinertia", "balanceinertia", "settotalmass")
@@ -125,6 +128,8 @@ def _write_chain(
             # All of them, so that defaults of a class do not count.
             for key, attribute in ATTRIBUTES.items():
                 node.set(key, number(getattr(joints[k], attribute)))
+            if joints[k].friction:
+                node.set("solimpfriction", SHARP)
             if joints[k].stiffness:
                 turns = degrees and robot.joint_types[k] is JointType.REVOLUTE
                 node.set("springref", number(joints[k].rest * (_DEGREES if turns else 1.0)))
@@ -287,4 +292,6 @@ def _joint(robot: Robot, i: int, values: JointDynamics) -> dict[str, str]:
             out[key] = text(known[i])
     attributes = {**ATTRIBUTES, "springref": "rest"}
     sizes = {key: getattr(values, attribute) for key, attribute in attributes.items()}
+    if values.friction:
+        out["solimpfriction"] = SHARP
     return out | {key: number(size) for key, size in sizes.items() if size}

@@ -17,14 +17,20 @@ from torchid.export.dynamics import Dynamics, described, of_base, records
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
+from torchid.gap.settings import GapSettings
 from torchid.identification.record import SCHEMA as IDENTIFICATION
 from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
+from torchid.robot.library import load_robot, named_robot
 from torchid.robot.model import Robot
+from torchid.robot.record import recorded_robot
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
-_KINDS = "the JSON of `torchid identify` or `extract`, a file of parameter sets, or a robot"
+CORRECTED = "corrected"
+"""Where a diagnosis has the robot that it corrected."""
+
+_KINDS = "the JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, or a robot"
 
 
 def load(path: Path) -> Mapping[str, Any]:
@@ -35,12 +41,9 @@ def load(path: Path) -> Mapping[str, Any]:
     """
     data = read_json(path, _KINDS)
     schema = data.get("schema")
-    if not ("sets" in data or schema == IDENTIFICATION):
-        hint = None
-        if schema == "torchid.gap/1":
-            hint = "torchid gap ROBOT LOG... --save-model corrected.yaml, and export that file"
+    if not ("sets" in data or schema == IDENTIFICATION or CORRECTED in data):
         raise TorchidError(
-            f"'{path}' carries no dynamics.", got=f"schema {schema}", expected=_KINDS, hint=hint
+            f"'{path}' carries no dynamics.", got=f"schema {schema}", expected=_KINDS
         )
     return data
 
@@ -68,6 +71,25 @@ def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     return of_base(
         robot, values, f"the {len(values.base)} base parameters identified in {path.name}"
     )
+
+
+def diagnosis_dynamics(path: Path, data: Mapping[str, Any]) -> tuple[Dynamics, GapSettings]:
+    """The corrected robot of a diagnosis with all its effects; its cut-off and its band."""
+    robot = recorded_robot(data, str(path), CORRECTED)
+    assert robot is not None, "a diagnosis that `load` has accepted"
+    settings = GapSettings(
+        cutoff=data.get("cutoff_hz") or "auto",
+        report_band=data.get("band_hz") or GapSettings.report_band,
+    )
+    return replace(robot_dynamics(robot), title=f"the corrected robot of {path.name}"), settings
+
+
+def model_of(path: Path, data: Mapping[str, Any], robot: str | None, tip: str | None) -> Robot:
+    """The robot that a diagnosis corrects: the one given, else as it was recorded."""
+    if robot is not None:
+        return load_robot(robot, tip=tip)
+    recorded = recorded_robot(data, str(path))
+    return named_robot(path, data, tip) if recorded is None else recorded
 
 
 def set_dynamics(

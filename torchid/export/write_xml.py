@@ -5,16 +5,16 @@ from pathlib import Path
 
 from torchid import __version__
 from torchid.effects.base import Motion
-from torchid.effects.registry import nominal_effects
+from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.checks import Comparison, compared
 from torchid.export.dynamics import Dynamics, described, folded, records, robot_torque
 from torchid.export.engines import check_mujoco, check_pinocchio
-from torchid.export.joint_dynamics import split
+from torchid.export.joint_dynamics import JointDynamics, split
 from torchid.export.keeping import Draft, kept, staged
 from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
-from torchid.export.xml_tree import set_head
+from torchid.export.xml_tree import XmlFile, set_head
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
 from torchid.robot.sidecar import sidecar_path, sidecar_yaml
@@ -36,21 +36,10 @@ def write_xml(
         motion: states of the comparison.
     """
     mjcf = path.suffix == ".xml"
-    robot = folded(written)
-    if original is not None:
-        _require_same_frames(robot, original)
-        robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)
-    joints, rest = split(robot, mjcf=mjcf)
+    robot, file, joints, rest = xml_of(written, path, original)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)
-    if original is None:
-        file = new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
-    elif mjcf:
-        turned = robot.gravity.tolist() != original.gravity.tolist()
-        file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
-    else:
-        file = edited_urdf(Path(original.source), original.tip, robot, joints, path.parent)
     # A URDF has no gravity; its reader takes -9.81 along z.
     usual = mjcf or tuple(robot.gravity.tolist()) == STANDARD_GRAVITY
     gravity = None if usual else robot.gravity.tolist()
@@ -70,6 +59,35 @@ def write_xml(
         own = compared(reader, what, motion, dynamics.torque(motion), torque)
         engines = [check(main, robot, joints, motion) for check in (check_pinocchio, check_mujoco)]
         return draft, kept([own, *engines])
+
+
+def xml_of(
+    written: Robot, path: Path, original: Robot | None
+) -> tuple[Robot, XmlFile, tuple[JointDynamics, ...], tuple[Valued, ...]]:
+    """The robot with its bodies put together and named as in the file, the file's content, the
+    joints' attributes in it, and the effects that are not.
+
+    Args:
+        written: physical parameters and effects.
+        path: .urdf or .xml (MJCF), for references to meshes.
+        original: the robot whose file a copy is edited of.
+
+    Raises:
+        TorchidError: parameters that are not in the original's frames, or have no place in it.
+    """
+    mjcf, robot = path.suffix == ".xml", folded(written)
+    if original is not None:
+        _require_same_frames(robot, original)
+        robot = replace(robot, joint_names=original.joint_names, link_names=original.link_names)
+    joints, rest = split(robot, mjcf=mjcf)
+    if original is None:
+        file = new_mjcf(robot, joints) if mjcf else new_urdf(robot, joints)
+    elif mjcf:
+        turned = robot.gravity.tolist() != original.gravity.tolist()
+        file = edited_mjcf(Path(original.source), robot, joints, turned, path.parent)
+    else:
+        file = edited_urdf(Path(original.source), original.tip, robot, joints, path.parent)
+    return robot, file, joints, rest
 
 
 def _read_back(staged_path: Path, path: Path, original: Robot | None) -> Robot:

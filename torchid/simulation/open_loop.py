@@ -13,7 +13,7 @@ from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
 from torchid.simulation.integrate import LONGEST_STEP, Drive
-from torchid.simulation.loads import changes_measurement
+from torchid.simulation.loads import adds_torque, changes_measurement
 from torchid.typing import Bool, Float
 
 Hold = Literal["linear", "zero_order"]
@@ -75,7 +75,7 @@ def rollout(
     if not 0 < dt < math.inf:
         raise TorchidError("the time between samples is positive.", got=dt, expected="> 0 s")
     plant = plant_of(robot, [list(effects)], q0)
-    true, shift, ignored = _undone(robot, effects, tau)
+    true, shift, ignored = undone(robot, effects, tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
     arms, total, _ = true.shape
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
@@ -94,10 +94,11 @@ def rollout(
     return Rollout(q + shift, dq, ~state.alive, ignored)
 
 
-def _undone(
+def undone(
     robot: Robot, effects: Sequence[Valued], tau: Float[Tensor, "B T n"]
 ) -> tuple[Float[Tensor, "B T n"], Float[Tensor, " n"], tuple[str, ...]]:
-    """True torques; how much more the encoders read than the true position; who is ignored."""
+    """True torques of measured ones; how much more the encoders read than the true position; names
+    of effects in the sensors that cannot be undone."""
     shift, ignored = tau.new_zeros(robot.n), []
     for effect, values in reversed(effects):
         if not changes_measurement(effect):
@@ -110,6 +111,29 @@ def _undone(
         tau = torch.linalg.solve_ex(gain, (tau - offset).unsqueeze(-1))[0].squeeze(-1)
         shift = shift + moved
     return tau, shift, tuple(dict.fromkeys(reversed(ignored)))
+
+
+def true_torque(
+    robot: Robot, sensed: Sequence[Valued]
+) -> tuple[Float[Tensor, "n n"], Float[Tensor, " n"]]:
+    """A (n, n) and b (n,) of the true torque A tau + b of a measured one.
+
+    Args:
+        robot: the arm.
+        sensed: effects in the torque sensors that can be undone (see `runs`).
+    """
+    unit = torch.eye(robot.n, dtype=torch.float64)
+    true = undone(robot, sensed, torch.cat([torch.zeros_like(unit[:1]), unit]).unsqueeze(0))[0][0]
+    return (true[1:] - true[:1]).T, true[0]
+
+
+def runs(robot: Robot, effect: Effect, values: Sequence[float]) -> bool:
+    """Whether a simulation of an arm can have an effect beside its bodies: it adds torque, or is
+    in the torque sensors alone and can be undone there."""
+    if not changes_measurement(effect):
+        return adds_torque(effect)
+    found = _affine(robot, effect, values)
+    return found is not None and not bool(found[2].any())
 
 
 def _affine(

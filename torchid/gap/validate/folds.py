@@ -3,11 +3,11 @@ torque of models that were fitted without them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 
-from torchid.design.columns import Model
-from torchid.design.segments import Samples, moving_instants, widened
+from torchid.design.segments import Samples, Segment, moving_instants, widened
 from torchid.gap.diagnosis import Trace
 from torchid.log.filtering import low_passed
 from torchid.typing import Bool, Float, Int, Tensor
@@ -18,6 +18,14 @@ filter reaches."""
 
 FEW = 3
 """Different trajectories below which a fold is a stretch of each of them."""
+
+
+@runtime_checkable
+class Foretells(Protocol):
+    """A model of an arm, or a file of it in a simulator."""
+
+    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
+        """Torque that the motion of a segment takes [N m; N]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +87,8 @@ def make_folds(samples: Samples, count: int, groups: Sequence[int]) -> Folds:
 def traces(
     samples: Samples,
     folds: Folds | None,
-    before: Sequence[Model],
-    after: Sequence[Model],
+    before: Sequence[Foretells],
+    after: Sequence[Foretells],
     band: float,
     *,
     reach: Float[Tensor, " n"] | None = None,

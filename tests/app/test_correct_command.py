@@ -1,0 +1,116 @@
+"""`torchid correct`, `torchid gap --for` and `torchid export RESULT --log`: one function, three
+ways to it, and nothing written where it cannot be used."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from torchid.excitation.synthetic import synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.log.readers import write_log
+from torchid.robot.library import load_robot
+from torchid.simulation.sensors import Sensors, measured_log
+
+pytest.importorskip("mujoco")
+
+FEW = ("--effects", "coulomb_friction,stribeck_friction")
+FRICTION = (
+    {"effect": "coulomb_friction", "joint": 2, "Fc": 0.6},
+    {"effect": "coulomb_friction", "joint": 3, "Fc": 0.3},
+)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Three runs of the 3R with friction of two joints."""
+    path = tmp_path_factory.mktemp("correct")
+    arm = replace(load_robot("3r"), effects=FRICTION)
+    for k in range(3):
+        motion = trajectory_log(random_trajectory(arm, k, duration=8.0, fill=True), 200.0)
+        log = measured_log(arm, synthetic_log(arm, motion), [], Sensors(torque_std=0.02), seed=k)
+        write_log(log, path / f"{k}.csv")
+    return [path / f"{k}.csv" for k in range(3)]
+
+
+@pytest.fixture(autouse=True)
+def _few_simulations(monkeypatch):
+    monkeypatch.setattr("torchid.export.correct.STARTS", 8)
+    monkeypatch.setattr("torchid.export.correct.HORIZONS", (0.1,))
+
+
+@pytest.mark.slow
+def test_one_call(command, runs, tmp_path, types_unchecked):
+    done = command("correct", "3r", *runs, *FEW, "--to", "mujoco", "--out", tmp_path)
+    assert done.code == 0, done.err
+    said = json.loads((tmp_path / "correction.json").read_text())
+    assert said["judged"]["on"] == "parts that were not fitted"
+    assert "misses" in done.out
+    assert load_robot(tmp_path / "3r_corrected.xml").n == 3
+
+
+def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, types_unchecked):
+    """`gap --for` judges by folds, and its JSON with the logs gives the same file."""
+    record, out = tmp_path / "gap.json", tmp_path / "out"
+    done = command(
+        "gap", "3r", *runs, *FEW, "--no-rollout", "--json", record, "--for", "mjcf", "--out", out
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    # What --json asked for is the diagnosis.
+    assert json.loads(record.read_text())["schema"] == "torchid.gap/1"
+    said = json.loads((out / "correction.json").read_text())
+    assert said["schema"] == "torchid.correction/1"
+    errors = said["judged"]["torque_error_percent"]
+    assert max(errors["file_in_engine"]) < 0.5 * max(errors["nominal"])
+    friction = {e["joint"]: e["Fc"] for e in said["bodies"]["fields"] if "Fc" in e}
+    assert friction[2] == pytest.approx(0.6, abs=0.05)
+    again = tmp_path / "again"
+    logs = [word for path in runs for word in ("--log", path)]
+    done = command("export", record, "--robot", "3r", *logs, "--to", "mjcf", "--out", again)
+    assert done.code == 0, done.err
+    assert "the log that was fitted" in " ".join(done.out.split())
+    first, second = (folder / "3r_corrected.xml" for folder in (out, again))
+    assert first.read_text() == second.read_text()
+    # As a robot it needs no log: all its effects are in the yaml.
+    assert command("export", record, "--to", "yaml", "--out", again).code == 0
+    assert len(load_robot(again / "3r.yaml").effects) >= 2
+    # But a simulator's file is refitted, and that needs the logs.
+    out = tmp_path / "none"
+    refused = command("export", record, "--to", "mjcf", "--out", out)
+    assert refused.code == 1
+    assert "--log LOG" in refused.err
+    refused = command("export", record, "--to", "c", "--out", out, *logs)
+    assert (refused.code, "refitted" in refused.err) == (1, True)
+    refused = command("export", record, "--robot", "ur10e", *logs, "--to", "urdf", "--out", out)
+    assert refused.code == 1
+    assert not list(out.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("gap", "--for", "mjcf"), ("--for", "--out DIR")),
+        (("correct", "--to", "mjcf", "--effects", "none"), ("--effects", "all")),
+        (
+            ("correct", "--to", "mjcf", "--held-out", "x", "--held-out-fraction", "0.2"),
+            ("exclude",),
+        ),
+        (("correct", "--to", "mjcf", "--name", "../x", *FEW), ("name",)),
+    ],
+)
+def test_bad_options(command, folder, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    name, *rest = arguments
+    outcome = command(name, "3r", folder / "check.csv", *rest)
+    assert outcome.code == 1
+    for word in words:
+        assert word in outcome.err, outcome.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_engine_that_is_missing_is_said_before_the_search(command, folder, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    outcome = command("correct", "3r", folder / "check.csv", "--to", "mjcf")
+    assert outcome.code == 1
+    assert "torchid[mjcf]" in outcome.err
+    assert "searching" not in outcome.err

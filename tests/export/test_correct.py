@@ -1,0 +1,294 @@
+"""A diagnosed robot carried out into the simulator: what the file is worth there, and what it keeps
+of the effects that it has no field for."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.arms import arm
+from tests.documents import ROOT
+from tests.export.arms import write_mjcf, write_urdf
+from torchid.design.segments import Samples
+from torchid.effects.registry import model_torque, nominal_effects
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.export.correct import CLAIMED, Correction, correct
+from torchid.export.projection import Projector
+from torchid.export.replay import InMujoco, InPinocchio
+from torchid.export.write_xml import xml_of
+from torchid.gap.data import prepare
+from torchid.gap.settings import GapSettings
+from torchid.log.model import Log
+from torchid.log.readers import write_log
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.simulation.shooting import starts_of, windows_of
+from torchid.simulation.two_models import rollouts
+
+pytest.importorskip("mujoco")
+
+FIELDS = [
+    {"effect": kind, "joint": j, name: value}
+    for j in (1, 2, 3)
+    for kind, name, value in (
+        ("viscous_friction", "Fv", 0.5 * j),
+        ("coulomb_friction", "Fc", 0.6),
+        ("rotor_inertia", "Ia", 0.15),
+    )
+]
+OTHERS = [
+    {"effect": "stribeck_friction", "joint": 1, "Fs": 0.8, "vs": 0.3},
+    {"effect": "load_dependent_friction", "joint": 2, "mu": 0.08},
+    {"effect": "joint_spring", "joint": 3, "k": 2.0, "c0": -0.5},
+    {"effect": "torque_offset", "joint": 2, "F0": 0.4},
+]
+
+
+def true_arm(*more: dict) -> Robot:  # type: ignore[type-arg]
+    """The 3R with a heavier last link and effects."""
+    robot = arm("3r")
+    pi = robot.require_parameters("a test").pi.clone()
+    pi[2] *= 1.3
+    robot = robot.with_parameters(InertialParameters(pi))
+    return replace(robot, effects=(*FIELDS, *more))
+
+
+def log_of(robot: Robot, seed: int = 0) -> Log:
+    motion = trajectory_log(random_trajectory(robot, seed, fill=True), 100.0)
+    return synthetic_log(robot, motion, HonestNoise(torque_relative=1e-3), seed)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_simulations():  # type: ignore[no-untyped-def]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torchid.export.correct.STARTS", 12)
+        patch.setattr("torchid.export.correct.HORIZONS", (0.1, 0.5))
+        yield
+
+
+@pytest.fixture(scope="module")
+def full() -> Robot:
+    return true_arm(*OTHERS)
+
+
+@pytest.fixture(scope="module")
+def logs(full: Robot) -> tuple[Log, Log]:
+    return log_of(full), log_of(full, 1)
+
+
+@pytest.fixture(scope="module")
+def done(full, logs, tmp_path_factory) -> Correction:
+    folder = tmp_path_factory.mktemp("corrected")
+    return correct(arm("3r"), full, logs[0], "mjcf", folder, held_out=logs[1], with_effects=True)
+
+
+def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
+    """Without other effects nothing is lost, and the engine has the log's own torque."""
+    truth = true_arm()
+    for to in ("mjcf", "urdf"):
+        done = correct(
+            arm("3r"), truth, log_of(truth), to, tmp_path / to, held_out=log_of(truth, 1)
+        )
+        judged = done.judged
+        if to == "mjcf":
+            assert not done.projection.kept
+            values = {
+                (e["effect"], e["joint"]): next(v for k, v in e.items() if k in ("Fv", "Fc", "Ia"))
+                for e in done.projection.robot.effects
+            }
+            assert values["viscous_friction", 3] == pytest.approx(1.5, rel=0.05)
+            assert values["coulomb_friction", 2] == pytest.approx(0.6, rel=0.1)
+            assert bool((judged.claim < judged.full + 0.1).all())
+            # Where a joint reverses MuJoCo's dry friction is its own.
+            assert bool((judged.engine < judged.full + 2).all())
+        else:
+            assert {one.effect.name for one in done.projection.kept} == {"rotor_inertia"}
+        assert float(judged.engine.mean()) < 0.2 * float(judged.nominal.mean())
+
+
+def test_the_claim_is_what_the_engine_says(done):
+    judged = done.judged
+    assert judged.by.startswith("MuJoCo")
+    assert judged.held_out == "a held-out log"
+    assert bool((judged.engine < CLAIMED * judged.claim + 1).all())
+    assert bool((judged.claim < CLAIMED * judged.engine + 1).all())
+    assert bool((judged.full < judged.engine + 0.1).all())
+    assert float(judged.engine.mean()) < 0.3 * float(judged.nominal.mean())
+    # Forwards, too: the file follows the arm better than the robot as given does.
+    assert [one.horizon for one in judged.forward] == [0.1, 0.5]
+    for one in judged.forward:
+        assert one.engine is not None
+        assert float(one.engine.norm()) < 0.5 * float(one.nominal.norm())
+
+
+def test_a_file_with_its_effects_has_the_full_models_error(done):
+    assert float((done.judged.run_time - done.judged.full).abs().max()) < 0.3
+    main, side = done.exports[1].files
+    assert (main.name, side.name) == (
+        "3r_corrected_effects.xml",
+        "3r_corrected_effects.xml.effects.yaml",
+    )
+    beside = {e["effect"] for e in load_robot(main).effects}
+    assert {"stribeck_friction", "load_dependent_friction", "torque_offset"} <= beside
+
+
+def test_the_example_replays_a_log(done, logs, tmp_path, monkeypatch, capsys):
+    """With the effects the arm is nearer to the log on each of the joints that have them."""
+    write_log(logs[1], tmp_path / "run.csv")
+    script = ROOT / "examples" / "effects_in_mujoco.py"
+    words = [str(done.exports[0].files[0]), str(tmp_path / "run.csv"), "--seconds", "0.2"]
+    monkeypatch.setattr("sys.argv", [str(script), *words, "--starts", "8"])
+    runpy.run_path(str(script), run_name="__main__")
+    *_, alone, beside = capsys.readouterr().out.strip().splitlines()
+    errors = [[float(x) for x in line.partition(":")[2].split()] for line in (alone, beside)]
+    assert sum(errors[1]) < 0.7 * sum(errors[0])
+
+
+def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
+    kept = {one.effect.name: one for one in done.projection.kept}
+    assert set(kept) == {"stribeck_friction", "load_dependent_friction", "torque_offset"}
+    assert all(0 <= one.share <= 1 for one in kept.values())
+    assert (kept["stribeck_friction"].field, kept["stribeck_friction"].joint) == ("frictionloss", 0)
+    assert done.exports[0].files[0].name == "3r_corrected.xml"
+    assert "no field for" in done.exports[0].files[0].read_text()
+
+
+@pytest.mark.usefixtures("types_unchecked")
+def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
+    """Against two whole projections, one of a log without a tenth of the effect: what the file
+    takes over of that tenth."""
+    data = prepare(arm("3r"), logs[0], None, widest=20.0)
+    projector = Projector(arm("3r"), full, data, "mjcf")
+    kept = {one.effect.name: one for one in projector.projection().kept}
+    every = torch.ones(len(data.samples), dtype=torch.bool)
+    before = projector.without(every)
+    for effect, values in nominal_effects(full):
+        if effect.name not in kept or effect.name == "torque_offset":
+            continue
+        small = [0.02 * v for v in values]
+        segments = tuple(
+            replace(s, tau=s.tau - effect.all_torques(
+                s.motion._replace(torque=model_torque(full, nominal_effects(full), s.motion)),
+                small, full))
+            for s in data.segments
+        )  # fmt: skip
+        less = replace(data, samples=Samples(segments, data.samples.cutoff))
+        other = Projector(arm("3r"), full, less, "mjcf")
+        other.weight = projector.weight
+        other.fields, other.room, other.found = projector.fields, projector.room, projector.found
+        after = other.without(every)
+        samples, weight = data.samples, projector.weight
+        taken, whole = (
+            samples.of([x.T for x in parts]) * weight
+            for parts in (
+                [torque(before, s.motion) - torque(after, s.motion) for s in data.segments],
+                [a.tau - b.tau for a, b in zip(data.segments, segments, strict=True)],
+            )
+        )
+        share = 1 - float((whole - taken).norm() / whole.norm())
+        assert kept[effect.name].share == pytest.approx(share, abs=0.05), effect.name
+
+
+@pytest.mark.parametrize("write", [write_mjcf, write_urdf])
+def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
+    """Class defaults, included files, shapes and the like are the user's; the original stays."""
+    path = write(tmp_path)
+    robot = load_robot(path)
+    before = path.read_text()
+    limits = {"velocity": 1.5, "acceleration": 5.0}
+    bare = replace(robot, effects=()).with_limits(**limits)
+    dry = [{"effect": "coulomb_friction", "joint": j + 1, "Fc": 2.0} for j in range(robot.n)]
+    slow = [{"effect": "viscous_friction", "joint": j + 1, "Fv": 3.0} for j in range(robot.n)]
+    true = replace(bare, effects=(*dry, *slow))
+    to = "mjcf" if path.suffix == ".xml" else "urdf"
+    settings = GapSettings(rollout=False)
+    done = correct(robot, true, log_of(true), to, tmp_path / "out", settings=settings)
+    assert path.read_text() == before
+    assert done.exports[0].original == path
+    assert float(done.judged.engine.mean()) < 0.2 * float(done.judged.nominal.mean())
+    again = load_robot(done.exports[0].files[0])
+    friction = {e["joint"]: e["Fc"] for e in again.effects if e["effect"] == "coulomb_friction"}
+    assert friction[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_file_that_an_engine_refuses_is_no_traceback(tmp_path):
+    """A body off the chain that cannot exist: Pinocchio reads it, MuJoCo does not."""
+    pytest.importorskip("pinocchio")
+    path = write_urdf(tmp_path)
+    robot = load_robot(path)
+    base = path.read_text().split('<parent link="')[1].split('"')[0]
+    bad = f"""<link name="antenna"><inertial><mass value="0.1"/>
+      <inertia ixx="-1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="aerial" type="fixed"><parent link="{base}"/><child link="antenna"/></joint>
+    </robot>"""
+    path.write_text(path.read_text().replace("</robot>", bad))
+    robot = load_robot(path).with_limits(velocity=1.5, acceleration=5.0)
+    dry = [{"effect": "coulomb_friction", "joint": j + 1, "Fc": 2.0} for j in range(robot.n)]
+    true = replace(robot, effects=tuple(dry))
+    with pytest.raises(TorchidError, match="cannot load the corrected file"):
+        InMujoco(path, robot)
+    done = correct(robot, true, log_of(true), "urdf", tmp_path / "out")
+    assert done.judged.forward[0].engine is None
+    assert any("refuses the file" in words for words in done.warnings)
+
+
+def torque(robot: Robot, motion):  # type: ignore[no-untyped-def]
+    return model_torque(robot, nominal_effects(robot), motion)
+
+
+@pytest.mark.parametrize("kind", [InMujoco, InPinocchio])
+def test_an_engine_has_torchids_torque(kind, full, logs, tmp_path):
+    """Away from reversals, where MuJoCo's dry friction is its own."""
+    robot = true_arm()
+    if kind is InPinocchio:
+        pytest.importorskip("pinocchio")
+        rotors = [e for e in robot.effects if e["effect"] != "rotor_inertia"]
+        robot = replace(robot, effects=tuple(rotors))
+    path = tmp_path / ("a.urdf" if kind is InPinocchio else "a.xml")
+    written, file, _, rest = xml_of(robot, path, None)
+    assert not rest
+    path.write_bytes(file.to_bytes())
+    data = prepare(robot, logs[0], None)
+    engine = kind(path, written)
+    for s in data.segments:
+        found, expected = engine.torque(s, data.samples), torque(robot, s.motion)
+        sure = (s.motion.dq.abs() > 0.1) & (torch.sign(s.motion.dq) == s.motion.sign)
+        assert float((found - expected)[sure].abs().max()) < 1e-9 * float(expected.abs().max())
+
+
+def test_an_engine_moves_as_torchid_does(tmp_path):
+    robot = true_arm()
+    path = tmp_path / "a.xml"
+    written, file, _, _ = xml_of(robot, path, None)
+    path.write_bytes(file.to_bytes())
+    data = prepare(robot, log_of(robot), None)
+    windows = windows_of(data.segments, starts_of(data.segments, 0.1, 12, 0), 0.5)
+    engine = InMujoco(path, written)
+    positions = engine.positions(windows)
+    step = round(0.5 / windows.dt)
+    use = windows.steps >= step
+    error = (positions[use, step] - windows.q[use, step]).square().mean(0).sqrt()
+    own = rollouts(robot, robot, data.segments, (0.1, 0.5), max_starts=12)["horizons"][1]
+    moved = (windows.q[use, step] - windows.q[use, 0]).square().mean(0).sqrt()
+    assert bool(((error - torch.tensor(own["rms_after"])).abs() < 0.03 * moved).all())
+    assert not (Path.cwd() / "MUJOCO_LOG.TXT").exists()
+
+
+def test_nothing_is_written_that_was_not_better_or_not_checked(full, logs, tmp_path, monkeypatch):
+    # The log is the nominal robot's: whatever is refitted to another arm's model is no better.
+    nominal = arm("3r")
+    own = log_of(nominal)
+    wrong = replace(logs[0], tau=-logs[0].tau)
+    with pytest.raises(TorchidError, match="no better"):
+        correct(nominal, nominal, wrong, "mjcf", tmp_path / "x", held_out=own)
+    with pytest.raises(TorchidError, match="of another arm"):
+        correct(nominal, arm("ur10e"), own, "mjcf", tmp_path / "x")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"torchid\[mjcf\]"):
+        correct(nominal, full, logs[0], "mjcf", tmp_path / "x", settings=GapSettings())
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,160 @@
+"""Effects at run time: MuJoCo's torque with them is torchid's, and so is the motion."""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.arms import arm
+from torchid.effects.base import Effect, Motion
+from torchid.effects.coupling import GearCoupling
+from torchid.effects.friction import TorqueOffset
+from torchid.effects.friction_laws import (
+    AsymmetricFriction,
+    LoadDependentFriction,
+    PowerLawFriction,
+    StribeckFriction,
+)
+from torchid.effects.hysteresis import PreslidingHysteresis
+from torchid.effects.periodic import MotorRipple
+from torchid.effects.registry import model_torque, nominal_effects
+from torchid.effects.spring import JointSpring
+from torchid.errors import TorchidError
+from torchid.export.dynamics import records
+from torchid.export.export import export_dynamics
+from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.simulation.open_loop import rollout
+
+mujoco = pytest.importorskip("mujoco")
+from torchid.simulators.mujoco import Effects  # noqa: E402
+
+FIELDS = tuple(
+    {"effect": kind, "joint": j, name: value}
+    for j in (1, 2, 3)
+    for kind, name, value in (
+        ("viscous_friction", "Fv", 0.4 * j),
+        ("coulomb_friction", "Fc", 0.5),
+        ("rotor_inertia", "Ia", 0.1),
+    )
+)
+BESIDE: dict[str, tuple[Effect, list[float]]] = {
+    "stribeck": (StribeckFriction(0, vs=0.3), [0.8]),
+    "load": (LoadDependentFriction(1), [0.08]),
+    "power": (PowerLawFriction(2, a=1.6), [0.7]),
+    "asymmetric": (AsymmetricFriction(1), [0.2, 0.1]),
+    "offset": (TorqueOffset(1), [0.4]),
+    "spring": (JointSpring(2, curvature=-1.0), [2.0, -0.5]),
+    "ripple": (MotorRipple(0), [0.1, 0.05]),
+    "coupling": (GearCoupling(2, 1), [0.1, 0.05, 0.1]),
+    "presliding": (PreslidingHysteresis(2, length=0.1), [0.6]),
+}
+
+
+def in_mujoco(robot: Robot, folder: Path, count: int = 1):  # type: ignore[no-untyped-def]
+    """The robot read from its file, and simulations of it with its effects."""
+    done = export_dynamics(robot, "mjcf", folder, nominal=arm("3r"), geometry="none")
+    read = load_robot(done.files[0])
+    model = mujoco.MjModel.from_xml_path(str(done.files[0]))
+    model.opt.timestep = 1e-3
+    models = [copy.copy(model) for _ in range(count)]
+    return read, Effects(read, [(m, mujoco.MjData(m)) for m in models])
+
+
+def robot_with(*names: str) -> Robot:
+    return replace(arm("3r"), effects=(*FIELDS, *records([BESIDE[name] for name in names])))
+
+
+@pytest.mark.parametrize("name", [n for n in BESIDE if n != "presliding"])
+def test_torque_is_torchids(name, tmp_path):
+    """At random states: mj_inverse of what MuJoCo is left with, and the effects' loads."""
+    robot, effects = in_mujoco(robot_with(name), tmp_path)
+    assert not effects.ignored
+    ((model, data),) = effects.simulations
+    g = torch.Generator().manual_seed(0)
+    q, dq, ddq = 2 * torch.rand(3, 40, 3, generator=g, dtype=torch.float64) - 1
+    motion = Motion(q, dq, 3 * ddq, t=torch.arange(40).double())
+    expected = model_torque(robot, nominal_effects(robot), motion)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model.dof_damping[:] = 0
+    for k in range(40):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], motion.ddq[k]
+        mujoco.mj_inverse(model, data)
+        loads = effects.loads(motion.part(slice(k, k + 1)))
+        resisting = loads.smooth + loads.dry * torch.sign(dq[k]) + motion.ddq[k] @ effects.across
+        found = torch.from_numpy(data.qfrc_inverse.copy()) + resisting[0]
+        assert float((found - expected[k]).abs().max()) < 1e-9 * float(expected.abs().max())
+
+
+@pytest.mark.parametrize(
+    "names", [(), ("stribeck", "load"), ("presliding",), ("power", "spring", "ripple", "coupling")]
+)
+def test_motion_is_that_of_torchids_simulation(names, tmp_path):
+    """The same torque from the same states, two integrators: the difference falls with the step."""
+    robot, effects = in_mujoco(robot_with(*names), tmp_path, count=2)
+    t = torch.arange(0, 0.4, 0.002).double()
+    way = torch.tensor([1.0, -0.7, 0.5]).double()
+    tau = (8 * torch.sin(6 * t)[:, None] * way).expand(2, -1, -1).clone()
+    tau[1] *= -0.6
+    q0 = torch.tensor([[0.3, -0.4, 0.6], [0.0, 0.5, -0.3]]).double()
+    dq0 = torch.zeros_like(q0) + 0.2
+    run = rollout(replace(robot, effects=()), nominal_effects(robot), q0, dq0, tau, 0.002)
+    for k, (_, data) in enumerate(effects.simulations):
+        data.qpos[:], data.qvel[:] = q0[k], dq0[k]
+    effects.restart()
+    for k in range(len(t) - 1):
+        for share in (0.25, 0.75):
+            effects.step(torch.lerp(tau[:, k], tau[:, k + 1], share))
+    found = effects.motion().q
+    moved = (run.q[:, -1] - q0).abs().amax()
+    assert bool(run.q.isfinite().all())
+    assert float((found - run.q[:, -1]).abs().max()) < 0.02 * float(moved)
+
+
+def test_gains_of_the_log_are_undone(tmp_path):
+    """A torque in the log's units acts as what it is."""
+    gains = [{"effect": "torque_gain", "joint": j, "gain": 0.1 * j} for j in (1, 2, 3)]
+    robot = replace(arm("3r"), effects=(*FIELDS, *gains))
+    _, effects = in_mujoco(robot, tmp_path)
+    torque = torch.tensor([[1.1, 2.4, 3.9]]).double()
+    torch.testing.assert_close(
+        effects.true_torque(torque), torch.tensor([[1.0, 2.0, 3.0]]).double()
+    )
+    assert not effects.ignored
+
+
+def test_what_is_ignored_is_named(tmp_path):
+    robot = replace(
+        arm("3r"), effects=(*FIELDS, {"effect": "time_delay", "joint": 1, "delay": 0.004})
+    )
+    assert in_mujoco(robot, tmp_path)[1].ignored == ("time_delay",)
+
+
+def test_wrong_models_are_refused(tmp_path):
+    robot, effects = in_mujoco(robot_with("stribeck"), tmp_path)
+    ((model, data),) = effects.simulations
+    with pytest.raises(TorchidError, match=r"copy\.copy"):
+        Effects(robot, [(model, data), (model, mujoco.MjData(model))])
+    with pytest.raises(TorchidError, match="not all of the robot's joints"):
+        Effects(replace(robot, joint_names=("a", "b", "c")), [(model, data)])
+
+
+def test_stiff_friction_stays_stable(tmp_path):
+    """A slope of 200 N m s/rad on a light wrist, at a step for which an explicit one explodes."""
+    effects_of = (
+        {"effect": "stribeck_friction", "joint": 3, "Fs": 1.0, "vs": 0.02},
+        {"effect": "power_law_friction", "joint": 3, "F2": 200.0, "a": 1.05},
+    )
+    _, effects = in_mujoco(replace(arm("3r"), effects=effects_of), tmp_path)
+    ((model, data),) = effects.simulations
+    model.opt.timestep = 5e-3
+    data.qvel[:] = [0.0, 0.0, 3.0]
+    speeds = []
+    for _ in range(200):
+        effects.step(torch.zeros(1, 3).double())
+        speeds.append(float(np.abs(data.qvel[2])))
+    assert np.isfinite(data.qpos).all()
+    assert max(speeds[5:]) < 3.0

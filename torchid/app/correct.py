@@ -1,0 +1,146 @@
+"""`torchid correct`: from logs to a corrected file of the simulator, in one call."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from torchid.app import options as opt
+from torchid.app.output import Computed, Output, progress_bar
+from torchid.app.signature import Fields, Switch, command
+from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
+
+if TYPE_CHECKING:
+    from torchid.export.projection import Target
+    from torchid.gap.diagnosis import Diagnosis
+    from torchid.log.model import Log
+    from torchid.robot.model import Robot
+
+
+Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "gazebo"]
+"""What a corrected file can be for; the last three read one of the first two."""
+
+_READ: dict[str, "Target"] = {"mujoco": "mjcf", "mjlab": "mjcf", "gazebo": "urdf"}
+
+
+def file_format(asked: Simulated) -> "Target":
+    """mjcf or urdf, once it is known that something here can run it."""
+    from torchid.export.correct import require_engine
+
+    to = _READ.get(asked, "mjcf" if asked == "mjcf" else "urdf")
+    require_engine(to)
+    return to
+
+
+@command
+def correct_command(
+    *,
+    trials: opt.Trials,
+    to: Simulated,
+    name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    with_effects: Switch = False,
+    effects: str = "all",
+    background: opt.Names = "none",
+    settings: Annotated[
+        GapSettings,
+        Fields(
+            parameters=Literal["trusted", "free", "auto"],
+            held_out_fraction=opt.HeldOutFraction,
+            gain_std=opt.Share,
+            seed=opt.Seed,
+        ),
+    ],
+    results: Computed,
+) -> None:
+    """Correct a simulator's file by logs of the real arm.
+
+    What it lacks is found and refitted to what the file can say, with bodies near to the nominal
+    ones; the file is run in its engine on the log, and written. Without --out, it is written to the
+    present folder.
+
+    Example: `torchid correct arm.xml run1.parquet run2.parquet --held-out run3.parquet --to mjcf
+    --out corrected`
+
+    Args:
+        to: Format to write (mjcf, urdf), or a simulator that reads one of them: a copy of ROBOT
+            where it is of that format, else a new file of its kinematics, without shapes.
+        name: Of the file, without suffix; the robot's name and `_corrected`.
+        with_effects: Also write NAME_effects, fitted together with the effects that the format has
+            no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
+            time.
+        effects: Effects to search over, comma-separated; `all` for the whole library.
+        background: Effects that are part of the simulator already, on every joint; fitted with the
+            base parameters where the robot has no parameters.
+        parameters: The robot's inertial parameters: right, to be refitted first, or one possible
+            cause among the effects.
+        gain_std: How well the scale of each joint's torque is known, one standard deviation as a
+            share of it.
+    """
+    output = results.open()
+    settings = replace(settings, effects=opt.searched(effects), background=opt.names(background))
+    if trials.held_out and settings.held_out_fraction:
+        raise TorchidError("--held-out and --held-out-fraction exclude each other.")
+    from torchid.export.export import require_name
+    from torchid.gap.diagnose import diagnose
+    from torchid.report.gap_words import verdict
+
+    kind = file_format(to)
+    if name is not None:
+        require_name(name)
+    found, log, apart, _ = trials.open(output)
+    with progress_bar(output, lines=True) as progress:
+        result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+    output.verdict(verdict(result))
+    keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+    corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
+
+
+def corrected_by(
+    output: Output,
+    robot: "Robot",
+    full: "Robot | Diagnosis",
+    log: "Log",
+    held_out: "Log | None",
+    to: "Target",
+    name: str | None,
+    keep: list[Path],
+    settings: GapSettings,
+    with_effects: bool = False,
+) -> None:
+    """Refit, check and write a file to the output's folder, and tell what it is worth.
+
+    Args:
+        output: of the command.
+        robot, full, log, held_out, to, name, keep, settings, with_effects: see
+            `torchid.export.correct.correct`.
+    """
+    from rich.markup import escape
+
+    from torchid.export.correct import correct
+    from torchid.report.correction import correction_record, headline, tables
+    from torchid.report.robot import export_warnings
+
+    folder = output.folder or Path()
+    done = correct(
+        robot,
+        full,
+        log,
+        to,
+        folder,
+        name,
+        held_out=held_out,
+        settings=settings,
+        with_effects=with_effects,
+        keep=keep,
+    )
+    output.verdict(headline(done, robot))
+    output.say(*tables(done, robot))
+    output.warn(
+        dict.fromkeys((*done.warnings, *(w for x in done.exports for w in export_warnings(x))))
+    )
+    output.say(
+        f"\nwritten: {escape(', '.join(str(file) for x in done.exports for file in x.files))}"
+    )
+    output.write_json(correction_record(done, robot), "correction.json")

@@ -1,0 +1,268 @@
+"""What a diagnosed robot becomes in a file that cannot say all of its effects.
+
+Nothing is left out of the model: bodies and what the file knows of each joint are fitted anew to
+the torque of the log. An effect without a field is then kept by the others as far as they can, and
+by how far follows from the fit itself: its torque is given to the fit as if it were all there is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+
+from torchid.design.columns import Columns, Model
+from torchid.effects.base import Effect
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.inertia import BodyEffect, RotorInertia
+from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.spring import JointSpring
+from torchid.export.dynamics import records
+from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, response, room_of
+from torchid.gap.data import Data
+from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
+from torchid.robot.model import Robot
+from torchid.simulation.loads import changes_measurement
+from torchid.simulation.open_loop import runs, undone
+from torchid.statistics.robust import huber_weights
+from torchid.typing import Bool, Float, Tensor
+
+Target = Literal["mjcf", "urdf"]
+
+FIELDS: dict[Target, tuple[type[Effect], ...]] = {
+    "mjcf": (ViscousFriction, CoulombFriction, RotorInertia),
+    "urdf": (ViscousFriction, CoulombFriction),
+}
+"""What a file says of every joint."""
+
+WORDS = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+    "rotor_inertia": "armature",
+    "joint_spring": "stiffness",
+}
+"""How the files call it; a URDF calls the second one friction."""
+
+WORTH = 0.02
+"""Share of the error that springs must take away to be in the file: a body's weight is one, too."""
+
+PRICE = 0.05
+"""Share of the error that bodies a person believes may cost before it is said."""
+
+MUCH = 0.1
+"""Share of the error that other bodies must take away for those to be let go."""
+
+NOTHING = 1e-3
+"""Share of its joint's torque below which a field is left at zero."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What the file keeps of an effect that it has no field for.
+
+    Attributes:
+        effect, joints: what it is, and joints from 0 (none: of the whole arm).
+        share: 1 - rms of what the refitted fields leave of its torque, over its rms; between 0
+            and 1, over the samples and joints of the fit, each joint in units of its noise.
+        field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
+            joint from 0, and what it has become there [its unit]; None of bodies.
+    """
+
+    effect: Effect
+    joints: tuple[int, ...]
+    share: float
+    field: str
+    joint: int | None
+    value: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A robot that a file can say.
+
+    Attributes:
+        robot: nominal kinematics with the fitted bodies, and effects that the file has fields for.
+        to: format of the file.
+        kept: of every effect of the diagnosis without a field.
+        believable: whether masses and centres are near the nominal ones (`room_of`).
+        price: error of the fit relative to that of any parameters whatever, minus 1.
+        believable_price: the same of the fit whose bodies are believable.
+    """
+
+    robot: Robot
+    to: Target
+    kept: tuple[Kept, ...]
+    believable: bool
+    price: float
+    believable_price: float
+
+
+class Projector:
+    """The fit of a file's fields to a log.
+
+    Args:
+        nominal: the robot as given.
+        full: the diagnosed one, whose columns and noise count.
+        data: of the log.
+        to: format of the file.
+    """
+
+    def __init__(self, nominal: Robot, full: Robot, data: Data, to: Target):
+        self.nominal, self.full, self.to, self.data = nominal, full, to, data
+        effects = tuple(nominal_effects(full))
+        self.columns = Columns(Model(full, effects), data.samples)
+        left = self.columns.gap * data.keep
+        # Each joint in units of what the full model leaves; rows far out count as their limit.
+        rms = (left.square().sum(1) / data.keep.sum(1).clamp(min=1)).sqrt().unsqueeze(1)
+        torque = data.samples.of([s.tau.T for s in data.segments])
+        rms = rms.clamp(min=1e-6 * float(torque.square().mean().sqrt()))
+        self.weight = huber_weights(left) * data.keep / rms
+        self.torque = torque
+        self.room = room_of(nominal)
+        self.fields: list[Effect] = [kind(j) for kind in FIELDS[to] for j in range(nominal.n)]  # type: ignore[call-arg]
+        self._settle(effects)
+
+    def _settle(self, effects: Sequence[Valued]) -> None:
+        """Which springs the file has, whether its bodies are believable, and how near they are."""
+        springs: list[Effect] = []
+        if self.to == "mjcf":
+            constant = ("joint_spring", "torque_offset")
+            at = {j for e, _ in effects if e.name in constant for j in e.joints}
+            springs = [JointSpring(j) for j in sorted(at)]
+        every = torch.ones(len(self.data.samples), dtype=torch.bool)
+        bodies = self.room
+        without = self._quadratic(self.fields, every)
+        found = nearest_bodies(without, bodies)
+        if springs:
+            self.fields += springs
+            with_springs = self._quadratic(self.fields, every)
+            other = nearest_bodies(with_springs, bodies)
+            if other.least < (1 - WORTH) * found.least:
+                without, found = with_springs, other
+            else:
+                self.fields = self.fields[: -len(springs)]
+        # The least that any parameters leave, bodies or not.
+        free = torch.linalg.lstsq(without.h, without.b, driver="gelsd").solution
+        least = max(without.error(free), 1e-3 * without.square**0.5)
+        self.believable_price = max(0.0, found.error / least - 1)
+        self.believable = self.believable_price <= PRICE
+        if not self.believable:
+            other = nearest_bodies(without, bodies.bodies_alone)
+            self.believable = other.error > (1 - MUCH) * found.error
+            if not self.believable:
+                self.room, found = bodies.bodies_alone, other
+        self.price = max(0.0, found.error / least - 1)
+        self.found, self.quadratic = found, without
+
+    def _matrix(self, fields: Sequence[Effect]) -> Float[Tensor, "K n N"]:
+        """Columns of the bodies and of the fields."""
+        own = [self.columns.on_all_joints(field) for field in fields]
+        return torch.cat([self.columns.regressor.flatten(0, 1), *own])
+
+    def _quadratic(
+        self,
+        fields: Sequence[Effect],
+        fitted: Bool[Tensor, " N"],
+        torque: Float[Tensor, "n N"] | None = None,
+    ) -> Quadratic:
+        """Squared error of the measured torque, or of another one."""
+        weight = self.weight * fitted
+        y = ((self.torque if torque is None else torque) * weight).flatten()
+        a = (self._matrix(fields) * weight).flatten(1)
+        # A file's spring pulls back.
+        positive = [
+            c.non_negative or (c.name == "k" and f in self.fields)
+            for f in fields
+            for c in f.coefficients
+        ]
+        return Quadratic(a @ a.T, a @ y, float(y @ y), torch.tensor(positive).bool())
+
+    def projection(self) -> Projection:
+        """The fit to all samples."""
+        return Projection(
+            self._robot(self.fields, self.found),
+            self.to,
+            self._kept(),
+            self.believable,
+            self.price,
+            self.believable_price,
+        )
+
+    def without(self, fitted: Bool[Tensor, " N"]) -> Robot:
+        """The same fit to some samples only."""
+        torque = self._quadratic(self.fields, fitted)
+        strength = self.found.strength
+        return self._robot(self.fields, nearest_bodies(torque, self.room, strength=strength))
+
+    def with_effects(self, fitted: Bool[Tensor, " N"]) -> Robot:
+        """A fit to some samples of the fields together with the effects that a simulation adds to
+        the file at run time, and those in the torque sensors as they were diagnosed."""
+        others, sensed = [], []
+        for effect, values in nominal_effects(self.full):
+            if isinstance(effect, BodyEffect) or not runs(self.nominal, effect, values):
+                continue
+            if changes_measurement(effect):
+                sensed.append((effect, values))
+            elif not self._has_field(effect, values):
+                others.append(effect)
+        # A spring of the diagnosis stands in the place of the file's.
+        at = {e.joints for e in others if isinstance(e, JointSpring)}
+        own = [f for f in self.fields if not isinstance(f, JointSpring) or f.joints not in at]
+        fields = [*own, *dict.fromkeys(others)]
+        true = undone(self.nominal, sensed, self.torque.T.unsqueeze(0))[0][0].T
+        torque = self._quadratic(fields, fitted, true)
+        found = nearest_bodies(torque, self.room, strength=self.found.strength)
+        robot = self._robot(fields, found)
+        return replace(robot, effects=(*robot.effects, *records(sensed)))
+
+    def _has_field(self, effect: Effect, values: Sequence[float]) -> bool:
+        """Whether the file says this effect as it is."""
+        own = (f for f in self.fields if f.identity == effect.identity)
+        return effect.attributes(values, self.to == "mjcf") is not None and any(own)
+
+    def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:
+        """Nominal kinematics, fitted bodies, and fields that carry anything."""
+        sizes = (self.torque * self.data.keep).square().sum(1).sqrt()
+        pairs: list[Valued] = []
+        values = iter(found.coefficients.tolist())
+        for field in fields:
+            own = [next(values) for _ in field.coefficients]
+            columns = self.columns.on_all_joints(field) * self.data.keep
+            torque = torch.tensordot(torch.tensor(own, dtype=torch.float64), columns, 1)
+            if bool((torque.square().sum(1).sqrt() > NOTHING * sizes).any()):
+                pairs.append((field, own))
+        robot = self.nominal.with_parameters(InertialParameters(found.pi))
+        return replace(robot, effects=records(pairs))
+
+    def _kept(self) -> tuple[Kept, ...]:
+        """Of every effect without a field, what the fit makes of its torque alone."""
+        # Equal effects of several joints are one: a gain of all currents.
+        alike: dict[tuple[object, ...], list[Valued]] = {}
+        for effect, values in nominal_effects(self.full):
+            if not isinstance(effect, BodyEffect) and not self._has_field(effect, values):
+                key = (effect.name, tuple(values), effect.shape_values)
+                alike.setdefault(key, []).append((effect, values))
+        matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n
+        weighted = (matrix * self.weight).flatten(1)
+        # Of each coefficient its field, and where that field's first one is.
+        names = [f for f in self.fields for _ in f.coefficients]
+        out = []
+        for pairs in alike.values():
+            torque = torch.zeros_like(self.torque)
+            for effect, values in pairs:
+                columns = self.columns.on_all_joints(effect)
+                torque += torch.tensordot(torch.tensor(values, dtype=torch.float64), columns, 1)
+            z = (torque * self.weight).flatten()
+            x = response(self.quadratic, self.room, self.found, weighted @ z)
+            left = float((z - x @ weighted).norm() / z.norm().clamp(min=1e-300))
+            # The field that carries most of what is kept; all bodies are one.
+            sizes = [float((x[:bodies] @ weighted[:bodies]).norm())]
+            sizes += (x[bodies:].abs() * weighted[bodies:].norm(dim=1)).tolist()
+            k = sizes.index(max(sizes)) - 1
+            joints = tuple(sorted({j for effect, _ in pairs for j in effect.joints}))
+            carrier: tuple[str, int | None, float | None] = ("bodies", None, None)
+            if k >= 0:
+                value = float(self.found.coefficients[names.index(names[k])])
+                carrier = (WORDS[names[k].name], names[k].joints[0], value)
+            out.append(Kept(pairs[0][0], joints, max(0.0, 1 - left), *carrier))
+        return tuple(sorted(out, key=lambda one: one.share))

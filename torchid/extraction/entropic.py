@@ -1,0 +1,368 @@
+"""Bodies nearest to the nominal ones among all with nearly the least torque error.
+
+Torque is linear in the links' inertial parameters pi and in coefficients c of joints, so its
+squared error is a quadratic form. A body's pseudo-inertia P(pi) is positive definite, and how far
+it is from another, R, is in the entropic metric (T. Lee, P. Wensing, F. Park, "Geometric Robot
+Dynamic Identification: A Convex Programming Approach", IEEE T-RO 36(2), 2020, section IV)
+
+    D(P, R) = tr(R^-1 P) - log det(R^-1 P) - 4,
+
+which depends on no frame and no unit. With N the nominal bodies, U a small one of each link's size
+(beside which a change counts: placeholders in a file are no knowledge), and e the least error,
+
+    |A x - y|^2 / (2 e^2) + lambda sum_links [D(P + U, N + U) - w log det(P - L)]
+
+with L the least body that each link holds, is smooth, convex and infinite where a link stops being
+a body: Newton steps minimise it from the inside (Boyd and Vandenberghe 2004, section 9.6). Of a
+path of lambdas the largest whose error is within `SPENT` of the least one is answered: what the log
+determines is the log's, all else stays nominal.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchid.design.bodies import INSIDE, usual_bodies
+from torchid.feasibility.plausibility import DENSITIES
+from torchid.robot.inertia import InertialParameters, pseudo_inertia_basis
+from torchid.robot.model import Robot
+from torchid.robot.shapes import joint_points, link_lengths, link_shapes
+from torchid.typing import Bool, Float, Tensor
+
+SPENT = 0.02
+"""Share of the least torque error that may be spent on bodies nearer to the nominal ones."""
+
+BELIEVABLE = 2.0
+"""Factor from a link's nominal mass, up and down, within which a person believes it."""
+
+SPREAD = 5.0
+"""Factor by which a person believes that second moments of a nominal body shrink, at most."""
+
+NEAR = 0.05
+"""How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
+[m]."""
+
+PER_METRE = 10.0
+"""Mass of links of which nothing is known [kg/m]."""
+
+_WALL = 1e-3
+"""w: how much of the metric keeps bodies, masses and centres off their limits."""
+
+EXACT = 1e-6
+"""Share of the squared torque that counts as no error."""
+
+_SIGN = 1e-5
+"""Weight of a coefficient's sign in units of the squared error: a coefficient that the torque asks
+to be negative is left with as small a share of it."""
+
+_FLAT = 1e-6
+"""The least weight of any limit, in the same units: below it rounding decides."""
+
+_PATH = 10.0 ** torch.arange(2.0, -6.25, -0.5, dtype=torch.float64)
+_STEPS = 80
+_SETTLED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """The squared torque error x'Hx - 2 b'x + y'y.
+
+    Attributes:
+        h, b, square: H (K, K), b (K,) and y'y; x is ten parameters a link, then coefficients.
+        positive: (E,) coefficients that physics forbids to be negative.
+    """
+
+    h: Float[Tensor, "K K"]
+    b: Float[Tensor, " K"]
+    square: float
+    positive: Bool[Tensor, " E"]
+
+    def error(self, x: Float[Tensor, " K"]) -> float:
+        """Root of the squared error."""
+        return max(0.0, float(x @ self.h @ x - 2 * self.b @ x) + self.square) ** 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Where a person looks for n links.
+
+    Attributes:
+        nominal: (n, 10), bodies.
+        small: (n, 10) of each link's size.
+        least: (n, 10) what each of them holds at least.
+        rows, offset: (n, C, 10), (n, C): rows pi + offset is positive of every link; no row where
+            nothing is asked but that it is a body.
+    """
+
+    nominal: Float[Tensor, "n 10"]
+    small: Float[Tensor, "n 10"]
+    least: Float[Tensor, "n 10"]
+    rows: Float[Tensor, "n C 10"]
+    offset: Float[Tensor, "n C"]
+
+    @property
+    def bodies_alone(self) -> "Room":
+        """The same, asking for nothing but bodies."""
+        none = {"rows": self.rows[:, :0], "offset": self.offset[:, :0]}
+        return replace(self, least=INSIDE * self.small, **none)
+
+
+def room_of(robot: Robot) -> Room:
+    """Masses within a factor 2 of the nominal ones, and of nothing denser than the densest
+    material; second moments of at least a fifth of theirs; centres of mass within 5 cm of the
+    link's shape, or of the nominal one where no shape is known.
+
+    Of nominal links that are no bodies the nearest bodies are taken. A robot without parameters has
+    links of `PER_METRE` about the middle between their joints, and their centres are asked to be
+    within a link's length of its joints.
+
+    Raises:
+        RobotError: the file of the shapes is no longer what the robot was read from.
+    """
+    ends, length = joint_points(robot), link_lengths(robot)
+    if robot.parameters is None:
+        spread = (length / 4) ** 2 * PER_METRE * length
+        zero = torch.zeros_like(spread)
+        inertia = torch.stack([2 * spread, zero, zero, 2 * spread, zero, 2 * spread], 1)
+        pi = InertialParameters.from_com(PER_METRE * length, ends.mean(1), inertia).pi
+    else:
+        pi = robot.parameters.pi.double()
+    # What is negative of a pseudo-inertia is cut off.
+    small = usual_bodies(pi)
+    values, vectors = torch.linalg.eigh(InertialParameters(pi).pseudo_inertia)
+    cut = (vectors * values.clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    basis = pseudo_inertia_basis().flatten(1)
+    body = torch.where(values[:, :1] < 0, cut.flatten(1) @ torch.linalg.pinv(basis), pi)
+    # A link to which its file gives no mass may have that of a small body.
+    has = body[:, 0] > small[:, 0] / BELIEVABLE
+    mass = torch.where(has, body[:, 0], small[:, 0])
+    com = (body + 1e-6 * small)[:, 1:4] / (body + 1e-6 * small)[:, :1]
+    low, high = torch.where(has, mass / BELIEVABLE, 0.0), BELIEVABLE * mass
+    below, above = com - NEAR, com + NEAR
+    shapes = link_shapes(robot)
+    if robot.parameters is None:
+        low, high = low / 10, high * 10
+        below = ends.amin(1) - length.unsqueeze(1)
+        above = ends.amax(1) + length.unsqueeze(1)
+    if shapes is not None:
+        dense = DENSITIES[1] * shapes.volumes
+        high = torch.where(dense > mass, torch.minimum(high, dense), high)
+        known = torch.isfinite(shapes.boxes).all(-1).all(-1).unsqueeze(1)
+        corners = shapes.boxes + torch.tensor([-NEAR, NEAR])
+        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR), below)
+        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR), above)
+    # Every row in its own size, so that all of them count alike.
+    one = torch.eye(10, dtype=torch.float64).expand(len(pi), 10, 10)
+    m, moment, unit = one[:, :1], one[:, 1:4], mass[:, None, None]
+    width = unit * (above - below).unsqueeze(-1)
+    rows = [
+        m / unit,
+        -m / unit,
+        (moment - below.unsqueeze(-1) * m) / width,
+        (above.unsqueeze(-1) * m - moment) / width,
+    ]
+    offset = torch.zeros(len(pi), 8, dtype=torch.float64)
+    offset[:, 0], offset[:, 1] = -low / mass, high / mass
+    least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
+    return Room(body, small, least, torch.cat(rows, 1), offset)
+
+
+@dataclass(frozen=True, eq=False)
+class NearBodies:
+    """Bodies and coefficients that have nearly the least torque error.
+
+    Attributes:
+        pi: (n, 10).
+        coefficients: (E,).
+        error: root of their squared error.
+        least: that of any bodies in the same room, next to it.
+        strength: lambda.
+    """
+
+    pi: Float[Tensor, "n 10"]
+    coefficients: Float[Tensor, " E"]
+    error: float
+    least: float
+    strength: float
+
+
+def nearest_bodies(
+    torque: Quadratic, room: Room, *, spent: float = SPENT, strength: float | None = None
+) -> NearBodies:
+    """The bodies nearest to the nominal ones with nearly the least error.
+
+    Args:
+        torque: its squared error.
+        room: where they are looked for.
+        spent: share of the least error that nearness may cost.
+        strength: lambda, where it is known, e.g. from all of the data.
+
+    >>> import torch
+    >>> from torchid import load_robot
+    >>> robot = load_robot("3r")
+    >>> zero = torch.zeros(30, 30, dtype=torch.float64)
+    >>> nothing = Quadratic(zero, zero[0], 1.0, torch.zeros(0, dtype=torch.bool))
+    >>> found = nearest_bodies(nothing, room_of(robot))
+    >>> bool((found.pi[:, 0] / robot.parameters.mass - 1).abs().max() < 0.05)
+    True
+    """
+    question = _Question.of(torque, room)
+    x = question.start
+    found: list[tuple[float, Tensor]] = []
+    for value in _PATH.tolist():
+        # In units of what was last left, which comes down to the least.
+        question = replace(question, unit=question.unit_at(x))
+        x = question.minimum(x, value)
+        found.append((value, x))
+        if strength is not None and value <= strength:
+            break
+    errors = [torque.error(x) for _, x in found]
+    k = len(found) - 1
+    if strength is None:
+        k = next(i for i, e in enumerate(errors) if e <= (1 + spent) * min(errors))
+    n = len(room.nominal)
+    pi, coefficients = found[k][1][: 10 * n].view(n, 10), found[k][1][10 * n :]
+    return NearBodies(pi, coefficients, errors[k], min(errors), found[k][0])
+
+
+def response(
+    torque: Quadratic, room: Room, found: NearBodies, pull: Float[Tensor, " K"]
+) -> Float[Tensor, " K"]:
+    """What further torque would add to the answer, to first order.
+
+    Args:
+        torque, room, found: the question and its answer.
+        pull: (K,) A'z of a small torque z.
+    """
+    x = torch.cat([found.pi.flatten(), found.coefficients])
+    question = _Question.of(torque, room)
+    question = replace(question, unit=question.unit_at(x))
+    _, hessian = question.slopes(x, found.strength)
+    size = hessian.diagonal().clamp(min=1e-300).rsqrt()
+    scaled = hessian * size * size.unsqueeze(1)
+    scaled.diagonal().add_(1e-12)
+    return size * torch.linalg.solve(scaled, size * pull / question.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """The function that is minimised, and where its minimum is looked for from."""
+
+    torque: Quadratic
+    room: Room
+    unit: float
+    near: Float[Tensor, "n 10 4 4"]
+    start: Float[Tensor, " K"]
+    sizes: Float[Tensor, " E"]
+
+    @staticmethod
+    def of(torque: Quadratic, room: Room) -> "_Question":
+        n, count = len(room.nominal), len(torque.positive)
+        free = torch.linalg.lstsq(torque.h, torque.b, driver="gelsd").solution
+        unit = max(torque.error(free) ** 2, EXACT * torque.square, 1e-300)
+        basis = pseudo_inertia_basis()
+        # Pseudo-inertias in units of N + U, in which nearness is counted.
+        root = torch.linalg.cholesky(InertialParameters(room.nominal + room.small).pseudo_inertia)
+        inner = torch.linalg.inv(root).unsqueeze(1)
+        # Coefficients that carry a hundredth of what is left.
+        own = torque.h.diagonal()[10 * n :]
+        sizes = (unit / own.clamp(min=1e-12 * float(own.max()) if count else 0.0)).sqrt()
+        sizes = torch.where(own > 0, sizes, torch.ones_like(sizes))
+        start = torch.cat([_inside(room).flatten(), torch.where(torque.positive, sizes, 0.0)])
+        return _Question(torque, room, unit, inner @ basis @ inner.mT, start, sizes)
+
+    def unit_at(self, x: Float[Tensor, " K"]) -> float:
+        """The squared error there, or that of an exact fit."""
+        return max(self.torque.error(x) ** 2, EXACT * self.torque.square, 1e-300)
+
+    def minimum(self, x: Float[Tensor, " K"], strength: float) -> Float[Tensor, " K"]:
+        """Newton steps from inside, as long as they lead anywhere."""
+        value = self.value(x, strength)
+        for _ in range(_STEPS):
+            gradient, hessian = self.slopes(x, strength)
+            # Every unknown in its own unit, so that rounding does not decide.
+            size = hessian.diagonal().clamp(min=1e-300).rsqrt()
+            scaled = hessian * size * size.unsqueeze(1)
+            scaled.diagonal().add_(1e-12)
+            step = -size * torch.linalg.solve(scaled, size * gradient)
+            fall = float(gradient @ step)
+            if -fall < _SETTLED * max(1.0, abs(value)):
+                break
+            share = 1.0
+            while share > 1e-8:
+                there = self.value(x + share * step, strength)
+                if there <= value + 0.1 * share * fall:
+                    break
+                share /= 2
+            else:
+                break
+            x, value = x + share * step, there
+        return x
+
+    def value(self, x: Float[Tensor, " K"], strength: float) -> float:
+        """The function; infinite outside."""
+        n = len(self.room.nominal)
+        pi, c = x[: 10 * n].view(n, 10), x[10 * n :]
+        own, near, inside = self._parts(pi)
+        signs = (c / self.sizes)[self.torque.positive]
+        if bool((inside <= 0).any()) or bool((signs <= 0).any()):
+            return float("inf")
+        logs = []
+        for p in (near, own):
+            root, bad = torch.linalg.cholesky_ex(p)
+            if bool(bad.any()):
+                return float("inf")
+            logs.append(2 * root.diagonal(dim1=-2, dim2=-1).log().sum())
+        metric = near.diagonal(dim1=-2, dim2=-1).sum() - logs[0]
+        walls = logs[1] + inside.log().sum()
+        total = self.torque.error(x) ** 2 / (2 * self.unit) + strength * metric
+        total = total - (_WALL * strength + _FLAT) * walls
+        return float(total - _SIGN * signs.log().sum())
+
+    def _parts(self, pi: Float[Tensor, "n 10"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Pseudo-inertias, less what they hold at least and with U, in units of N + U; and the
+        half-spaces' values."""
+        own, small, least = (
+            torch.einsum("na,naij->nij", each, self.near)
+            for each in (pi, self.room.small, self.room.least)
+        )
+        inside = (self.room.rows @ pi.unsqueeze(-1))[..., 0] + self.room.offset
+        return own - least, own + small, inside
+
+    def slopes(self, x: Float[Tensor, " K"], strength: float) -> tuple[Tensor, Tensor]:
+        """Gradient (K,) and Hessian (K, K)."""
+        n = len(self.room.nominal)
+        pi, c = x[: 10 * n].view(n, 10), x[10 * n :]
+        own, near, inside = self._parts(pi)
+        wall = _WALL + _FLAT / strength
+        gradient = (self.torque.h @ x - self.torque.b) / self.unit
+        hessian = self.torque.h / self.unit
+        of_links = torch.einsum("naii->na", self.near).clone()
+        curved = torch.zeros(n, 10, 10, dtype=torch.float64)
+        for weight, p in ((1.0, near), (wall, own)):
+            turned = torch.linalg.solve(p.unsqueeze(1), self.near)
+            of_links -= weight * torch.einsum("naii->na", turned)
+            curved += weight * torch.einsum("naij,nbji->nab", turned, turned)
+        rows = self.room.rows / inside.unsqueeze(-1)
+        of_links -= wall * rows.sum(1)
+        curved += wall * rows.mT @ rows
+        gradient = gradient + strength * torch.cat([of_links.flatten(), torch.zeros_like(c)])
+        hessian = hessian.clone()
+        for k in range(n):
+            part = slice(10 * k, 10 * k + 10)
+            hessian[part, part] += strength * curved[k]
+        signs = torch.where(self.torque.positive, _SIGN / torch.where(c == 0, 1.0, c), 0.0)
+        gradient[10 * n :] -= signs
+        hessian[10 * n :, 10 * n :] += torch.diag(signs.square() / _SIGN)
+        return gradient, hessian
+
+
+def _inside(room: Room) -> Float[Tensor, "n 10"]:
+    """Bodies strictly inside the room: the nominal ones, a little of the small ones added about
+    their centre, and of a mass between its bounds."""
+    out = room.nominal + 0.01 * room.small
+    if room.rows.shape[1]:
+        low, high = -room.offset[:, 0] / room.rows[:, 0, 0], room.offset[:, 1] / -room.rows[:, 1, 0]
+        mass = out[:, 0].clamp(low + 0.01 * (high - low), high - 0.01 * (high - low))
+        out = out * (mass / out[:, 0]).unsqueeze(1)
+    return out
