@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters, relative
+from tests.compare.records import identification as identified
 from tests.export.arms import FRICTION, exported, with_other
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
@@ -32,18 +33,14 @@ def identification(tmp_path, robot, name="kuka_lwr4"):  # type: ignore[no-untype
     base = base_parameters(robot, effects)
     values = nominal_values(robot, base)
     b = len(base)
-    data = {
-        "schema": "torchid.identification/1",
-        "robot": robot.name,
+    path = identified(tmp_path / "identification.json", 0, robot=robot, effects=EFFECTS)
+    data = json.loads(path.read_text()) | {
         "robot_source": name,
-        "settings": {"effects": list(EFFECTS)},
-        "base_names": list(base.names),
         "base_values": values.tolist(),
         "undetermined": [base.names[3]],
         "covariance": torch.diag(torch.full((b,), 0.04, dtype=torch.float64)).tolist(),
         "factor": torch.eye(b + 1, dtype=torch.float64).tolist(),
     }
-    path = tmp_path / "identification.json"
     path.write_text(json.dumps(data))
     return path, base, effects, values
 

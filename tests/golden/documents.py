@@ -11,6 +11,7 @@ import torch
 from typer.testing import CliRunner
 
 from tests.compare.test_diagnoses import diagnosis, named
+from tests.gap_files import hidden as untested
 from tests.withheld.fakes import answer, entry
 from torchid.app.commands import app
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
@@ -121,7 +122,7 @@ def _payload(bench: Bench) -> dict[str, Any]:
 
 def _diagnoses(bench: Bench) -> dict[str, Any]:
     """Two diagnoses by hand: one cause in both, one in one of them, one not testable."""
-    hidden = [{"effect": "contact", "joint": 1, "smallest_detectable": None}]
+    hidden = [untested("contact", 1)]
     one = diagnosis(bench.folder / "one.json", named(Fc=0.5), named("torque_offset", 1, F0=1.0))
     two = diagnosis(bench.folder / "two.json", named(Fc=0.8), hidden=hidden)
     return bench.run("compare", one, two)

@@ -10,7 +10,6 @@ from tests.report.test_gap_page import made
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Identification, identify
-from torchid.identification.record import record
 from torchid.report.identification import identification_page, verdict
 from torchid.report.page.document import render
 from torchid.robot.library import load_robot
@@ -33,7 +32,7 @@ def tree(result):
 
 
 def test_numbers_are_those_of_the_json(result, tree):
-    data = record(result)
+    data = result.plain()
     rows = rows_of(tree, "Base parameters")
     assert [row[0] for row in rows] == [p["name"] for p in data["parameters"]]
     for row, p in zip(rows, data["parameters"], strict=True):

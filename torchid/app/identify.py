@@ -64,7 +64,6 @@ def identify_command(
     """
     output = results.open()
     from torchid.identification.identify import identify
-    from torchid.identification.record import record
     from torchid.report.identification import headline, identification_page, tables
 
     fraction: float | Literal["auto"] = "auto"
@@ -90,7 +89,7 @@ def identify_command(
     output.say(*tables(result))
     output.warn(result.warnings)
     output.say(f"\n{headline(result)}")
-    data = {**record(result), "seed": seed}
+    data = {**result.plain(), "seed": seed}
     output.write_json(data, "identification.json")
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]

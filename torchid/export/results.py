@@ -17,13 +17,13 @@ from torchid.export.dynamics import Dynamics, described, of_base, records
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
-from torchid.identification.record import SCHEMA as IDENTIFICATION
 from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
 from torchid.robot.model import Robot
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
+IDENTIFICATION = "torchid.identification/1"
 _KINDS = "the JSON of `torchid identify` or `extract`, a file of parameter sets, or a robot"
 
 

@@ -12,9 +12,10 @@ import torch
 from torchid.design.motion import MOVING
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Estimate, Payload
+from torchid.identification.record import Errors
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
-from torchid.identification.validation import Errors, Prediction
+from torchid.identification.validation import Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of

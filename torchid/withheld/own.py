@@ -30,7 +30,6 @@ from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.noise.floor import stuck
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
@@ -320,7 +319,7 @@ def own_record(found: OwnCheck) -> dict[str, Any]:
         "planted": [
             {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)} for p in found.planted
         ],
-        "diagnosis": record(found.first),
+        "diagnosis": found.first.plain(),
     }
     return {**plain(data)}
 
