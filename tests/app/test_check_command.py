@@ -15,7 +15,7 @@ from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
-from torchid.feasibility.sets import joined, nominal_set, read_sets, to_record
+from torchid.feasibility.sets import joined, nominal_set, read_sets, sets_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
@@ -39,7 +39,7 @@ def sets_file(path: Path, robot: str = "3r", count: int = 2, change=None) -> Pat
         pi = one.parameters.pi.clone()
         pi[0, 1, 4:] *= -1
         parts.append(type(one)((f"s{k}",), InertialParameters(pi), one.effects, one.coefficients))
-    data = to_record(joined(parts), load_robot(robot))
+    data = sets_record(joined(parts), load_robot(robot)).plain()
     if change is not None:
         change(data)
     path.write_text(json.dumps(data))

@@ -11,7 +11,6 @@ from tests.gap_files import gap
 from tests.gap_files import hidden as untested
 from torchid.compare.diagnoses import compare_diagnoses
 from torchid.compare.reading import read_results
-from torchid.compare.record import record
 from torchid.errors import TorchidError
 from torchid.report.compare import gap_tables, gap_verdict
 from torchid.results.record import robot_record
@@ -101,7 +100,7 @@ def test_torque_of_corrected_models(tmp_path):
     pair = found.torque.pairs[0, 1].tolist()
     assert pair[0] == pair[2] == 0
     assert pair[1] == pytest.approx(0.6, rel=0.01)  # at rest, at both ends, there is none
-    data = json.loads(json.dumps(record(found), allow_nan=False))
+    data = json.loads(json.dumps(found.plain(), allow_nan=False))
     assert data["effects"][0]["states"] == ["named", "not_found"]
 
 

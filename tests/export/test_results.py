@@ -18,7 +18,7 @@ from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
 from torchid.feasibility.record import check_sets
-from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
+from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
 from torchid.robot.inertia import InertialParameters
@@ -56,7 +56,7 @@ def sets_file(tmp_path, robot, scales=(1.0, 2.0, -1.0), **more):  # type: ignore
         torch.full((3, robot.n), 0.3, dtype=torch.float64),
     )
     path = tmp_path / "sets.json"
-    path.write_text(json.dumps({**to_record(sets, robot), **more}))
+    path.write_text(json.dumps({**sets_record(sets, robot).plain(), **more}))
     return path
 
 
@@ -139,7 +139,7 @@ def test_effects_beside_the_sets_come_with_them(tmp_path):
     robot = replace(arm("3r"), effects=FRICTION)
     others = nominal_others(robot)
     (path := tmp_path / "near.json").write_text(
-        json.dumps(to_record(nominal_set(robot), robot, others))
+        json.dumps(sets_record(nominal_set(robot), robot, others).plain())
     )
     bare = replace(robot, effects=())
     found = set_dynamics(path, load(path), bare, None, "none")

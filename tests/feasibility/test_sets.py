@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.arms import arm, consistent_parameters
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.errors import RobotError, TorchidError
-from torchid.feasibility.sets import ParameterSets, joined, nominal_set, read_sets, to_record
+from torchid.feasibility.sets import ParameterSets, joined, nominal_set, read_sets, sets_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 
@@ -77,7 +77,7 @@ def test_parts_and_joined_undo_each_other() -> None:
 def test_file_is_lossless(name: str, tmp_path: Path) -> None:
     robot = arm(name)
     for sets in (nominal_set(robot), some_sets(robot.n)):
-        path = written(tmp_path / "sets.json", to_record(sets, robot))
+        path = written(tmp_path / "sets.json", sets_record(sets, robot).plain())
         again = read_sets(path, robot)
         assert again.ids == sets.ids
         assert again.effects == sets.effects
@@ -97,7 +97,7 @@ def test_any_finite_numbers_survive_the_file(tmp_path: Path, pi: list[float], fv
         torch.tensor([[fv]], dtype=torch.float64),
     )
     robot = load_robot("3r")
-    again = read_sets(written(tmp_path / "s.json", to_record(sets, robot)), robot)
+    again = read_sets(written(tmp_path / "s.json", sets_record(sets, robot).plain()), robot)
     # Of the bits, not of the values: -0.0 is not 0.0.
     assert torch.equal(again.vector.view(torch.int64), sets.vector.view(torch.int64))
 

@@ -3,21 +3,27 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
 from torchid.compare.basis import refuse_other_kinematics
 from torchid.compare.reading import Compared
+from torchid.compare.record import (
+    ComparedCoefficient,
+    GapComparisonRecord,
+    SharedRecord,
+    State,
+)
 from torchid.compare.scatter import Scatter, holm, scatter
 from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
 from torchid.gap.record import FoundEffect, GapRecord
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
-
-State = Literal["named", "not_testable", "not_found"]
 
 BLOCKS = 20
 """Fewest blocks that a diagnosis takes its standard deviations from."""
@@ -89,7 +95,7 @@ class Shared:
 
 
 @dataclass(frozen=True)
-class GapComparison:
+class GapComparison(Result):
     """All of it.
 
     Attributes:
@@ -107,6 +113,26 @@ class GapComparison:
     shared: tuple[Shared, ...]
     torque: TorqueSpread | None
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        shared = sum(s.everywhere for s in self.shared)
+        return (
+            f"GapComparison('{self.robot}', {len(self.labels)} diagnoses, {shared} of "
+            f"{len(self.shared)} causes in all)"
+        )
+
+    @cached_property
+    def record(self) -> GapComparisonRecord:
+        """As the JSON has it."""
+        effects = [
+            SharedRecord.of(
+                s, coefficients=[ComparedCoefficient.of(c, c.scatter) for c in s.coefficients]
+            )
+            for s in self.shared
+        ]
+        return GapComparisonRecord.of(
+            self, results=self.labels, compared="gap diagnoses", effects=effects
+        )
 
 
 def compare_diagnoses(

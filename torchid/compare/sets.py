@@ -2,17 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
 from torchid.compare.identifications import Verdict
 from torchid.compare.reading import Compared
+from torchid.compare.record import SetComparisonRecord
 from torchid.compare.scatter import monotone
 from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SetsRecord, read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
@@ -41,7 +44,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class SetComparison:
+class SetComparison(Result):
     """All of it.
 
     Attributes:
@@ -59,6 +62,14 @@ class SetComparison:
     base: tuple[Range, ...]
     torque: TorqueSpread
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SetComparison('{self.robot}', {len(self.labels)} files of sets)"
+
+    @cached_property
+    def record(self) -> SetComparisonRecord:
+        """As the JSON has it."""
+        return SetComparisonRecord.of(self, results=self.labels, compared="parameter sets")
 
 
 def robot_of(results: Sequence[Compared[SetsRecord]], tip: str | None = None) -> Robot:

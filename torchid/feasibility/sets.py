@@ -237,11 +237,6 @@ def sets_record(
     )
 
 
-def to_record(sets: ParameterSets, robot: Robot, others: Sequence[Valued] = ()) -> dict[str, Any]:
-    """JSON-ready data of `sets_record`."""
-    return sets_record(sets, robot, others).plain()
-
-
 def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     """Read a file of sets (JSON, `sets: [...]`) for a robot.
 

@@ -1,104 +1,24 @@
 """An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
 parameters the torque determines, and how far."""
 
-from dataclasses import dataclass
-from typing import Any
-
 import torch
 from rich.text import Text
 
 from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
-from torchid.extraction.penalty import gamma
-from torchid.extraction.problem import FAR, Problem, torque_error
-from torchid.extraction.record import (
-    SCHEMA,
-    certificate_record,
-    noticeable,
-    problem_record,
-    sets_record,
-)
-from torchid.feasibility.margins import Feasibility, feasibility
-from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.extraction.found import Found, at_bounds
+from torchid.extraction.problem import FAR, Problem
+from torchid.extraction.record import noticeable
 from torchid.identification.values import BaseValues
-from torchid.json_data import picked, plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import Cell, Table, count, listed
 from torchid.robot.inertia import InertialParameters
-from torchid.typing import Float, Tensor
 
 _SHOWN = 12
-_ON_A_BOUND = 1e-4
-"""Share of a bound's span within which a parameter counts as lying on it."""
 ON_THE_BOUNDARY = 1e-6
 """Degree below which a feasible set is said to be on the boundary."""
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Sets of any method, judged.
-
-    Attributes:
-        problem: what was asked for.
-        method: cma-es, log-cholesky or sdp.
-        sets: K of them.
-        phi, gamma: (K,) loss and penalty.
-        torque: (K, n) difference from the asked-for torque, relative (see `torque_error`).
-        verdict: feasibility.
-        search: the course of a population search, or None.
-        seconds: it took.
-    """
-
-    problem: Problem
-    method: str
-    sets: ParameterSets
-    phi: Float[Tensor, " K"]
-    gamma: Float[Tensor, " K"]
-    torque: Float[Tensor, "K n"]
-    verdict: Feasibility
-    search: Extraction | None
-    seconds: float
-
-    @property
-    def best(self) -> int:
-        """The set with the lowest final loss."""
-        if self.search is not None:
-            return self.search.best
-        return int(self.phi.nan_to_num(torch.inf).argmin())
-
-
-def judged(
-    problem: Problem, sets: ParameterSets
-) -> tuple[ParameterSets, Tensor, Tensor, Tensor, Feasibility]:
-    """Sets with loss, penalty, torque and feasibility."""
-    return (
-        sets,
-        problem.residual_of_vector(sets.vector).square().sum(-1),
-        gamma(problem, problem.search_vector(sets)),
-        torque_error(problem, sets),
-        feasibility(sets, problem.conditions),
-    )
-
-
-def at_bounds(found: Found) -> list[str]:
-    """Parameters of the best set that lie on their bounds, e.g. m3 (upper)."""
-    problem = found.problem
-    n = problem.n
-    names = [f"m{i + 1}" for i in range(n)]
-    names += [f"c{i + 1}{axis}" for i in range(n) for axis in "xyz"]
-    names += [f"I{i + 1}{e}" for i in range(n) for e in ("xx", "xy", "xz", "yy", "yz", "zz")]
-    names += found.sets.coefficient_names()
-    own = problem.search_vector(found.sets)[found.best]
-    low, high = problem.box.unbind(-1)
-    near = _ON_A_BOUND * (high - low)
-    lower, upper = (own - low < near).tolist(), (high - own < near).tolist()
-    return [
-        f"{name} ({'lower' if below else 'upper'})"
-        for name, below, above in zip(names, lower, upper, strict=True)
-        if below or above
-    ]
 
 
 def headline(found: Found, proof: Certificate | None) -> str:
@@ -198,38 +118,6 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
         least = [(name, f"{value:.5g}") for name, value in noticeable(proof).items()]
         out.append(Table(title, columns, least[:_SHOWN], words=columns[:1]))
     return out
-
-
-def extraction_record(
-    found: Found, proof: Certificate | None, warnings: tuple[str, ...]
-) -> dict[str, Any]:
-    """JSON-ready data."""
-    search: dict[str, Any] | None = None
-    if found.search is not None:
-        s = found.search
-        settings = "runs stages generations population penalty schedule engine polish seed"
-        course = "phi_before_polish=searched_phi gamma_before_polish=searched_gamma contradictions"
-        search = {**picked(s.settings, settings), **picked(s, course)}
-    return {
-        "schema": SCHEMA,
-        **problem_record(found.problem),
-        "method": found.method,
-        "search": search,
-        "certificate": certificate_record(proof),
-        "best": found.sets.ids[found.best],
-        "sets": [
-            {**physical, **entry, "torque_error_percent": plain([100 * x for x in torque])}
-            for physical, entry, torque in zip(
-                to_record(found.sets, found.problem.robot)["sets"],
-                sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
-                found.torque.tolist(),
-                strict=True,
-            )
-        ],
-        "at_bounds": at_bounds(found),
-        "seconds": found.seconds,
-        "warnings": list(warnings),
-    }
 
 
 def search_figure(search: Extraction, proof: Certificate | None) -> Figure:

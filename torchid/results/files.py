@@ -20,7 +20,7 @@ RECORDS = {
     "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
     "torchid.wrenches/1 equal_torque": "torchid.study.equal_torque.record:EqualTorqueRecord",
     "torchid.wrenches/1 sets": "torchid.study.equal_torque.record:GivenSetsRecord",
-    "torchid.payload/1": "torchid.identification.payload_record:PayloadRecord",
+    "torchid.payload/1": "torchid.identification.payload:PayloadRecord",
     "torchid.gap/1": "torchid.gap.record:GapRecord",
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
     "torchid.compare/1 identifications": "torchid.compare.record:ComparisonRecord",

@@ -9,10 +9,10 @@ log.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
 
 import torch
+from msgspec import UNSET, UnsetType, field
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
@@ -30,13 +30,14 @@ from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.noise.floor import stuck
+from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
-from torchid.json_data import picked, plain
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
+from torchid.results.record import Joint, Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.withheld.parallel import Progress, each
 
@@ -53,8 +54,7 @@ BAND = 20.0
 """Of the motion along which effects are planted [Hz]."""
 
 
-@dataclass(frozen=True)
-class Planted:
+class Planted(Part, frozen=True):
     """A known effect on top of a real log.
 
     Attributes:
@@ -66,8 +66,8 @@ class Planted:
     """
 
     effect: str
-    joint: int
-    level: float
+    joint: Joint
+    level: float = field(name="size_over_noise")
     coefficients: dict[str, float]
     named: bool
     in_set: bool
@@ -165,9 +165,6 @@ def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Lo
     return values.tolist(), Log.concatenate(grown)
 
 
-SCHEMA = "torchid.withheld.own/1"
-_PLANTED = "size_over_noise=level coefficients named in_set status"
-
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
 
@@ -206,8 +203,48 @@ class Withheld:
         return self.closed is not None and self.closed >= AS_MUCH * self.known
 
 
+class FoundThere(Part, frozen=True):
+    """An effect that was named, and where."""
+
+    effect: str
+    joints: tuple[Joint, ...]
+
+
+class WithheldRecord(Part, frozen=True, kw_only=True):
+    """See Withheld."""
+
+    effect: str
+    joints: tuple[Joint, ...]
+    named: bool
+    in_set: bool
+    found: tuple[FoundThere, ...]
+    known: float | None = field(name="known_closed")
+    closed: float | None
+    closed_ci95: tuple[float, float] | None
+    as_much: bool | None
+    status: str
+
+
+class OwnRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.own/1"):
+    """A check on one's own arm as its JSON has it; see OwnCheck."""
+
+    version: str
+    robot: str
+    untouched: tuple[str, ...]
+    whole: bool = field(name="untouched_are_whole_trajectories")
+    withheld: tuple[WithheldRecord, ...]
+    planted: tuple[Planted, ...]
+    first: GapRecord = field(name="diagnosis")
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[WithheldRecord]:
+        """What was withheld."""
+        return Rows(self.withheld)
+
+
 @dataclass(frozen=True)
-class OwnCheck:
+class OwnCheck(Result):
     """All of it.
 
     Attributes:
@@ -222,6 +259,25 @@ class OwnCheck:
     whole: bool
     withheld: tuple[Withheld, ...]
     planted: tuple[Planted, ...]
+
+    def __repr__(self) -> str:
+        named = sum(w.named for w in self.withheld)
+        name = self.first.robot.name
+        return f"OwnCheck('{name}', {named} of {len(self.withheld)} withheld effects named again)"
+
+    @cached_property
+    def record(self) -> OwnRecord:
+        """As the JSON has it."""
+        return OwnRecord.of(
+            self,
+            version=__version__,
+            robot=self.first.robot.name,
+            withheld=[
+                WithheldRecord.of(w, found=[FoundThere(*pair) for pair in w.findings])
+                for w in self.withheld
+            ],
+            first=self.first.record,
+        )
 
 
 def withheld_own(
@@ -294,34 +350,6 @@ def withheld_own(
     planted = each(plant_one, known, jobs, "planting known effects", progress)
     flat = tuple(one for several in planted for one in several)
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
-
-
-def own_record(found: OwnCheck) -> dict[str, Any]:
-    """As JSON-ready data; joints from 1."""
-    data = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "robot": found.first.robot.name,
-        "untouched": found.untouched,
-        "untouched_are_whole_trajectories": found.whole,
-        "withheld": [
-            {
-                "effect": w.effect,
-                "joints": [j + 1 for j in w.joints],
-                **picked(w, "named in_set"),
-                "found": [
-                    {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
-                ],
-                **picked(w, "known_closed=known closed closed_ci95 as_much status"),
-            }
-            for w in found.withheld
-        ],
-        "planted": [
-            {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)} for p in found.planted
-        ],
-        "diagnosis": found.first.plain(),
-    }
-    return {**plain(data)}
 
 
 def _without(corrected: Robot, finding: Finding) -> Robot:
