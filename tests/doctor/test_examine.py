@@ -11,7 +11,6 @@ from tests.doctor.synthetic import clean, log_faults
 from tests.doctor.test_signals import NOT_MENDED
 from torchid.app.options import numbers
 from torchid.doctor.examine import examine
-
 from torchid.errors import LogError
 from torchid.log.readers import read_log, write_log
 
@@ -78,7 +77,7 @@ def test_currents_are_said_to_need_gains():
 def test_record_is_plain():
     robot, log = clean("3r", 0)
     data = examine(robot, log).plain()
-    assert data["schema"] == SCHEMA
+    assert data["schema"] == "torchid.doctor/1"
     assert data["silent"] is True
     assert {"name", "verdict", "joints", "estimate", "interval", "evidence", "fix"} <= set(
         data["checks"][0]

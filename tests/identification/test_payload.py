@@ -24,7 +24,6 @@ from torchid.identification.identify import Identification, Settings, identify
 from torchid.identification.payload import (
     estimate_payload,
     payload_from_change,
-    record,
     with_payload,
 )
 from torchid.identification.payload_fit import last_link_columns, nearest_consistent

@@ -243,4 +243,4 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     output.warn(notes)
     output.say(f"\n{escape(atlas_headline(ranges, problem))}")
     output.write_json({**ranges.plain(), "warnings": list(notes)}, "atlas.json")
-    output.draw(lambda: {"atlas": atlas_figure(ranges, problem)})
+    output.draw(lambda: {"atlas": atlas_figure(ranges.record)})

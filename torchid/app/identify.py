@@ -120,7 +120,7 @@ def _figures(result: "Identification") -> "dict[str, Figure]":
     from torchid.report.table import joint_unit
 
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result)}
+    drawn = {"parameters": parameter_figure(result.record)}
     for kind, words, predictions in (
         ("fit", "fitted data", result.fit_predictions),
         ("held_out", "held-out data", result.held_out_predictions),

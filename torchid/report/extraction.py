@@ -9,7 +9,7 @@ from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.found import Found, at_bounds
 from torchid.extraction.problem import FAR, Problem
-from torchid.extraction.record import noticeable
+from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, finish, panel, rows_of
@@ -206,28 +206,27 @@ def atlas_table(atlas: Atlas) -> Table:
     )
 
 
-def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
+def atlas_figure(atlas: AtlasRecord) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
-    for k, name in enumerate(atlas.names):
-        columns.setdefault(kinds.get(name[0], "coefficients"), []).append(k)
+    for k, parameter in enumerate(atlas.parameters):
+        columns.setdefault(kinds.get(parameter.name[0], "coefficients"), []).append(k)
     height = 1.6 + 0.17 * max(len(rows) for rows in columns.values())
     figure, grid = panel(11, height, 1, len(columns))
-    low, high = (
-        (end - atlas.bounds_low) / (atlas.bounds_high - atlas.bounds_low)
-        for end in (atlas.low, atlas.high)
-    )
+    ends = torch.tensor([(p.low, p.high, *p.bounds) for p in atlas.parameters], dtype=torch.float64)
+    least, most = ends[:, 2], ends[:, 3]
+    low, high = ((end - least) / (most - least) for end in (ends[:, 0], ends[:, 1]))
     for axes, (title, rows) in zip(grid, columns.items(), strict=True):
         for y, k in enumerate(rows):
-            share = float(atlas.narrowed[k])
+            share = atlas.parameters[k].share_of_bounds
             colour = GREEN if share < _KNOWN else ORANGE if share < _NARROWED else RED
             colour = GREY if not bool(torch.isfinite(low[k] + high[k])) else colour
             start, end = float(low[k].nan_to_num(0.0)), float(high[k].nan_to_num(1.0))
             axes.plot([0, 1], [y, y], color="#eaeef2", linewidth=4, solid_capstyle="butt")
             axes.plot([start, end], [y, y], color=colour, linewidth=4, solid_capstyle="butt")
             axes.plot([(start + end) / 2], [y], "|", color=colour, markersize=7)
-        rows_of(axes, [atlas.names[k] for k in rows])
+        rows_of(axes, [atlas.parameters[k].name for k in rows])
         axes.set_xlim(-0.02, 1.02)
         axes.set_title(title, fontsize=9, color=INK)
         axes.grid(False, axis="y")
@@ -239,5 +238,5 @@ def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
         "narrowed to less than half": {"color": ORANGE, "linewidth": 4},
         "hardly or not narrowed": {"color": RED, "linewidth": 4},
     }
-    title = f"{problem.robot.name}: what the torque determines"
+    title = f"{atlas.robot}: what the torque determines"
     return finish(figure, title, columns=3, keys=keys)

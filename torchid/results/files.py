@@ -28,7 +28,7 @@ RECORDS = {
     "torchid.compare/1 parameter sets": "torchid.compare.record:SetComparisonRecord",
     "torchid.study/1": "torchid.study.record:StudyRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
-    "torchid.withheld.score/1": "torchid.withheld.summary:ScoreRecord",
+    "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
 
@@ -128,7 +128,7 @@ def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | N
         raise TorchidError(
             f"'{path}' is not {what} as torchid writes it.", got=str(error), hint=hint
         ) from error
-    except (ValueError, RecursionError, OverflowError) as error:
+    except (ValueError, RecursionError) as error:
         raise TorchidError(
             f"'{path}' is not JSON.", got=str(error), expected=what, hint=hint
         ) from error

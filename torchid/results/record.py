@@ -327,7 +327,12 @@ def _decoded(source: str, kind: Any, value: Any) -> Any:
             raise ValueError("Expected the number of a joint, from 1")
         return Joint(value - 1)
     if kind is Real:
-        return float(msgspec.convert(math.nan if value is None else value, float))
+        if value is not None and type(value) not in (int, float):
+            raise ValueError(f"Expected `float | null`, got `{type(value).__name__}`")
+        try:
+            return math.nan if value is None else float(value)
+        except OverflowError as error:
+            raise ValueError("the number is too large") from error
     return _robot(value, source) if kind is Model else _tensor(kind, value)
 
 
