@@ -40,3 +40,14 @@ def gap(robot: Robot, **changes: Any) -> dict[str, Any]:
         "settings": {"background": [], "parameters": "auto", "refitted": False},
         "model": robot_record(robot), "corrected": robot_record(robot), **changes,
     }  # fmt: skip
+
+
+STRIBECK = found(
+    "stribeck_friction", 2, parameters={"Fs": 0.5, "vs": 0.1, "d": 2.0},
+    ambiguous_with=["coulomb_friction", "link_inertia", "contact"],
+)  # fmt: skip
+
+
+def open_gap(robot: Robot, **changes: Any) -> dict[str, Any]:
+    """A diagnosis that cannot tell two laws of friction apart, with changes."""
+    return gap(robot, **{"which": [STRIBECK], **changes})

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.gap_files import found as found_effect
-from tests.gap_files import gap, hidden
+from tests.gap_files import hidden, open_gap
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
@@ -235,15 +235,9 @@ def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):
     assert "No motion tried settles payload; encoder_offset of joint 1" in said
 
 
-STRIBECK = found_effect(
-    "stribeck_friction", 2, parameters={"Fs": 0.5, "vs": 0.1, "d": 2.0},
-    ambiguous_with=["coulomb_friction", "link_inertia", "contact"],
-)  # fmt: skip
-
-
 def left_open(model, robot=None, **changes):
     """What a diagnosis by hand leaves open, as it would be read from its file."""
-    data = json.dumps(gap(model, **{"which": [STRIBECK], **changes})).encode()
+    data = json.dumps(open_gap(model, **changes)).encode()
     return open_questions(decode(data, GapRecord, "gap.json"), robot or model, "gap.json")
 
 

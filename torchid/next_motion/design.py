@@ -66,7 +66,8 @@ def excite_for(
         robot: with the limits to keep; the one that the result records if None.
         goal: of an identification, `a_optimal` for the least known parameters (default) or
             `d_optimal` for all.
-        duration: [s]. harmonics: of the Fourier series.
+        duration: [s].
+        harmonics: of the Fourier series.
         restarts: of the design, and what the search for a separation tries goes with them.
         usage: share of the limits that may be used.
         seed: of the random starts.
@@ -79,6 +80,15 @@ def excite_for(
     Raises:
         RobotError: the limits are incomplete, or no motion keeps them.
         TorchidError: a result of another robot, or one that leaves nothing to a motion.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.Settings(effects=(), cutoff=10.0)
+    >>> found = torchid.identify(robot, torchid.simulate(robot, motion), settings=settings)
+    >>> made = excite_for(found, duration=6.0, restarts=1)  # the same as found.next_motion(...)
+    >>> made.shrinks(made.after) < 1  # standard deviations, to what they were
+    True
     """
     source = str(result) if isinstance(result, str | Path) else "the result"
     if isinstance(result, str | Path):

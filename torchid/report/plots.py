@@ -52,6 +52,14 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
 
     Raises:
         TorchidError: there is no such figure of this result, with those that there are.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.Settings(effects=(), cutoff=10.0)
+    >>> found = torchid.identify(robot, torchid.simulate(robot, motion), settings=settings)
+    >>> len(draw(found, "parameters").axes)  # the same as found.plot("parameters")
+    1
     """
     drawn = kinds(result)
     name = next(iter(drawn), None) if kind is None else kind

@@ -87,8 +87,12 @@ def read(
     kind = parsed(content, _Head, path, what, hint).kind
     if kind not in kinds:
         schemas = dict.fromkeys(name.partition(" ")[0] for name in kinds)
+        other = any(s.partition("/")[0] == kind.partition("/")[0] for s in schemas)
         raise TorchidError(
-            f"'{path}' is not {what}.", got=f"schema {kind}", available=list(schemas), hint=hint
+            f"'{path}' is not {what}.",
+            got=f"schema {kind}{', of another version' if other else ''}",
+            available=list(schemas),
+            hint=hint,
         )
     module, _, name = RECORDS[kind].partition(":")
     record: type[Record] = getattr(import_module(module), name)
