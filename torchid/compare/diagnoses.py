@@ -14,11 +14,13 @@ from torchid.compare.reading import Compared
 from torchid.compare.record import (
     ComparedCoefficient,
     GapComparisonRecord,
+    Named,
     SharedRecord,
     State,
+    TorqueSpread,
 )
 from torchid.compare.scatter import Scatter, holm, scatter
-from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
+from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
 from torchid.gap.record import FoundEffect, GapRecord
 from torchid.log.model import Log
@@ -29,31 +31,6 @@ BLOCKS = 20
 """Fewest blocks that a diagnosis takes its standard deviations from."""
 
 ALPHA = 0.05
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect as one diagnosis names it.
-
-    Attributes:
-        effect, family: which.
-        place: joints (from 1) it is at; empty for the whole arm.
-        also: names that it cannot be told from.
-        values, std: coefficients and their standard deviations [units].
-        shapes: its shape parameters.
-        units: of both.
-        share: of the gap.
-    """
-
-    effect: str
-    family: str
-    place: tuple[int, ...]
-    also: tuple[str, ...]
-    values: dict[str, float]
-    std: dict[str, float]
-    shapes: dict[str, float]
-    units: dict[str, str]
-    share: float | None
 
 
 @dataclass(frozen=True)

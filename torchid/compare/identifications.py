@@ -9,9 +9,15 @@ import torch
 
 from torchid.compare.basis import Common, common_basis
 from torchid.compare.reading import Identified
-from torchid.compare.record import BirgeRecord, ComparedParameter, ComparisonRecord, Verdict
+from torchid.compare.record import (
+    BirgeRecord,
+    ComparedParameter,
+    ComparisonRecord,
+    TorqueSpread,
+    Verdict,
+)
 from torchid.compare.scatter import Scatter, Whole, holm, monotone, scatter, typical_birge, whole
-from torchid.compare.torque import TorqueSpread, identified_spread
+from torchid.compare.torque import identified_spread
 from torchid.errors import TorchidError
 from torchid.log.model import Log
 from torchid.results.record import Result

@@ -11,15 +11,25 @@ Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"
 State = Literal["named", "not_testable", "not_found"]
 
 
-class TorqueRecord(Part, frozen=True, kw_only=True):
-    """Torque of m models on one motion; see torchid.compare.torque.TorqueSpread."""
+class TorqueSpread(Part, frozen=True):
+    """Torque of m models on one motion [N m; N].
+
+    Attributes:
+        source: of the motion, in words.
+        size: (n,) RMS of the models' mean.
+        spread: (n,) standard deviation between models, RMS over the motion.
+        pairs: (m, m, n) RMS of every difference of two models.
+        claimed: (n,) RMS of the standard deviation that the parameters' covariances claim for a
+            model's torque; None where there are none.
+        errors: (m, n) RMS of the measured torque minus each model's; None without a log.
+    """
 
     source: str = field(name="on")
     size: Float[Tensor, " n"] = field(name="rms")
     spread: Float[Tensor, " n"]
-    claimed: Float[Tensor, " n"] | None = field(name="claimed_std")
     pairs: Float[Tensor, "m m n"]
-    errors: Float[Tensor, "m n"] | None
+    claimed: Float[Tensor, " n"] | None = field(name="claimed_std", default=None)
+    errors: Float[Tensor, "m n"] | None = None
 
 
 class ComparedParameter(Part, frozen=True, kw_only=True):
@@ -69,7 +79,7 @@ class ComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1
     correction: str
     birge: BirgeRecord
     whole: WholeRecord | None
-    torque: TorqueRecord | None
+    torque: TorqueSpread | None
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
@@ -79,13 +89,23 @@ class ComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1
         return Rows(self.parameters)
 
 
-class NamedRecord(Part, frozen=True, kw_only=True):
-    """An effect as one diagnosis names it; joints from 1."""
+class Named(Part, frozen=True):
+    """An effect as one diagnosis names it.
 
-    also: tuple[str, ...] = field(name="ambiguous_with")
-    place: tuple[int, ...] = field(name="joints")
+    Attributes:
+        effect, family: which.
+        place: joints (from 1) it is at; empty for the whole arm.
+        also: names that it cannot be told from.
+        values, std: coefficients and their standard deviations [units].
+        shapes: its shape parameters.
+        units: of both.
+        share: of the gap.
+    """
+
     effect: str
     family: str
+    place: tuple[int, ...] = field(name="joints")
+    also: tuple[str, ...] = field(name="ambiguous_with")
     values: dict[str, float]
     std: dict[str, float]
     shapes: dict[str, float]
@@ -116,7 +136,7 @@ class SharedRecord(Part, frozen=True, kw_only=True):
     place: tuple[int, ...] = field(name="joints")
     everywhere: bool = field(name="named_in_all")
     states: tuple[State, ...]
-    named: tuple[NamedRecord | None, ...]
+    named: tuple[Named | None, ...]
     smallest: tuple[float | None, ...] = field(name="smallest_detectable")
     coefficients: tuple[ComparedCoefficient, ...]
 
@@ -130,7 +150,7 @@ class GapComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compar
     statuses: tuple[str, ...] = field(name="status")
     closed: tuple[float | None, ...]
     effects: tuple[SharedRecord, ...]
-    torque: TorqueRecord | None
+    torque: TorqueSpread | None
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
@@ -140,8 +160,12 @@ class GapComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compar
         return Rows(self.effects)
 
 
-class RangeRecord(Part, frozen=True, kw_only=True):
-    """One parameter: its lowest and highest value in each of m files."""
+class Range(Part, frozen=True):
+    """One parameter: its lowest and highest value in each file, (m,).
+
+    `differ`: two files' ranges have no value in common; `drift`: and the middles of all rise or
+    fall in the order given; `never_determined`: the range exceeds +-50 % in every file.
+    """
 
     name: str
     unit: str
@@ -157,13 +181,13 @@ class SetComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compar
     results: tuple[str, ...]
     compared: Literal["parameter sets"] = "parameter sets"
     counts: tuple[int, ...] = field(name="sets")
-    physical: tuple[RangeRecord, ...] = field(name="parameters")
-    base: tuple[RangeRecord, ...] = field(name="base_parameters")
-    torque: TorqueRecord | None
+    physical: tuple[Range, ...] = field(name="parameters")
+    base: tuple[Range, ...] = field(name="base_parameters")
+    torque: TorqueSpread | None
     notes: tuple[str, ...]
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[RangeRecord]:
+    def table(self) -> Rows[Range]:
         """The physical parameters."""
         return Rows(self.physical)

@@ -8,9 +8,9 @@ import torch
 
 from torchid.compare.identifications import Verdict
 from torchid.compare.reading import Compared
-from torchid.compare.record import SetComparisonRecord
+from torchid.compare.record import Range, SetComparisonRecord, TorqueSpread
 from torchid.compare.scatter import monotone
-from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
+from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import SetsRecord, read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
@@ -26,21 +26,6 @@ UNKNOWN = 0.5
 
 SAME = 1e-6
 """Relative difference of single values that counts as none."""
-
-
-@dataclass(frozen=True)
-class Range:
-    """One parameter: its lowest and highest value in each file, (m,).
-
-    `differ`: two files' ranges have no value in common; `drift`: and the middles of all rise or
-    fall in the order given; `never_determined`: the range exceeds +-50 % in every file.
-    """
-
-    name: str
-    unit: str
-    verdict: Verdict
-    low: Float[Tensor, " m"]
-    high: Float[Tensor, " m"]
 
 
 @dataclass(frozen=True)

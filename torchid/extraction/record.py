@@ -6,7 +6,8 @@ from msgspec import UNSET, UnsetType, field
 
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
-from torchid.results.record import Ends, Part, Real, Record, Rows, Values
+from torchid.feasibility.sets import SetEntry
+from torchid.results.record import Ends, Part, Real, Record, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
@@ -65,14 +66,10 @@ class SearchRecord(Part, frozen=True, kw_only=True):
     contradictions: tuple[str, ...]
 
 
-class ExtractedSet(Part, frozen=True, kw_only=True):
-    """A set with its loss, penalty and verdict; parameters as in a file of sets."""
+class ExtractedSet(SetEntry, frozen=True, kw_only=True):
+    """A set as in a file of sets, with its loss, penalty, verdict, and how far its torque is (n,)
+    from the one asked for."""
 
-    id: str
-    mass: Float[Tensor, " n"]
-    first_moment: Float[Tensor, "n 3"]
-    inertia_about_link_frame: Float[Tensor, "n 6"]
-    effects: tuple[Values, ...] | None
     phi: Real
     gamma: Real
     feasible: bool

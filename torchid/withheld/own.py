@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import torch
-from msgspec import UNSET, UnsetType, field
+from msgspec import UNSET, UnsetType, field, structs
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
@@ -169,40 +169,6 @@ AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
 
 
-@dataclass(frozen=True)
-class Withheld:
-    """An accepted effect, taken out of the corrected model, on untouched data.
-
-    Attributes:
-        effect: its name.
-        joints: from 0; none where it belongs to the whole arm.
-        named: whether it was named at its place.
-        in_set: whether it, or something that it cannot be told from, was.
-        findings: (name, joints from 0) of all that was named.
-        known: share of the closable gap that it closes on these data, as fitted on the others; None
-            where there is no gap without it.
-        closed, closed_ci95: share that the diagnosis closed.
-        status: of the diagnosis.
-    """
-
-    effect: str
-    joints: tuple[int, ...]
-    named: bool
-    in_set: bool
-    findings: tuple[tuple[str, tuple[int, ...]], ...]
-    known: float | None
-    closed: float | None
-    closed_ci95: tuple[float, float] | None
-    status: str
-
-    @property
-    def as_much(self) -> bool | None:
-        """Whether the gap shrank as much as it is known to; None where there was none."""
-        if self.known is None:
-            return None
-        return self.closed is not None and self.closed >= AS_MUCH * self.known
-
-
 class FoundThere(Part, frozen=True):
     """An effect that was named, and where."""
 
@@ -210,8 +176,21 @@ class FoundThere(Part, frozen=True):
     joints: tuple[Joint, ...]
 
 
-class WithheldRecord(Part, frozen=True, kw_only=True):
-    """See Withheld."""
+class Withheld(Part, frozen=True):
+    """An accepted effect, taken out of the corrected model, on untouched data.
+
+    Attributes:
+        effect: its name.
+        joints: from 0; none where it belongs to the whole arm.
+        named: whether it was named at its place.
+        in_set: whether it, or something that it cannot be told from, was.
+        found: all that was named.
+        known: share of the closable gap that it closes on these data, as fitted on the others; None
+            where there is no gap without it.
+        closed, closed_ci95: share that the diagnosis closed.
+        status: of the diagnosis.
+        as_much: whether the gap shrank as much as it is known to; None where there was none.
+    """
 
     effect: str
     joints: tuple[Joint, ...]
@@ -221,8 +200,13 @@ class WithheldRecord(Part, frozen=True, kw_only=True):
     known: float | None = field(name="known_closed")
     closed: float | None
     closed_ci95: tuple[float, float] | None
-    as_much: bool | None
     status: str
+    as_much: bool | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        enough = self.closed is not None and self.closed >= AS_MUCH * (self.known or 0.0)
+        structs.force_setattr(self, "as_much", None if self.known is None else enough)
 
 
 class OwnRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.own/1"):
@@ -232,13 +216,13 @@ class OwnRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.own/1")
     robot: str
     untouched: tuple[str, ...]
     whole: bool = field(name="untouched_are_whole_trajectories")
-    withheld: tuple[WithheldRecord, ...]
+    withheld: tuple[Withheld, ...]
     planted: tuple[Planted, ...]
     first: GapRecord = field(name="diagnosis")
     seed: int | UnsetType = UNSET
 
     @property
-    def table(self) -> Rows[WithheldRecord]:
+    def table(self) -> Rows[Withheld]:
         """What was withheld."""
         return Rows(self.withheld)
 
@@ -272,10 +256,6 @@ class OwnCheck(Result):
             self,
             version=__version__,
             robot=self.first.robot.name,
-            withheld=[
-                WithheldRecord.of(w, found=[FoundThere(*pair) for pair in w.findings])
-                for w in self.withheld
-            ],
             first=self.first.record,
         )
 
@@ -380,7 +360,7 @@ def _withheld(bed: Bed, finding: Finding) -> Withheld:
         place,
         named(found, name, place),
         in_set(found, name, place),
-        tuple((f.effect.name, f.located) for f in found.findings),
+        tuple(FoundThere(f.effect.name, f.located) for f in found.findings),
         known.closed,
         found.how_far.closed,
         found.how_far.closed_ci95,
