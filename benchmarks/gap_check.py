@@ -58,7 +58,8 @@ from gap_oracle import EVENTS, coverage, fresh_closed, model_of, oracle
 
 from torchid.effects.registry import FAMILIES, KINDS
 from torchid.gap.diagnose import diagnose
-from torchid.gap.diagnosis import Diagnosis, Finding, Parametric
+from torchid.gap.diagnosis import Diagnosis, Finding
+from torchid.gap.record import Parametric
 from torchid.gap.settings import GapSettings
 from torchid.withheld.parallel import end_with_parent
 

@@ -30,7 +30,6 @@ from gap_real import FRICTION, UR10E, logs
 from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -109,7 +108,7 @@ def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     """The diagnosis' JSON, with its CPU seconds; of what was refused or failed, the error."""
     started = time.process_time()
     try:
-        found = record(diagnose(robot, log, settings=settings))
+        found = diagnose(robot, log, settings=settings).plain()
     except Exception as error:  # one case must not end a night's run
         found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
     return {**found, "seconds": time.process_time() - started}

@@ -19,7 +19,6 @@ import torch
 from gap_real import FRICTION, logs
 
 from torchid.gap.diagnose import diagnose
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -173,7 +172,7 @@ def asked(question: Question, data: Path) -> dict[str, Any]:
         background = FRICTION if question.rigid else ()
         fitted = replace(settings, background=background)
         robot = diagnose(robot, logs(data, question.first), settings=fitted).corrected
-    found = record(diagnose(robot, logs(data, question.log), settings=settings))
+    found = diagnose(robot, logs(data, question.log), settings=settings).plain()
     return {**found, "seconds": time.process_time() - started}
 
 

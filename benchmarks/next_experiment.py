@@ -32,10 +32,9 @@ from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
-from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.robot.library import load_robot
@@ -136,8 +135,7 @@ def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) ->
 
 def next_motion(robot: Robot, found: Diagnosis, usage: float, seed: int) -> Separation:
     """As `torchid excite --for` designs it."""
-    data = json.loads(json.dumps(record(found)))
-    left = read_open(Path("gap.json"), data, robot)
+    left = open_questions(found.record, robot, "gap.json")
     plain = optimise_trajectory(
         robot, seed=seed, restarts=RESTARTS, usage=usage, duration=DURATION
     ).trajectory

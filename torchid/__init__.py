@@ -45,6 +45,9 @@ _PUBLIC = {
     "GapSettings": "torchid.gap.settings",
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.compare.results",
+    "excite_for": "torchid.next_motion.design",
+    "load": "torchid.results.files",
+    "draw": "torchid.report.plots",
     "TorchidError": "torchid.errors",
 }
 

@@ -26,6 +26,9 @@ from torchid.identification.settings import Settings as Settings
 from torchid.log.model import Log as Log
 from torchid.log.readers import read_log as read_log
 from torchid.log.readers import write_log as write_log
+from torchid.next_motion.design import excite_for as excite_for
+from torchid.report.plots import draw as draw
+from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
 from torchid.robot.library import load_robot as load_robot
 from torchid.robot.model import Robot as Robot

@@ -15,7 +15,7 @@ from torchid.app.commands import app
 from torchid.errors import TorchidError
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
-from torchid.feasibility.sets import joined, nominal_set, read_sets, to_record
+from torchid.feasibility.sets import joined, nominal_set, read_sets, sets_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
@@ -39,7 +39,7 @@ def sets_file(path: Path, robot: str = "3r", count: int = 2, change=None) -> Pat
         pi = one.parameters.pi.clone()
         pi[0, 1, 4:] *= -1
         parts.append(type(one)((f"s{k}",), InertialParameters(pi), one.effects, one.coefficients))
-    data = to_record(joined(parts), load_robot(robot))
+    data = sets_record(joined(parts), load_robot(robot)).plain()
     if change is not None:
         change(data)
     path.write_text(json.dumps(data))
@@ -295,11 +295,11 @@ def spoil(key, value):
         (["nothing"], "neither a file nor a built-in robot"),
         (["none.yaml"], "does not exist"),
         (["{bare}"], "`robot=...` is needed"),
-        (["{sets}", "--robot", "kuka_lwr4"], "wrong size"),
+        (["{sets}", "--robot", "kuka_lwr4"], "of another robot"),
         (["{sets}", "--robot", "nothing"], "unknown robot"),
-        (["{nan}", "--robot", "3r"], "not all finite"),
+        (["{nan}", "--robot", "3r"], "is not JSON"),
         (["{text}", "--robot", "3r"], "is not JSON"),
-        (["{other}", "--robot", "3r"], "no parameter sets"),
+        (["{other}", "--robot", "3r"], "missing required field `sets`"),
         (["3r", "--nearest", "{folder}/none/x.json"], "does not exist"),
     ],
 )

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from tests.compare.records import several
-from tests.next_motion.test_separation import diagnosis
+from tests.gap_files import hidden
+from tests.gap_files import open_gap as diagnosis
 from torchid.robot.library import load_robot
 
 
@@ -44,11 +45,11 @@ def test_compare_on_a_log(command, results, folder, tmp_path):
         (["a", "gap"], "same kind"),
         (["a", "nothing"], "cannot be read"),
         (["a", "other"], "not a result that can be compared"),
-        (["a", "broken"], "not a complete identification"),
+        (["a", "broken"], "can be compared as torchid writes it"),
     ],
 )
 def test_bad_results(command, results, tmp_path, files, message):
-    (tmp_path / "gap").write_text(json.dumps({"schema": "torchid.gap/1"}))
+    (tmp_path / "gap").write_text(json.dumps(diagnosis(load_robot("3r"))))
     (tmp_path / "other").write_text(json.dumps({"schema": "something/1"}))
     data = json.loads(results[1].read_text())
     data["base_values"] = data["base_values"][:-1]
@@ -101,7 +102,7 @@ def test_excite_for_a_diagnosis(command, tmp_path):
         (["--for", "A", "--kind", "random"], "one optimised trajectory"),
         (["--for", "A", "--criterion", "condition"], "other criteria"),
         (["--for", "B"], "not a result that a motion can be designed for"),
-        (["--for", "C"], "it is of another version: torchid gap"),
+        (["--for", "C"], "schema torchid.gap/0, of another version"),
         (["--for", "D"], "is not JSON"),
         (["--for", "missing.json"], "cannot be read"),
         (["--for", "E"], "is of another robot"),
@@ -111,7 +112,7 @@ def test_excite_for_a_diagnosis(command, tmp_path):
 )
 def test_excite_refuses(command, results, tmp_path, arguments, message):
     robot, three = load_robot("kuka_lwr4"), load_robot("3r_friction")
-    vertical = [{"effect": "encoder_offset", "joint": 1, "smallest_detectable": None}]
+    vertical = [hidden("encoder_offset", 1)]
     contents = {
         "B": {"schema": "torchid.study/1"},
         "C": {"schema": "torchid.gap/0"},

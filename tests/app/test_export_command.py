@@ -45,10 +45,10 @@ def test_sets_into_the_users_file(tmp_path):
     """check --nearest writes feasible sets that know their robot; they go into its URDF."""
     urdf = write_urdf(tmp_path)
     sets = tmp_path / "sets.json"
-    from torchid.feasibility.sets import nominal_set, to_record
+    from torchid.feasibility.sets import nominal_set, sets_record
 
     robot = load_robot(urdf)
-    sets.write_text(json.dumps(to_record(nominal_set(robot), robot)))
+    sets.write_text(json.dumps(sets_record(nominal_set(robot), robot).plain()))
     out = tmp_path / "out"
     said = run(sets, "--to", "urdf", "--out", out, "--name", "mine", "--geometry", "none")
     assert (out / "mine.urdf").is_file()

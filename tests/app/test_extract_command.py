@@ -11,7 +11,6 @@ SMALL = ("--runs", "3", "--stages", "3", "--generations", "4")
 def identified(folder, tmp_path_factory):
     """The JSON of an identification of the 3R with friction."""
     from torchid.identification.identify import Settings, identify
-    from torchid.identification.record import record
     from torchid.log.readers import read_log
     from torchid.robot.library import load_robot
 
@@ -22,7 +21,7 @@ def identified(folder, tmp_path_factory):
         load_robot("3r_friction"), read_log([folder / "fit.parquet"]), settings=settings
     )
     path = tmp_path_factory.mktemp("result") / "identification.json"
-    path.write_text(json.dumps(record(result)))
+    path.write_text(json.dumps(result.plain()))
     return path
 
 

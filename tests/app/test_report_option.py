@@ -3,7 +3,6 @@
 import hashlib
 import json
 import sys
-from dataclasses import asdict
 
 import pytest
 
@@ -60,7 +59,7 @@ def test_gap(command, folder, tmp_path, monkeypatch):
 
     def diagnose(robot, log, *, settings, **_):
         asked.append(settings)
-        return diagnosis(settings=asdict(settings), **SHORT)
+        return diagnosis(settings=settings, **SHORT)
 
     monkeypatch.setattr("torchid.gap.diagnose.diagnose", diagnose)
     page, data = tmp_path / "gap.html", tmp_path / "gap.json"

@@ -10,7 +10,7 @@ from torchid.app.wrenches import wrenches_command
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log, write_trajectory
-from torchid.feasibility.sets import joined, nominal_set, to_record
+from torchid.feasibility.sets import joined, nominal_set, sets_record
 from torchid.log.readers import write_log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     pi = own.parameters.pi.clone()
     pi[0, 2, :4] *= 2.2 / 1.2
     heavy = type(own)(("heavy",), InertialParameters(pi), (), own.coefficients)
-    (path / "sets.json").write_text(json.dumps(to_record(joined([own, heavy]), robot)))
+    (path / "sets.json").write_text(json.dumps(sets_record(joined([own, heavy]), robot).plain()))
     motion = random_trajectory(robot, 0, duration=4.0)
     write_trajectory(motion, path / "motion.csv")
     log = synthetic_log(robot, trajectory_log(motion, 100.0), HonestNoise(), 0)

@@ -1,6 +1,5 @@
 """Identifications as files: a 3R whose least squares is made here, not by torchid's fit."""
 
-import json
 from pathlib import Path
 
 import torch
@@ -8,8 +7,15 @@ import torch
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.design import base_regressor
 from torchid.identification.base_parameters import base_parameters, nominal_values, random_states
+from torchid.identification.record import (
+    Errors,
+    Grouping,
+    IdentificationRecord,
+    SettingsRecord,
+    StatisticsRecord,
+)
+from torchid.identification.settings import Settings
 from torchid.robot.library import load_robot
-from torchid.robot.record import robot_record
 
 EFFECTS = ("viscous_friction", "coulomb_friction")
 
@@ -48,27 +54,21 @@ def identification(
     covariance = claimed**2 * sample @ sample.T / (blocks - 1)
     factor = torch.zeros(len(base) + 1, len(base) + 1, dtype=torch.float64)
     factor[:-1, :-1] = r
-    data = {
-        "schema": "torchid.identification/1",
-        "robot": robot.name,
-        "grouping": {"parameters": list(base.parameter_names), "matrix": base.grouping.tolist()},
-        "base_names": list(base.names),
-        "base_values": values.tolist(),
-        "covariance": covariance.tolist(),
-        "factor": factor.tolist(),
-        "rank_gap": list(base.rank_gap),
-        "undetermined": [],
-        "bounded": [],
-        "dropped": [],
-        "statistics": {"blocks": blocks, "quantile95": 2.0},
-        "cutoff_hz": None,
-        "reversal_speed": [0.0] * robot.n,
-        "settings": {"effects": list(effects)},
-        "fit": {"trajectories": [f"run {seed}"]},
-    }
-    if model:
-        data["model"] = robot_record(robot)
-    path.write_text(json.dumps(data))
+    errors = [torch.zeros(robot.n, dtype=torch.float64)] * 6
+    IdentificationRecord(
+        robot=robot.name, n_base=base.n_rigid, basis=base.basis, parameters=(), effects=(),
+        combined=(), condition_number=1.0, scaled_condition_number=1.0, cutoff=None,
+        cutoff_choice=None, reversal=torch.zeros(robot.n, dtype=torch.float64),
+        fit=Errors((f"run {seed}",), *errors), held_out=None, bounded=(), wrong_sign=(),
+        undetermined=(), dropped=(), absorbed=(), rank_gap=base.rank_gap,
+        base=Grouping(parameter_names=base.parameter_names, grouping=base.grouping),
+        base_names=base.names, values=values, covariance=covariance, factor=factor,
+        statistics=StatisticsRecord(
+            method="", blocks=blocks, block_seconds=1.0, correlation_seconds=0.1, quantile95=2.0
+        ),
+        settings=SettingsRecord.of(Settings(effects=tuple(effects))), warnings=(),
+        model=robot if model else None,
+    ).save(path)  # fmt: skip
     return path
 
 

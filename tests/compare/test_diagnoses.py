@@ -6,34 +6,29 @@ import json
 import pytest
 from rich.console import Console
 
+from tests.gap_files import found as found_effect
+from tests.gap_files import gap
+from tests.gap_files import hidden as untested
 from torchid.compare.diagnoses import compare_diagnoses
 from torchid.compare.reading import read_results
-from torchid.compare.record import record
 from torchid.errors import TorchidError
 from torchid.report.compare import gap_tables, gap_verdict
+from torchid.results.record import robot_record
 from torchid.robot.library import load_robot
-from torchid.robot.record import robot_record
 
 
 def named(effect="coulomb_friction", joint=2, also=(), **values):
     values = values or {"Fc": 0.5}
-    return {
-        "effect": effect, "family": "sign", "joints": [joint], "common": False,
-        "ambiguous_with": list(also), "parameters": {**values, "smoothing": 0.0},
-        "std": dict.fromkeys(values, 0.02), "unit": dict.fromkeys(values, "N m"),
-        "shape": [], "places": [], "share": 0.5,
-    }  # fmt: skip
+    return found_effect(
+        effect, joint, ambiguous_with=list(also), parameters={**values, "smoothing": 0.0},
+        std=dict.fromkeys(values, 0.02), unit=dict.fromkeys(values, "N m"),
+    )  # fmt: skip
 
 
 def diagnosis(path, *which, hidden=(), robot="3r", effects=()):
     arm = load_robot(robot)
     corrected = {**robot_record(arm), "effects": list(effects)}
-    data = {
-        "schema": "torchid.gap/1", "robot": robot, "status": "explained",
-        "where": {"joints": [{"joint": j + 1} for j in range(arm.n)], "regimes": []},
-        "which": list(which), "how_far": {"closed": 0.9}, "not_testable": list(hidden),
-        "band_hz": 20.0, "settings": {}, "model": robot_record(arm), "corrected": corrected,
-    }  # fmt: skip
+    data = gap(arm, which=list(which), not_testable=list(hidden), corrected=corrected)
     path.write_text(json.dumps(data))
     return path
 
@@ -75,7 +70,7 @@ def test_another_joint_or_an_unrelated_effect_is_another_cause(tmp_path, other):
 
 
 def test_what_could_not_be_tested_is_not_missing(tmp_path):
-    hidden = {"effect": "coulomb_friction", "joint": 2, "smallest_detectable": 0.9}
+    hidden = untested("coulomb_friction", 2, 0.9)
     found = compared(
         diagnosis(tmp_path / "a.json", named()), diagnosis(tmp_path / "b.json", hidden=[hidden])
     )
@@ -105,7 +100,7 @@ def test_torque_of_corrected_models(tmp_path):
     pair = found.torque.pairs[0, 1].tolist()
     assert pair[0] == pair[2] == 0
     assert pair[1] == pytest.approx(0.6, rel=0.01)  # at rest, at both ends, there is none
-    data = json.loads(json.dumps(record(found), allow_nan=False))
+    data = json.loads(json.dumps(found.plain(), allow_nan=False))
     assert data["effects"][0]["states"] == ["named", "not_found"]
 
 
@@ -116,5 +111,5 @@ def test_another_arm_and_an_incomplete_file_are_refused(tmp_path):
     broken = {**json.loads(a.read_text())}
     del broken["which"]
     (tmp_path / "c.json").write_text(json.dumps(broken))
-    with pytest.raises(TorchidError, match="not complete"):
+    with pytest.raises(TorchidError, match="missing required field `which`"):
         compared(a, tmp_path / "c.json")

@@ -9,7 +9,6 @@ import torch
 from tests.compare.records import EFFECTS, identification, several
 from torchid.compare.identifications import compare_identifications
 from torchid.compare.reading import read_identification, read_results
-from torchid.compare.record import record
 from torchid.compare.scatter import whole
 from torchid.compare.torque import random_motion
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -156,7 +155,7 @@ def test_the_whole_sees_what_no_single_parameter_shows():
 
 def test_the_record_is_json_and_says_the_same(tmp_path):
     found = compared(several(tmp_path, 3))
-    data = json.loads(json.dumps(record(found), allow_nan=False))
+    data = json.loads(json.dumps(found.plain(), allow_nan=False))
     assert data["schema"] == "torchid.compare/1"
     assert data["results"] == ["a", "b", "c"]
     assert len(data["parameters"]) == len(found.parameters)

@@ -6,10 +6,8 @@ import pytest
 import torch
 
 import torchid
-from torchid.compare.record import record
 from torchid.compare.results import compare_results
 from torchid.errors import TorchidError
-from torchid.identification.record import record as identification_record
 from torchid.identification.result import Identification
 from torchid.json_data import write_json
 
@@ -26,9 +24,9 @@ def runs() -> list[Identification]:
 def test_files_and_objects_compare_alike(runs: list[Identification], tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("monday.json", "tuesday.json")]
     for file, run in zip(files, runs, strict=True):
-        write_json(identification_record(run), file)
+        write_json(run.plain(), file)
     ours, read, mixed = (
-        record(compare_results(given)) for given in (runs, files, [runs[0], files[1]])
+        compare_results(given).plain() for given in (runs, files, [runs[0], files[1]])
     )
     assert ours.pop("results") == ["result 1", "result 2"]
     assert read.pop("results") == ["monday", "tuesday"]

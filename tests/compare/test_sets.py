@@ -7,10 +7,9 @@ import torch
 
 from tests.export.arms import write_urdf
 from torchid.compare.reading import read_results
-from torchid.compare.record import record
 from torchid.compare.sets import compare_sets, robot_of
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
+from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.report.compare import set_verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -26,7 +25,7 @@ def sets(path, *, mass=0.0, spread=0.01, count=5, seed=0):
     pi[:, 1, 0] += mass
     ids = tuple(f"p_{k}" for k in range(count))
     made = ParameterSets(ids, InertialParameters(pi), (), pi.new_zeros(count, 0))
-    path.write_text(json.dumps(to_record(made, robot)))
+    path.write_text(json.dumps(sets_record(made, robot).plain()))
     return path
 
 
@@ -43,7 +42,7 @@ def test_ranges_torque_and_record(tmp_path):
     gravity = robot.gravity.norm()
     assert float(found.torque.pairs[0, 2].max()) < 2 * float(gravity) * 3
     assert pi[1, 0] < float(by_name["m2"].low[2])
-    data = json.loads(json.dumps(record(found), allow_nan=False))
+    data = json.loads(json.dumps(found.plain(), allow_nan=False))
     assert data["compared"] == "parameter sets"
     assert "in the order given" in set_verdict(found)
 
@@ -54,7 +53,9 @@ def test_the_robot_of_a_file_is_found_again(tmp_path):
     urdf = write_urdf(folder)
     robot = load_robot(urdf)
     for name in "ab":
-        (tmp_path / f"{name}.json").write_text(json.dumps(to_record(nominal_set(robot), robot)))
+        (tmp_path / f"{name}.json").write_text(
+            json.dumps(sets_record(nominal_set(robot), robot).plain())
+        )
     results = read_results([tmp_path / "a.json", tmp_path / "b.json"])
     assert robot_of(results).source == str(urdf)
     urdf.rename(folder / "other.urdf")

@@ -6,7 +6,7 @@ import torch
 
 from tests.doctor.synthetic import clean, log_faults
 from torchid.doctor.examine import examine
-from torchid.doctor.record import conclusion, record, untold
+from torchid.doctor.record import conclusion, untold
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
 
@@ -79,7 +79,7 @@ def test_what_rests_on_a_choice_waits_for_it():
     assert torch.allclose(mended.q, log.q)  # found before, and the only explanation
     chosen = examine(robot, degrees, ["torque sign 1"])
     assert torch.equal(chosen.mended().tau, log.tau)
-    applied = {c["name"] for c in record(result)["checks"] if c["applicable"]}
+    applied = {c["name"] for c in result.plain()["checks"] if c["applicable"]}
     assert "position unit" in applied
 
 
@@ -120,8 +120,8 @@ def test_a_log_too_short_is_not_said_to_be_fine():
     assert text.startswith("No fault found in what could be checked. This log cannot tell:")
     assert "joint order" in text
     assert "the log lasts" in text
-    assert record(result)["conclusion"] == text
-    assert set(record(result)["untold"]) >= {"joint order", "torque sign", "gravity", "lag"}
+    assert result.plain()["conclusion"] == text
+    assert set(result.plain()["untold"]) >= {"joint order", "torque sign", "gravity", "lag"}
 
 
 def test_a_good_log_says_so():

@@ -11,7 +11,6 @@ from tests.doctor.synthetic import clean, log_faults
 from tests.doctor.test_signals import NOT_MENDED
 from torchid.app.options import numbers
 from torchid.doctor.examine import examine
-from torchid.doctor.record import SCHEMA, record
 from torchid.errors import LogError
 from torchid.log.readers import read_log, write_log
 
@@ -77,8 +76,8 @@ def test_currents_are_said_to_need_gains():
 
 def test_record_is_plain():
     robot, log = clean("3r", 0)
-    data = record(examine(robot, log))
-    assert data["schema"] == SCHEMA
+    data = examine(robot, log).plain()
+    assert data["schema"] == "torchid.doctor/1"
     assert data["silent"] is True
     assert {"name", "verdict", "joints", "estimate", "interval", "evidence", "fix"} <= set(
         data["checks"][0]

@@ -11,7 +11,7 @@ from torchid.excitation.design import base_regressor
 from torchid.excitation.informed import design_for, information, least_known, predicted_std
 from torchid.excitation.limits import limit_usage, motion_limits
 from torchid.excitation.trajectories import random_trajectory
-from torchid.identification.values import read_prior
+from torchid.identification.values import prior_of, read_identification
 from torchid.robot.library import load_robot
 
 PER_SECOND = 20.0
@@ -28,11 +28,12 @@ def prior(robot, tmp_path_factory):
     path = identification(tmp_path_factory.mktemp("prior") / "a.json", 0, blocks=100000)
     data = json.loads(path.read_text())
     data["rows"] = {
+        "seconds": 20.0,
         "per_second": PER_SECOND,
         "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
     }
     path.write_text(json.dumps(data))
-    return read_prior(path, robot)
+    return prior_of(read_identification(path), robot, "a file")
 
 
 def stacked(robot, prior, trajectory):
@@ -94,11 +95,12 @@ def test_what_the_log_did_not_determine_is_a_target(robot, tmp_path):
             row[k] = 0.0
     data["covariance"][k] = [0.0] * len(data["base_names"])
     data["rows"] = {
+        "seconds": 20.0,
         "per_second": PER_SECOND,
         "whitening": torch.eye(3, dtype=torch.float64).tolist(),
     }
     path.write_text(json.dumps(data))
-    prior = read_prior(path, robot)
+    prior = prior_of(read_identification(path), robot, "a file")
     assert bool(least_known(prior)[k])
     found = predicted_std(robot, prior, [random_trajectory(robot, 1)])
     assert bool(torch.isfinite(found).all())
@@ -108,5 +110,5 @@ def test_what_the_log_did_not_determine_is_a_target(robot, tmp_path):
 def test_an_older_result_is_refused_with_what_to_do(robot, tmp_path):
     path = identification(tmp_path / "a.json", 0)
     with pytest.raises(TorchidError, match="how its rows were weighted") as caught:
-        read_prior(path, robot)
+        prior_of(read_identification(path), robot, "a file")
     assert "torchid identify" in caught.value.hint

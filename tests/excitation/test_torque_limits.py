@@ -20,7 +20,7 @@ from torchid.excitation.limits import limit_usage, motion_limits
 from torchid.excitation.torque import identified_torque_limits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, sinusoid, write_trajectory
 from torchid.identification.base_parameters import base_parameters
-from torchid.identification.values import read_prior
+from torchid.identification.values import prior_of, read_identification
 from torchid.log.readers import read_log
 from torchid.next_motion.rows import Setting
 from torchid.next_motion.separating_motion import design_separation
@@ -170,13 +170,14 @@ def test_the_next_motion_keeps_them_by_what_was_identified(tmp_path):
     path = identification(tmp_path / "a.json", 0, blocks=1000)
     data = json.loads(path.read_text())
     data["rows"] = {
+        "seconds": 20.0,
         "per_second": 20.0,
         "whitening": (10 * torch.eye(3, dtype=torch.float64)).tolist(),
     }
     # An arm that needs more: the nominal parameters would not tell.
     data["base_values"] = [1.7 * v for v in data["base_values"]]
     path.write_text(json.dumps(data))
-    prior = read_prior(path, robot)
+    prior = prior_of(read_identification(path), robot, "a file")
     found = design_for(robot, prior, seed=0, restarts=2, iterations=20, duration=8.0)
     for trajectory in (found.trajectory, found.plain):
         motion = trajectory.sample(200.0).motion

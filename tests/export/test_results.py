@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.arms import arm, consistent_parameters, relative
+from tests.compare.records import identification as identified
 from tests.export.arms import FRICTION, exported, with_other
 from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
@@ -17,7 +18,7 @@ from torchid.export.export import export_dynamics, require_feasible
 from torchid.export.results import base_dynamics, load, robot_dynamics, set_dynamics
 from torchid.export.tables import read_values
 from torchid.feasibility.record import check_sets
-from torchid.feasibility.sets import ParameterSets, nominal_set, to_record
+from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.identification.base_parameters import base_parameters, nominal_values
 from torchid.identification.validation import model_torque
 from torchid.robot.inertia import InertialParameters
@@ -32,18 +33,14 @@ def identification(tmp_path, robot, name="kuka_lwr4"):  # type: ignore[no-untype
     base = base_parameters(robot, effects)
     values = nominal_values(robot, base)
     b = len(base)
-    data = {
-        "schema": "torchid.identification/1",
-        "robot": robot.name,
+    path = identified(tmp_path / "identification.json", 0, robot=robot, effects=EFFECTS)
+    data = json.loads(path.read_text()) | {
         "robot_source": name,
-        "settings": {"effects": list(EFFECTS)},
-        "base_names": list(base.names),
         "base_values": values.tolist(),
         "undetermined": [base.names[3]],
         "covariance": torch.diag(torch.full((b,), 0.04, dtype=torch.float64)).tolist(),
         "factor": torch.eye(b + 1, dtype=torch.float64).tolist(),
     }
-    path = tmp_path / "identification.json"
     path.write_text(json.dumps(data))
     return path, base, effects, values
 
@@ -59,7 +56,7 @@ def sets_file(tmp_path, robot, scales=(1.0, 2.0, -1.0), **more):  # type: ignore
         torch.full((3, robot.n), 0.3, dtype=torch.float64),
     )
     path = tmp_path / "sets.json"
-    path.write_text(json.dumps({**to_record(sets, robot), **more}))
+    path.write_text(json.dumps({**sets_record(sets, robot).plain(), **more}))
     return path
 
 
@@ -142,7 +139,7 @@ def test_effects_beside_the_sets_come_with_them(tmp_path):
     robot = replace(arm("3r"), effects=FRICTION)
     others = nominal_others(robot)
     (path := tmp_path / "near.json").write_text(
-        json.dumps(to_record(nominal_set(robot), robot, others))
+        json.dumps(sets_record(nominal_set(robot), robot, others).plain())
     )
     bare = replace(robot, effects=())
     found = set_dynamics(path, load(path), bare, None, "none")

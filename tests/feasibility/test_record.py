@@ -11,8 +11,8 @@ from torchid.errors import RobotError
 from torchid.feasibility.bounds import read_bounds, read_total_mass
 from torchid.feasibility.derived_bounds import derive_bounds
 from torchid.feasibility.findings import Finding
-from torchid.feasibility.record import check, check_sets, excess_percent, record
-from torchid.feasibility.sets import ParameterSets, joined, nominal_set, to_record
+from torchid.feasibility.record import check, check_sets, excess_percent
+from torchid.feasibility.sets import ParameterSets, joined, nominal_set, sets_record
 from torchid.json_data import write_json
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -26,7 +26,7 @@ BOX = (
 
 def nominal_record(name, **more):
     robot = load_robot(name)
-    return record(check_sets(robot, nominal_set(robot), **more))
+    return check_sets(robot, nominal_set(robot), **more).plain()
 
 
 def test_table_3_4_is_infeasible_where_notes_say():
@@ -81,7 +81,7 @@ def test_numbers_that_are_not_finite_are_null_and_infeasible():
     sets = ParameterSets(
         ("x",), InertialParameters(pi[None]), (), torch.zeros(1, 0, dtype=torch.float64)
     )
-    (entry,) = record(check_sets(robot, sets))["sets"]
+    (entry,) = check_sets(robot, sets).plain()["sets"]
     json.dumps(entry, allow_nan=False)
     assert entry["reasons"] == ["inertia_2"]
     assert entry["margins"]["inertia_2"] is None
@@ -136,7 +136,7 @@ def test_unknown_shapes_are_no_condition(tmp_path):
 def test_round_shapes_and_total_mass():
     robot = load_robot("3r")
     check = check_sets(robot, nominal_set(robot), round_shapes=True, total_mass=(6.0, 7.0))
-    data = record(check)
+    data = check.plain()
     assert data["conditions"]["total_mass"] == [6.0, 7.0]
     assert data["conditions"]["round_shapes"]
     (entry,) = data["sets"]
@@ -152,7 +152,7 @@ def test_each_set_has_its_own_entry_and_findings_for_all_are_in_each():
     one = nominal_set(robot)
     bad = replace(one, ids=("bad",), parameters=InertialParameters(-one.parameters.pi))
     shared = Finding(None, "own_mass", -1.0, 0.0, "said")
-    data = record(check_sets(robot, joined([one, bad]), also=[shared]))
+    data = check_sets(robot, joined([one, bad]), also=[shared]).plain()
     assert [entry["id"] for entry in data["sets"]] == ["3r", "bad"]
     assert [entry["feasible"] for entry in data["sets"]] == [True, False]
     assert data["n_sets"] == 2
@@ -179,10 +179,10 @@ def test_check_takes_the_robot_its_sets_or_a_file_of_them(tmp_path):
     robot = load_robot("kuka_lwr4_friction")
     sets = nominal_set(robot)
     file = tmp_path / "sets.json"
-    write_json(to_record(sets, robot), file)
-    wanted = record(check_sets(robot, sets, total_mass=read_total_mass(robot)))
+    write_json(sets_record(sets, robot).plain(), file)
+    wanted = check_sets(robot, sets, total_mass=read_total_mass(robot)).plain()
     for given in (None, sets, file, str(file)):
-        assert record(check(robot, given)) == wanted
+        assert check(robot, given).plain() == wanted
     mass = float(sets.parameters.mass.sum())
     assert "total_mass" in check(robot, total_mass=(0.0, mass / 2)).feasibility.reasons(0)
     assert "total_mass" not in check(robot, total_mass=None).feasibility.reasons(0)

@@ -10,19 +10,20 @@ from torch import Tensor
 from tests.arms import arm
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.gap.diagnosis import (
+from torchid.gap.diagnosis import Diagnosis, Finding, HowFar, Trace
+from torchid.gap.record import (
     Budget,
-    Diagnosis,
-    Finding,
-    HowFar,
+    Experiment,
+    Informative,
     JointGap,
     NoiseFloor,
     NotTestable,
     Parametric,
     RegimeGap,
     Status,
-    Trace,
+    Window,
 )
+from torchid.gap.settings import GapSettings
 from torchid.log.filtering import ZeroPhaseFilter
 
 BAND = 20.0
@@ -146,7 +147,12 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
         RegimeGap(1, "velocity_reversal", 0.64, (0.55, 0.71), 0.002),
         RegimeGap(1, "low_speed", 0.2, (-0.01, 0.35), 0.03),
         RegimeGap(
-            2, "transient", 0.4, (0.0, 0.6), 0.01, (("run1", 12.25, 12.75), ("run2", 1.0, 1.25))
+            2,
+            "transient",
+            0.4,
+            (0.0, 0.6),
+            0.01,
+            (Window("run1", 12.25, 12.75), Window("run2", 1.0, 1.25)),
         ),
         RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.6),
     ]
@@ -165,11 +171,18 @@ def diagnosis(status: Status = "explained", **changes: object) -> Diagnosis:
             NotTestable("rotor_inertia", (0,), None, "kg m^2", "exactly a sum of base parameters"),
             NotTestable("torque_offset", (2,), 0.4, "N m", "too small beside the noise"),
         ),
-        next_experiment={"effect": "coulomb_friction", "motion": "slow and fast", "speed": [0.1]},
+        next_experiment=Experiment(
+            separates=("coulomb_friction", "viscous_friction"),
+            joint=1,
+            do="Move slow and fast.",
+            most_informative=Informative(trajectory="run1", from_s=1.0, to_s=2.0, share=0.1),
+            seconds_of_the_same_motion=30.0,
+        ),
         traces=(trace(coulomb, some_left),),
         band=BAND,
         cutoff=8.0,
-        settings={"alpha": 0.01, "cutoff": "auto", "nothing": math.inf},
+        settings=GapSettings(),
+        refitted=False,
         warnings=("the log is short",),
     )
     empty = {"findings": (), "parametric": ()}

@@ -14,7 +14,6 @@ import pytest
 from tests.gap.small_logs import NOISE, ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.effects.registry import FAMILIES, effect_kind
 from torchid.gap.diagnose import diagnose
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.robot.model import Robot
 
@@ -197,7 +196,7 @@ LOGS: dict[str, tuple[Robot, Recording]] = {
 def diagnosed(name: str) -> dict[str, Any]:
     real, how = LOGS[name]
     found = diagnose(ROBOT, logged(real, how), settings=SETTINGS)
-    return json.loads(json.dumps(record(found), allow_nan=False))
+    return json.loads(json.dumps(found.plain(), allow_nan=False))
 
 
 # As of 0.1.0 "payload, white" fails: no body has the payload's ten parameters, and no note says so.

@@ -19,7 +19,6 @@ from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
@@ -308,7 +307,7 @@ def test_progress_is_told_to_the_end():
 @pytest.mark.slow
 def test_nothing_is_left_to_chance():
     again = diagnose(ROBOT, logged(REAL), settings=QUICK)
-    assert json.dumps(record(again)) == json.dumps(record(case("coulomb")))
+    assert json.dumps(again.plain()) == json.dumps(case("coulomb").plain())
 
 
 def test_a_joint_that_never_moves_is_no_reason_to_stop():
@@ -343,7 +342,7 @@ STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "n
 
 @pytest.mark.parametrize("name", marked(*CASES))
 def test_records_keep_the_contract(name):
-    written = json.loads(json.dumps(record(case(name)), allow_nan=False))
+    written = json.loads(json.dumps(case(name).plain(), allow_nan=False))
     assert written["schema"] == "torchid.gap/1"
     assert written["status"] in STATUSES
     assert set(written) >= KEYS[""]

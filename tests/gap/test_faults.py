@@ -16,7 +16,6 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import nominal_torque, synthetic_log
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
@@ -36,7 +35,7 @@ def quick(*effects: str, **more: Any) -> GapSettings:
 def diagnosed(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     """The record, as a program reads it, and `corrected` as a robot beside it."""
     found = torchid.diagnose(robot, log, settings=settings)
-    return json.loads(json.dumps(record(found))) | {"robot_": found.corrected}
+    return json.loads(json.dumps(found.plain())) | {"robot_": found.corrected}
 
 
 def answered(call: Callable[[], Any]) -> Any:

@@ -12,14 +12,13 @@ from tests.arms import mixed_arm
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
-from torchid.gap.diagnosis import Parametric, RegimeGap, Status
-from torchid.gap.record import record
+from torchid.gap.record import Parametric, RegimeGap, Status
 from torchid.json_data import plain
 
 
 @pytest.mark.parametrize("status", get_args(Status))
 def test_keys_of_the_contract(status):
-    data = json.loads(json.dumps(record(diagnosis(status)), allow_nan=False))
+    data = json.loads(json.dumps(diagnosis(status).plain(), allow_nan=False))
     assert data["schema"] == "torchid.gap/1"
     assert data["status"] == status
     assert set(data["where"]) == {"joints", "regimes"}
@@ -37,11 +36,11 @@ def test_keys_of_the_contract(status):
     for entry in data["not_testable"]:
         assert {"effect", "joint", "smallest_detectable"} <= set(entry)
     assert "next_experiment" in data
-    assert data["settings"]["nothing"] is None
+    assert data["settings"]["only"] is None
 
 
 def test_joints_count_from_one():
-    data = record(diagnosis(findings=(VISCOUS, FRICTION, OFFSET)))
+    data = diagnosis(findings=(VISCOUS, FRICTION, OFFSET)).plain()
     assert [x["joint"] for x in data["where"]["joints"]] == [1, 2, 3]
     assert data["where"]["regimes"][0]["joint"] == 2
     assert [x["joints"] for x in data["which"]] == [[1], [2], [3]]
@@ -50,7 +49,7 @@ def test_joints_count_from_one():
 
 def test_an_effect_can_be_read_back():
     d = diagnosis()
-    entry = record(d)["which"][0]
+    entry = d.plain()["which"][0]
     written = {"effect": entry["effect"], "joint": entry["joints"][0], **entry["parameters"]}
     assert effect_from_record(written, d.robot) == FRICTION.valued
     assert entry["std"] == {"Fc": 0.02}
@@ -63,7 +62,7 @@ def test_an_effect_can_be_read_back():
 def test_what_is_no_number_is_null():
     d = diagnosis(findings=(OFFSET,))
     d = replace(d, regimes=(RegimeGap(0, "low_speed", math.nan, (-math.inf, 0.1), 1.0),))
-    data = record(d)
+    data = d.plain()
     assert data["which"][0]["std"] == {"F0": None}
     assert data["where"]["regimes"][0]["excess"] is None
     assert data["where"]["regimes"][0]["ci95"] == [None, 0.1]
@@ -71,7 +70,7 @@ def test_what_is_no_number_is_null():
 
 def test_inertial_parameters():
     changed = (Parametric((2,), 0.5, 1e-4, ("payload",)), Parametric((), 0.3, 1e-3))
-    data = record(diagnosis(parametric=changed))
+    data = diagnosis(parametric=changed).plain()
     link = data["which"][-1]
     assert (link["effect"], link["family"], link["joints"]) == ("link_inertia", "inertia", [3])
     assert link["ambiguous_with"] == ["payload"]
@@ -80,7 +79,7 @@ def test_inertial_parameters():
 
 
 def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
-    far = record(diagnosis())["how_far"]
+    far = diagnosis().plain()["how_far"]
     each = torch.tensor([x["before"] for x in far["per_joint"]])
     assert far["rms_before"] == pytest.approx(float(each.square().sum().sqrt()))
 
@@ -88,7 +87,7 @@ def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
 def test_units_of_prismatic_joints():
     robot = mixed_arm("RPR")
     slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
-    entry = record(diagnosis(robot=robot, findings=(slide,)))["which"][0]
+    entry = diagnosis(robot=robot, findings=(slide,)).plain()["which"][0]
     assert entry["unit"] == {"Fv": "N s/m"}
 
 

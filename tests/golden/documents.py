@@ -11,11 +11,12 @@ import torch
 from typer.testing import CliRunner
 
 from tests.compare.test_diagnoses import diagnosis, named
+from tests.gap_files import hidden as untested
 from tests.withheld.fakes import answer, entry
 from torchid.app.commands import app
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.feasibility.sets import joined, nominal_set, to_record
+from torchid.feasibility.sets import joined, nominal_set, sets_record
 from torchid.identification.payload import with_payload
 from torchid.log.model import Log
 from torchid.log.readers import write_log
@@ -74,7 +75,7 @@ class Bench:
         pi = own.parameters.pi.clone()
         pi[0, 1, 4:] *= -1
         bad = type(own)(("bad",), InertialParameters(pi), (), own.coefficients)
-        return self.kept("sets.json", to_record(joined([own, bad]), robot))
+        return self.kept("sets.json", sets_record(joined([own, bad]), robot).plain())
 
     @cache  # noqa: B019
     def runs(self, which: str) -> tuple[Path, ...]:
@@ -121,7 +122,7 @@ def _payload(bench: Bench) -> dict[str, Any]:
 
 def _diagnoses(bench: Bench) -> dict[str, Any]:
     """Two diagnoses by hand: one cause in both, one in one of them, one not testable."""
-    hidden = [{"effect": "contact", "joint": 1, "smallest_detectable": None}]
+    hidden = [untested("contact", 1)]
     one = diagnosis(bench.folder / "one.json", named(Fc=0.5), named("torque_offset", 1, F0=1.0))
     two = diagnosis(bench.folder / "two.json", named(Fc=0.8), hidden=hidden)
     return bench.run("compare", one, two)
@@ -156,7 +157,7 @@ def _score(bench: Bench) -> dict[str, Any]:
 def _own(bench: Bench) -> dict[str, Any]:
     """`torchid withheld own` searches the whole library: what it calls, with a smaller one."""
     from torchid.gap.settings import GapSettings
-    from torchid.withheld.own import own_record, withheld_own
+    from torchid.withheld.own import withheld_own
 
     real = arm("friction")
     logs = [
@@ -168,7 +169,7 @@ def _own(bench: Bench) -> dict[str, Any]:
         load_robot("3r"), logs[0], untouched=logs[1], settings=settings,
         plant=["torque_offset"], joints=[0],
     )  # fmt: skip
-    return json.loads(json.dumps({**own_record(found), "seed": 0}))
+    return json.loads(json.dumps({**found.plain(), "seed": 0}))
 
 
 def _simulate(bench: Bench) -> dict[str, Any]:

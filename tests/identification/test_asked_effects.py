@@ -15,8 +15,7 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.results import dynamics_of
 from torchid.identification.asked import asked_effects
 from torchid.identification.identify import Identification, Settings, identify
-from torchid.identification.record import record
-from torchid.identification.values import placed_effects, read_base, read_prior
+from torchid.identification.values import placed_effects, prior_of, read_base, read_identification
 from torchid.json_data import write_json
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -180,7 +179,7 @@ def test_it_predicts_and_is_exported(written):
 @pytest.mark.parametrize("written", ["stribeck_friction:joint=2,vs=0.3", next(iter(CASES))])
 def test_it_is_read_back(written, tmp_path):
     found = identified(written, False)
-    data = record(found)
+    data = found.plain()
     entry = data["effects"][-1]
     assert set(entry) == {"effect", "joints", "parameters", "std", "places"}
     place = entry["places"][0]
@@ -190,12 +189,12 @@ def test_it_is_read_back(written, tmp_path):
     assert entry["parameters"].keys() == CASES[written].keys()
     assert set(data["effects"][0]) == {"effect", "joints", "parameters", "std"}
     write_json(data, tmp_path / "found.json")
-    assert placed_effects(data, found.robot) == found.effects
+    assert placed_effects(found.record, found.robot) == found.effects
     read = read_base(tmp_path / "found.json", found.robot)
     assert read.effects == found.effects
     torch.testing.assert_close(read.values, found.values)
     with pytest.raises(TorchidError, match="the design of the next motion") as caught:
-        read_prior(tmp_path / "found.json", found.robot)
+        prior_of(read_identification(tmp_path / "found.json"), found.robot, "a file")
     assert found.effects[-1].name in str(caught.value)
 
 
@@ -219,7 +218,7 @@ def test_a_name_alone_is_on_every_place_and_a_spring_shares_its_offset():
     effects = ("torque_offset", "joint_spring:joint=3,curvature=0")
     result = identify(robot, driven(robot), settings=replace(EXACT_MOTION, effects=effects))
     assert "F03 + c03" in result.base.names
-    entry = record(result)["effects"][-1]
+    entry = result.plain()["effects"][-1]
     assert entry["parameters"]["c0"] == [None]
     assert abs(entry["parameters"]["k"][0]) < 5 * entry["std"]["k"][0]
 

@@ -10,7 +10,6 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.base_parameters import physical_signs
 from torchid.identification.identify import Settings, identify
-from torchid.identification.record import record
 from torchid.identification.result import findings
 from torchid.identification.tuning import CutoffChoice
 from torchid.log.checks import check_log
@@ -110,7 +109,7 @@ def test_a_sum_is_not_reported_under_one_name():
     plan = trajectory_log(random_trajectory(slider, 0, fill=True), 100.0)
     log = synthetic_log(slider, plan, HonestNoise(), 0)
     settings = Settings(effects=("rotor_inertia", "torque_offset"), cutoff=8.0)
-    data = record(identify(slider, log, settings=settings))
+    data = identify(slider, log, settings=settings).plain()
     listed = [name for e in data["effects"] for name, v in e["parameters"].items() if v]
     named = [p["name"] for p in (*data["parameters"], *data["combined"])]
     for name in listed:

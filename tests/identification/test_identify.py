@@ -18,7 +18,6 @@ from torchid.excitation.synthetic import HonestNoise, nominal_torque, synthetic_
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.dynamics import of_base
 from torchid.identification.identify import Identification, Settings, identify
-from torchid.identification.record import record
 from torchid.identification.settings import Method
 from torchid.identification.values import read_base
 from torchid.json_data import write_json
@@ -493,7 +492,7 @@ def test_both_bases_have_the_same_torque(name: str, method: Method, tmp_path: Pa
             assert value == pytest.approx(float(other.values[k]), rel=1e-6, abs=1e-7)
             assert std == pytest.approx(float(other.std[k]), rel=1e-6)
         path = tmp_path / f"{result.base.basis}.json"
-        write_json(record(result), path)
+        write_json(result.plain(), path)
         read = read_base(path, robot)
         assert (read.base.basis, read.base.names) == (result.base.basis, result.base.names)
         assert torch.allclose(of_base(robot, read).torque(Motion(*motion)), one, rtol=1e-9)

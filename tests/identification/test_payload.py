@@ -24,7 +24,6 @@ from torchid.identification.identify import Identification, Settings, identify
 from torchid.identification.payload import (
     estimate_payload,
     payload_from_change,
-    record,
     with_payload,
 )
 from torchid.identification.payload_fit import last_link_columns, nearest_consistent
@@ -364,7 +363,7 @@ def test_without_payload_none_is_seen(name):
     assert float(found.link.mass.low) <= 0 <= float(found.link.mass.high)
     assert bool(torch.isnan(found.tool.com.value).all())
     assert found.warnings[0].startswith("no payload can be seen")
-    assert json.dumps(record(found), allow_nan=False)
+    assert json.dumps(found.plain(), allow_nan=False)
 
 
 def test_exchanged_logs_are_noticed():
@@ -429,7 +428,7 @@ def test_wrong_choices_are_refused():
 
 def test_the_record_is_complete_json():
     found = estimate_payload(noisy("3r_friction", 0, 0.0), noisy("3r_friction", 0, MASS))
-    data = json.loads(json.dumps(record(found), allow_nan=False))
+    data = json.loads(json.dumps(found.plain(), allow_nan=False))
     assert data["schema"] == "torchid.payload/1"
     mass = data["frames"]["tool"]["mass"]
     assert mass["ci95"][0][0] < MASS < mass["ci95"][0][1]

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,36 +10,19 @@ import pytest
 import torch
 
 from tests.arms import arm
+from tests.compare.records import identification
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import base_parameters, nominal_values
-from torchid.identification.record import SCHEMA
 from torchid.identification.values import read_base
 
 
-@lru_cache
-def whole() -> str:
-    robot = arm("3r")
-    base = base_parameters(robot, ())
-    count = len(base)
-    return json.dumps(
-        {
-            "schema": SCHEMA,
-            "robot": "3r",
-            "settings": {"effects": []},
-            "base_names": list(base.names),
-            "base_values": nominal_values(robot, base).tolist(),
-            "basis": base.basis,
-            "undetermined": [base.names[1]],
-            "covariance": torch.eye(count, dtype=torch.float64).tolist(),
-            "factor": torch.eye(count + 1, dtype=torch.float64).tolist(),
-        }
-    )
-
-
 def written(folder: Path, change: Callable[[dict[str, Any]], object] = lambda data: None) -> Path:
-    data = json.loads(whole())
+    robot = arm("3r")
+    path = identification(folder / "identification.json", 0, robot=robot, effects=())
+    data = json.loads(path.read_text())
+    base = base_parameters(robot, ())
+    data |= {"base_values": nominal_values(robot, base).tolist(), "undetermined": [base.names[1]]}
     change(data)
-    path = folder / "identification.json"
     path.write_text(json.dumps(data))
     return path
 
@@ -63,12 +45,16 @@ def test_a_result_without_its_basis_is_of_the_reports(tmp_path: Path) -> None:
     ("change", "said"),
     [
         (lambda d: d.update(settings={}), "effects"),
-        (lambda d: d.update(settings=3), "effects"),
-        (lambda d: d["settings"].update(effects=None), "effects"),
-        (lambda d: d.update(base_names=5), "base_names"),
+        (lambda d: d.update(settings=3), "`$.settings`"),
+        (lambda d: d["settings"].update(effects=None), "`$.settings.effects`"),
+        (lambda d: d.update(base_names=5), "`$.base_names`"),
         (lambda d: d.update(undetermined=None), "undetermined"),
         (lambda d: d.update(undetermined="m1"), "undetermined"),
         (lambda d: d.update(undetermined=["m99"]), "m99"),
+        (lambda d: d["base_names"].__setitem__(2, 7), "`$.base_names[2]`"),
+        (lambda d: d["covariance"][1].__setitem__(0, "x"), "entry [1][0] - at `$.covariance`"),
+        (lambda d: d.update(seed="1"), "`$.seed`"),
+        (lambda d: d["model"].pop("gravity") and d["model"].pop("name"), "`$.model`"),
         (lambda d: d["base_values"].__setitem__(0, None), "base_values"),
         (lambda d: d.update(covariance=[[0.0]]), "covariance"),
         (lambda d: d.pop("factor"), "factor"),

@@ -11,10 +11,9 @@ from torchid.excitation.design import optimise_trajectory
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
-from torchid.gap.record import record
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
-from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.separating_motion import design_separation
 from torchid.robot.library import load_robot
@@ -39,7 +38,7 @@ def diagnosed(robot, log):
 
 
 @pytest.mark.slow
-def test_what_a_log_could_not_show_is_found_after_the_designed_motion(tmp_path):
+def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
     """Joint 3 rests, and joint 2 hardly turns: friction of the one is not excited, and the offset
     of the other is nearly a combination of base parameters."""
     robot = load_robot("3r")
@@ -52,7 +51,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion(tmp_path):
     assert hidden["viscous_friction", 2] == "the motion does not excite it"
     assert "% of it is not a combination" in hidden["torque_offset", 1]
 
-    left = read_open(tmp_path, record(found), robot)
+    left = open_questions(found.record, robot, "gap.json")
     assert left.kind == "not_testable"
     plain = optimise_trajectory(robot, seed=0, restarts=2, iterations=50, duration=10.0).trajectory
     made = design_separation(left.setting, rivals(left, plain), plain, seed=0, evaluations=200)

@@ -1,11 +1,14 @@
 """Separation of two explanations, against an ordinary least-squares fit of each."""
 
+import json
 from dataclasses import replace
 from itertools import permutations
 
 import pytest
 import torch
 
+from tests.gap_files import found as found_effect
+from tests.gap_files import hidden, open_gap
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
@@ -15,9 +18,10 @@ from torchid.effects.inertia import Payload
 from torchid.errors import TorchidError
 from torchid.excitation.limits import limit_usage, motion_limits
 from torchid.excitation.trajectories import random_trajectory
+from torchid.gap.record import GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.next_motion.ambiguity import read_open
+from torchid.next_motion.ambiguity import open_questions
 from torchid.next_motion.rivals import rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
 from torchid.next_motion.separating_motion import _hardly, design_separation
@@ -32,9 +36,9 @@ from torchid.next_motion.separation import (
     separations,
 )
 from torchid.report.motion import separation_verdict
+from torchid.results.record import decode, robot_record
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
-from torchid.robot.record import robot_record
 
 EDGE = round(3 * RATE / 8.0)
 """Samples left out at both ends: three periods of the cut-off."""
@@ -231,31 +235,14 @@ def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):
     assert "No motion tried settles payload; encoder_offset of joint 1" in said
 
 
-def diagnosis(robot, **changes):
-    """The keys of a torchid.gap/1 record that a design reads."""
-    entry = {
-        "effect": "stribeck_friction",
-        "joints": [2],
-        "ambiguous_with": ["coulomb_friction", "link_inertia", "contact"],
-        "parameters": {"Fs": 0.5, "vs": 0.1, "d": 2.0},
-    }
-    return {
-        "schema": "torchid.gap/1",
-        "status": "explained",
-        "which": [entry],
-        "not_testable": [],
-        "noise_floor": {"low": [0.1] * 3, "high": [0.4] * 3, "source": "repeats"},
-        "band_hz": 20.0,
-        "cutoff_hz": 8.0,
-        "settings": {"background": [], "parameters": "auto", "refitted": False},
-        "model": robot_record(robot),
-        "corrected": robot_record(robot),
-        **changes,
-    }
+def left_open(model, robot=None, **changes):
+    """What a diagnosis by hand leaves open, as it would be read from its file."""
+    data = json.dumps(open_gap(model, **changes)).encode()
+    return open_questions(decode(data, GapRecord, "gap.json"), robot or model, "gap.json")
 
 
-def test_pairs_of_a_diagnosis(robot, tmp_path):
-    found = read_open(tmp_path, diagnosis(robot), None)
+def test_pairs_of_a_diagnosis(robot):
+    found = left_open(robot)
     assert found.kind == "ambiguity"
     torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.2, dtype=torch.float64))
     assert not found.setting.free
@@ -273,31 +260,29 @@ def test_pairs_of_a_diagnosis(robot, tmp_path):
     assert all(r.leaving == (StribeckFriction(1, vs=0.1),) for r in pairs)
 
 
-def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted(robot, tmp_path):
+def test_without_repeats_the_noise_is_the_upper_bound_and_a_background_is_fitted(robot):
     floor = {"low": [1e-9] * 3, "high": [0.4] * 3, "source": "bracket"}
     settings = {"background": ["viscous_friction"], "parameters": "free"}
-    found = read_open(tmp_path, diagnosis(robot, noise_floor=floor, settings=settings), None)
+    found = left_open(robot, noise_floor=floor, settings=settings)
     torch.testing.assert_close(found.setting.noise, torch.full((3,), 0.4, dtype=torch.float64))
     assert found.setting.free
     assert (ViscousFriction(2),) in found.setting.fitted
-    hidden = [{"effect": "viscous_friction", "joint": 3, "smallest_detectable": None}]
-    data = diagnosis(robot, which=[], settings=settings, not_testable=hidden)
+    unseen = [hidden("viscous_friction", 3)]
     with pytest.raises(TorchidError, match="leaves nothing open"):
-        read_open(tmp_path, data, None)
+        left_open(robot, which=[], settings=settings, not_testable=unseen)
 
 
-def test_an_effect_common_to_all_joints_and_a_link(robot, tmp_path):
+def test_an_effect_common_to_all_joints_and_a_link(robot):
     heavier = robot.with_parameters(
         InertialParameters(robot.parameters.pi + 0.1 * torch.eye(3, 10, dtype=torch.float64))
     )
     which = [
-        {"effect": "time_delay", "joints": [1, 3], "common": True, "parameters": {"delay": 0.01},
-         "ambiguous_with": ["filter_lag", "torque_gain"]},
-        {"effect": "link_inertia", "joints": [2], "ambiguous_with": ["joint_spring", "payload"],
-         "parameters": {"links": [2]}},
+        found_effect("time_delay", 1, 3, common=True, parameters={"delay": 0.01},
+                     ambiguous_with=["filter_lag", "torque_gain"]),
+        found_effect("link_inertia", 2, ambiguous_with=["joint_spring", "payload"],
+                     parameters={"links": [2]}),
     ]  # fmt: skip
-    data = diagnosis(robot, which=which, corrected=robot_record(heavier))
-    found = read_open(tmp_path, data, None)
+    found = left_open(robot, which=which, corrected=robot_record(heavier))
     delay, _, link = (q.truth for q in found.questions)
     assert [e.joints for e in delay.effects] == [(0,), (1,), (2,)]
     assert link.effect.joints == (1,)
@@ -310,19 +295,18 @@ def test_an_effect_common_to_all_joints_and_a_link(robot, tmp_path):
     assert any(len(g) == 3 for r in pairs if r.name == "torque_gain" for g in r.others)
 
 
-def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot, tmp_path):
-    data = diagnosis(
+def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot):
+    found = left_open(
         robot,
         which=[],
         status="not_testable",
         not_testable=[
-            {"effect": "viscous_friction", "joint": 3, "smallest_detectable": 0.4},
-            {"effect": "joint_spring", "joint": 1, "smallest_detectable": None},
-            {"effect": "encoder_offset", "joint": 1, "smallest_detectable": None},
-            {"effect": "contact", "joint": None, "smallest_detectable": 1.0},
+            hidden("viscous_friction", 3, 0.4),
+            hidden("joint_spring", 1),
+            hidden("encoder_offset", 1),
+            hidden("contact", None, 1.0),
         ],
     )
-    found = read_open(tmp_path, data, None)
     assert found.kind == "not_testable"
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)
     pairs = rivals(found, plain)
@@ -342,21 +326,20 @@ def test_untestable_effects_are_asked_for_at_a_tenth_of_the_torque(robot, tmp_pa
     [
         ({"which": []}, "(?s)leaves nothing open.*has one name.*no effect found"),
         ({"corrected": None}, "(?s)corrected model.*write it again"),
-        ({"noise_floor": {}}, "(?s)not a complete diagnosis.*write it again"),
-        ({"which": [{"effect": "contact", "joints": [1], "ambiguous_with": ["saturation"]}]},
+        ({"which": [found_effect("contact", 1, ambiguous_with=["saturation"])]},
          "(?s)no matter of motion.*contact of joint"),
         ({"which": [], "status": "detected_unexplained"}, "(?s)drive one trajectory twice"),
     ],
 )  # fmt: skip
-def test_diagnoses_that_ask_for_no_motion(robot, tmp_path, changes, match):
+def test_diagnoses_that_ask_for_no_motion(robot, changes, match):
     with pytest.raises(TorchidError, match=match):
-        read_open(tmp_path, diagnosis(robot, **changes), None)
+        left_open(robot, **changes)
 
 
-def test_a_diagnosis_of_another_robot_is_refused(robot, tmp_path):
+def test_a_diagnosis_of_another_robot_is_refused(robot):
     other = replace(
         robot, before=robot.before + 0.1 * torch.eye(4, dtype=torch.float64), name="other"
     )
     for wrong in (load_robot("kuka_lwr4"), other):
         with pytest.raises(TorchidError, match="is of another robot"):
-            read_open(tmp_path, diagnosis(robot), wrong)
+            left_open(robot, wrong)

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import FRICTION, coulomb, diagnosis, floor, some_left, trace
-from torchid.gap.diagnosis import HowFar, Planted
+from torchid.gap.diagnosis import HowFar
+from torchid.gap.record import Planted
 from torchid.report.gap_figures import binned, figures, map_figure, samples, spectrum, worst_joints
 from torchid.report.panels import save
 

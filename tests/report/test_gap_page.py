@@ -7,8 +7,8 @@ import pytest
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
 from tests.report.page.reading import parsed, rows_of, text_of
-from torchid.gap.diagnosis import Budget, HowFar, Parametric, Status
-from torchid.gap.record import record
+from torchid.gap.diagnosis import HowFar
+from torchid.gap.record import Budget, Parametric, Status
 from torchid.report.gap import STATUS, gap_page
 from torchid.report.gap_figures import budget_figure
 from torchid.report.gap_words import verdict
@@ -63,7 +63,7 @@ def test_order(undrawn):
 
 def test_numbers_are_those_of_the_json(undrawn):
     d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
-    tree, data = page_of(d), record(d)
+    tree, data = page_of(d), d.plain()
     rows = rows_of(tree, "Coefficients of the effects")
     found = [f for f in data["which"] if f["std"]]
     assert len(rows) == len(found) == 3

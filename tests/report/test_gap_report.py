@@ -3,15 +3,18 @@
 from dataclasses import replace
 
 import pytest
+import torch
 from rich.console import Console
 
 from tests.arms import mixed_arm
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
 from torchid.effects.friction import CoulombFriction, ViscousFriction
-from torchid.gap.diagnosis import HowFar, NotTestable, Parametric
+from torchid.gap.diagnosis import HowFar
+from torchid.gap.record import NotTestable, Parametric
 from torchid.report.gap import remarks, tables
 from torchid.report.gap_words import coefficients, effect_words, listed, measure, verdict
 from torchid.report.table import percent
+from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 
 
 def text_of(d) -> str:
@@ -148,13 +151,18 @@ def test_percent(value, expected):
 def test_rollouts_are_told():
     d = diagnosis()
     rows = [
-        {
-            "horizon_s": 0.5, "ratio": 0.31, "ratio_ci95": [0.25, 0.4], "diverged_before": 0.1,
-            "diverged_after": 0.0,
-        },
-        {"horizon_s": 2.0, "ratio": None},
+        Horizon(
+            horizon_s=0.5, starts=8, ratio=0.31, ratio_ci95=(0.25, 0.4), diverged_before=0.1,
+            diverged_after=0.0,
+        ),
+        Horizon(horizon_s=2.0, starts=0),
     ]  # fmt: skip
-    rollout = {"horizons": rows, "sentences": ["Too short for 2 s."]}
+    rms = torch.ones(3, dtype=torch.float64)
+    rollout = Rollout(
+        starts=8, step_s=0.01, diverged_beyond=1.0, torque=TorqueGap(rms, rms, 1.0),
+        horizons=tuple(rows), ignored_effects=(), fitted_on_these_data=False,
+        sentences=("Too short for 2 s.",),
+    )  # fmt: skip
     d = replace(d, how_far=replace(d.how_far, rollout=rollout))
     assert "0.5 s 0.31 [0.25, 0.40] 10 % 0 %" in text_of(d)
     assert "Too short for 2 s." in remarks(d)

@@ -4,13 +4,13 @@ import math
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 
 from tests.report.page.reading import parsed, rows_of, text_of
 from tests.report.test_gap_page import made
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.identify import Identification, identify
-from torchid.identification.record import record
 from torchid.report.identification import identification_page, verdict
 from torchid.report.page.document import render
 from torchid.robot.library import load_robot
@@ -33,7 +33,7 @@ def tree(result):
 
 
 def test_numbers_are_those_of_the_json(result, tree):
-    data = record(result)
+    data = result.plain()
     rows = rows_of(tree, "Base parameters")
     assert [row[0] for row in rows] == [p["name"] for p in data["parameters"]]
     for row, p in zip(rows, data["parameters"], strict=True):
@@ -71,14 +71,14 @@ def test_verdict_without_held_out_motion(result):
 
 
 def test_verdict_of_what_is_not_determined_and_of_joints_that_rest(result):
-    errors = replace(result.held_out, relative_percent_moving=result.values[:3] * math.nan)
+    errors = structs.replace(result.held_out, relative_percent_moving=result.values[:3] * math.nan)
     said = verdict(replace(result, held_out=errors, undetermined=("m1",)))
     assert said.startswith("No joint moves in motion that was held out")
     assert "1 not determined at all (m1)" in said
     alone = result.held_out.relative_percent_moving.clone()
     alone[:2] = math.nan
     alone[2] = 72.0
-    said = verdict(replace(result, held_out=replace(errors, relative_percent_moving=alone)))
+    said = verdict(replace(result, held_out=structs.replace(errors, relative_percent_moving=alone)))
     assert "by 72.0 % of its size while the joint moves and is of no use there" in said
 
 

@@ -140,7 +140,7 @@ def test_torque_figures_show_the_rows_they_judge(result, rows):
 
 def test_parameter_figures_have_a_mark_for_each_free_parameter(result):
     free = int(result.free.sum())
-    assert len(parameter_figure(result).axes[0].patches) == free
+    assert len(parameter_figure(result.record).axes[0].patches) == free
     marks = truth_figure(result, torch.zeros_like(result.values)).axes[0].collections[-1]
     assert len(marks.get_offsets()) == free
 

@@ -10,7 +10,6 @@ from tests.report.page.reading import parsed, rows_of, text_of
 from tests.report.test_gap_page import made
 from torchid.report.page.document import render
 from torchid.report.study.page import page_verdict, study_page
-from torchid.study.record import record
 from torchid.study.result import Study
 from torchid.study.settings import load_study
 from torchid.study.study import run_study
@@ -34,7 +33,7 @@ def test_page(study):
     tree = parsed(render(replace(page, pictures=page.pictures[:1])))
     assert text_of(tree, "verdict") == page_verdict(study)
     rows = rows_of(tree, "best set of each scenario (tables 5.2 to 5.5)")
-    for row, s in zip(rows, record(study)["sets"], strict=True):
+    for row, s in zip(rows, study.plain()["sets"], strict=True):
         assert (row[0], row[6]) == (s["id"], "yes" if s["feasible"] else "no")
         assert float(row[3]) == pytest.approx(s["phi"], rel=1e-3)
 

@@ -23,7 +23,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Robot
 from torchid.study.equal_torque.force_reach import force_reach, force_squares
 from torchid.study.equal_torque.given_sets import given_sets
-from torchid.study.equal_torque.record import given_record, study_record
+from torchid.study.equal_torque.record import given_record
 from torchid.study.equal_torque.setting import (
     Setting,
     equal_torque_setting,
@@ -243,7 +243,7 @@ def test_same_seed_same_study() -> None:
     again = equal_torque_study(
         load_robot("3r"), per_kind=24, chains=12, kinds=KINDS, with_variants=False, resamples=50
     )
-    assert study_record(again) == study_record(study())
+    assert again.plain() == study().plain()
 
 
 def test_other_outer_bounds_change_the_setting() -> None:
@@ -279,7 +279,7 @@ def test_given_sets_have_the_errors_of_their_wrenches() -> None:
     sets = found.family.sets
     got = given_sets(case.robot, sets, case.nominal, case.conditions, motion, resamples=20)
     torch.testing.assert_close(got.errors.force_rms, found.errors.force_rms)
-    record = given_record(got, ["sets.json"])
+    record = given_record(got, ("sets.json",)).plain()
     assert record["schema"] == "torchid.wrenches/1"
     assert [s["id"] for s in record["sets"]] == list(sets.ids)
     assert record["sets"][0]["force_rms"] == got.errors.force_rms[0].tolist()

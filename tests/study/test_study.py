@@ -9,7 +9,6 @@ import torch
 import torchid.extraction.extract as extract_module
 from torchid.errors import TorchidError
 from torchid.robot.config_files import config_folder
-from torchid.study.record import record
 from torchid.study.result import Study
 from torchid.study.settings import load_study, study_names
 from torchid.study.study import remove_checkpoints, run_study
@@ -89,7 +88,7 @@ def test_payload_is_found_within_its_interval():
 
 
 def test_record_follows_the_contract():
-    data = record(tiny("3r"))
+    data = tiny("3r").plain()
     assert data["schema"] == "torchid.study/1"
     assert [s["id"] for s in data["sets"]] == IDS["3r"].split()
     for entry in data["sets"]:

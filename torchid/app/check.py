@@ -10,7 +10,7 @@ from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.json_data import plain, read_json, write_json
+from torchid.json_data import plain, read_json
 
 if TYPE_CHECKING:
     from torchid.effects.registry import Valued
@@ -60,7 +60,7 @@ def check_command(
 
     from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
-    from torchid.feasibility.record import check_sets, record
+    from torchid.feasibility.record import check_sets
     from torchid.report.feasibility import (
         DEGREE,
         conditions_line,
@@ -86,7 +86,7 @@ def check_command(
         also=also,
         seed=seed,
     )
-    data = {**record(check), "seed": seed}
+    data = {**check.plain(), "seed": seed}
     data["warnings"] = [*noticed, *data["warnings"]]
     repaired = None if nearest is None else _nearest(check, others, nearest, data, seed)
     output.verdict(headline(check))
@@ -160,7 +160,7 @@ def _nearest(
     the record; None where all are feasible."""
     from torchid.export.dynamics import described
     from torchid.extraction.convex.nearest import nearest_feasible
-    from torchid.feasibility.sets import to_record
+    from torchid.feasibility.sets import sets_record
 
     infeasible = (~check.feasibility.feasible).nonzero().flatten().tolist()
     if not infeasible:
@@ -171,7 +171,7 @@ def _nearest(
     good = nearest.feasible.nonzero().flatten().tolist()
     if good:
         sets = nearest.sets.part(good)
-        write_json(to_record(sets, check.robot, others), path)
+        sets_record(sets, check.robot, others).save(path)
         data["warnings"] += [
             f"not part of the sets, and listed beside them in {path} as it is, for `torchid "
             f"export`: {described(*pair, check.robot)}"

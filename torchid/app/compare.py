@@ -36,7 +36,6 @@ def compare_command(
     output = where.open()
     from torchid.compare.identifications import Comparison
     from torchid.compare.reading import read_results
-    from torchid.compare.record import record
     from torchid.compare.results import common_robot, compared
     from torchid.compare.sets import SetComparison
     from torchid.report import compare
@@ -58,5 +57,5 @@ def compare_command(
     output.verdict(verdict)
     output.say(*tables)
     output.warn(found.notes)
-    output.write_json({**record(found), "seed": seed}, "compare.json")
+    output.write_json({**found.plain(), "seed": seed}, "compare.json")
     output.draw(lambda: figures(found), "compare.json")

@@ -69,7 +69,6 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     from torchid.excitation.trajectories import sinusoid, trajectory_log
     from torchid.identification.base_parameters import nominal_values
     from torchid.identification.identify import Settings, identify
-    from torchid.identification.record import record
     from torchid.log.model import Log
     from torchid.report.identification import (
         effect_tables,
@@ -125,7 +124,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
         }
     )
     return {
-        **record(result),
+        **result.plain(),
         "true": truth.tolist(),
         "inside_95": int(torch.count_nonzero(inside)),
         "condition_number_of_motion": [design.start_condition, design.condition_after],

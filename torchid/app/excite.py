@@ -1,6 +1,6 @@
 """`torchid excite`: trajectories that make the parameters visible."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,7 +12,7 @@ from torchid.app.output import Computed, Output, progress_bar, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
-from torchid.json_data import plain, read_json
+from torchid.json_data import plain
 
 if TYPE_CHECKING:
     from torchid.excitation.clearance import Clearance
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     Designed = tuple[Sequence[FourierTrajectory | Sinusoid], dict[str, Any], TorqueLimits | None]
     """Motions, their record and the torque limits that were kept."""
-
-EVALUATIONS = 75
-"""Trajectories that the search for a separating motion tries a restart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +133,7 @@ def excite_command(
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
+    from torchid.next_motion.design import read_asking
     from torchid.report.log import trajectory_figure
     from torchid.report.motion import (
         clearance_record,
@@ -146,7 +144,6 @@ def excite_command(
         torque_table,
     )
     from torchid.robot.library import load_robot
-    from torchid.robot.record import recorded_robot
 
     target = to or (output.folder and output.folder / "trajectory.csv")
     if not (target or output.json_file or files.ros2 or files.urscript):
@@ -155,11 +152,10 @@ def excite_command(
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
     found = None if robot is None else load_robot(robot, tip=tip)
-    data = None if motion.result is None else _read_result(motion.result)
-    if data is not None:
-        found = found or recorded_robot(data, str(motion.result))
+    if motion.result is not None:
+        found = found or read_asking(motion.result).model
     if found is None:
-        if data is not None:
+        if motion.result is not None:
             raise TorchidError(
                 f"'{motion.result}' does not record its robot.", expected="torchid excite ROBOT"
             )
@@ -168,9 +164,9 @@ def excite_command(
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     clearance, unknown = room.of(arm, motion.usage)
     kind: str = motion.kind
-    if data is not None:
+    if motion.result is not None:
         kind = "next"
-        made, record, torque = _next(arm, motion, clearance, data, output)
+        made, record, torque = _next(arm, motion, clearance, motion.result, output)
     elif kind == "optimised":
         made, record, torque = _optimised(arm, motion, clearance, output)
     else:
@@ -303,35 +299,11 @@ def _optimised(
     return [f.trajectory for f in found], record, found[0].torque
 
 
-def _read_result(path: Path) -> Mapping[str, Any]:
-    """What a motion can be designed for.
-
-    Raises:
-        TorchidError: another kind of file, or of another version.
-    """
-    from torchid.identification.record import SCHEMA as IDENTIFICATION
-    from torchid.next_motion.ambiguity import SCHEMA as GAP
-
-    data = read_json(path, "a result")
-    schema = data.get("schema")
-    if schema in (IDENTIFICATION, GAP):
-        return data
-    kind = str(schema).partition("/")[0]
-    commands = {GAP.partition("/")[0]: "gap", IDENTIFICATION.partition("/")[0]: "identify"}
-    again = f"it is of another version: torchid {commands.get(kind)} ROBOT LOG... --json FILE"
-    raise TorchidError(
-        f"'{path}' is not a result that a motion can be designed for.",
-        got=f"schema {schema}",
-        available=[IDENTIFICATION, GAP],
-        hint=again if kind in commands else None,
-    )
-
-
 def _next(
     robot: "Robot",
     motion: Motion,
     clearance: "Clearance | None",
-    data: Mapping[str, Any],
+    result: Path,
     output: Output,
 ) -> "Designed":
     """The motion for a result, by its kind.
@@ -339,59 +311,31 @@ def _next(
     Raises:
         TorchidError: a result that asks for no motion.
     """
-    from torchid.excitation.design import optimise_trajectory
-    from torchid.excitation.informed import design_for
-    from torchid.excitation.torque import corrected_torque_limits
-    from torchid.identification.values import read_prior
-    from torchid.next_motion.ambiguity import SCHEMA as GAP
-    from torchid.next_motion.ambiguity import read_open
-    from torchid.next_motion.rivals import rivals
-    from torchid.next_motion.separating_motion import design_separation
+    from torchid.excitation.informed import InformedDesign
+    from torchid.next_motion.design import excite_for
     from torchid.report import motion as words
 
-    assert motion.result is not None
-    seed, restarts, usage = motion.seed, motion.restarts, motion.usage
-    if data["schema"] != GAP:
-        goal = motion.criterion or "a_optimal"
-        if goal == "condition":
-            raise TorchidError(
-                "--for an identification has other criteria.",
-                got=goal,
-                available=["a_optimal", "d_optimal"],
-            )
-        prior = read_prior(motion.result, robot)
-        with progress_bar(output) as progress:
-            best = design_for(
-                robot, prior, seed=seed, goal=goal, restarts=restarts, **motion.series,
-                clearance=clearance, progress=stage(progress, "designing"),
-            )  # fmt: skip
-        output.verdict(words.informed_verdict(best))
-        output.say(words.informed_table(best))
-        trajectory, torque, record = best.trajectory, best.torque, words.informed_record(best)
-        hardly = best.hardly
+    if motion.criterion == "condition":
+        raise TorchidError(
+            "--for a result has other criteria.",
+            got=motion.criterion,
+            available=["a_optimal", "d_optimal"],
+        )
+    with progress_bar(output) as progress:
+        made = excite_for(
+            result, robot, goal=motion.criterion, restarts=motion.restarts, seed=motion.seed,
+            clearance=clearance, progress=progress, **motion.series,
+        )  # fmt: skip
+    if isinstance(made, InformedDesign):
+        output.verdict(words.informed_verdict(made))
+        output.say(words.informed_table(made))
+        record = words.informed_record(made)
     else:
-        if motion.criterion is not None:
-            raise TorchidError(
-                "for a gap diagnosis motions are designed to separate.", got=motion.criterion
-            )
-        found = read_open(motion.result, data, robot)
-        limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
-        with progress_bar(output) as progress:
-            ordinary = optimise_trajectory(
-                robot, seed=seed, restarts=restarts, torque=limits, **motion.series,
-                clearance=clearance, progress=stage(progress, "a plain motion to compare with"),
-            ).trajectory  # fmt: skip
-            made = design_separation(
-                found.setting, rivals(found, ordinary), ordinary, seed=seed, usage=usage,
-                clearance=clearance, evaluations=EVALUATIONS * restarts,
-                progress=stage(progress, "separating"),
-            )  # fmt: skip
-        output.verdict(words.separation_verdict(made, found.kind))
-        output.say(words.separation_table(made, found.kind))
-        output.warn(found.notes)
-        record = {**words.separation_record(made, found.kind), "notes": list(found.notes)}
-        trajectory, torque, hardly = made.trajectory, made.torque, made.hardly
-    if hardly:
+        output.verdict(words.separation_verdict(made, made.kind))
+        output.say(words.separation_table(made, made.kind))
+        output.warn(made.notes)
+        record = {**words.separation_record(made, made.kind), "notes": list(made.notes)}
+    if made.hardly:
         output.warn((words.HARDLY_BETTER,))
-    record |= {"result": motion.result.name, "hardly_better": hardly}
-    return [trajectory], record, torque
+    record |= {"result": result.name, "hardly_better": made.hardly}
+    return [made.trajectory], record, made.torque

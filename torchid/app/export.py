@@ -81,8 +81,8 @@ def export_command(
         nominal, original = opt.load_both(result, robot, tip)
         dynamics = robot_dynamics(nominal)
     elif CORRECTED in (data := load(Path(result))):
-        dynamics, settings = diagnosis_dynamics(Path(result), data)
-        nominal = original = model_of(Path(result), data, robot, tip)
+        dynamics, settings = diagnosis_dynamics(Path(result))
+        nominal = original = model_of(Path(result), robot, tip)
         if log is None and to in get_args(Target):
             raise TorchidError(
                 f"a diagnosis is refitted to what {to} can say, and needs its logs for that.",

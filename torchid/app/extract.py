@@ -2,7 +2,7 @@
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,13 +14,12 @@ from torchid.app.output import Computed, Output, progress_bar, stage
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
-from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.certificate import Certificate
+    from torchid.extraction.found import Found
     from torchid.extraction.problem import LossName, Problem
     from torchid.identification.values import BaseValues
-    from torchid.report.extraction import Found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,17 +114,10 @@ def extract_command(
     output = results.open()
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
+    from torchid.extraction.found import Found, judged
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
-    from torchid.feasibility.sets import to_record
-    from torchid.report.extraction import (
-        Found,
-        extraction_record,
-        headline,
-        judged,
-        loss_notes,
-        search_figure,
-        tables,
-    )
+    from torchid.feasibility.sets import sets_record
+    from torchid.report.extraction import headline, loss_notes, search_figure, tables
 
     if resume and output.folder is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
@@ -155,9 +147,9 @@ def extract_command(
     output.say(*tables(found, proven))
     output.warn(notes)
     output.say(f"\n{escape(headline(found, proven))}")
-    output.write_json(extraction_record(found, proven, notes), "extraction.json")
+    output.write_json(replace(found, proof=proven, warnings=notes).plain(), "extraction.json")
     if output.folder is not None:
-        write_json(to_record(found.sets, problem.robot), output.folder / "sets.json")
+        sets_record(found.sets, problem.robot).save(output.folder / "sets.json")
     search = found.search
     if search is not None:
         output.draw(lambda: {"search": search_figure(search, proven)})
@@ -165,9 +157,9 @@ def extract_command(
 
 def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
     from torchid.extraction.convex.certificate import certificate
+    from torchid.extraction.found import Found, judged
     from torchid.extraction.polish.polish import polish
     from torchid.extraction.polish.region import region
-    from torchid.report.extraction import Found, judged
 
     proof = certificate(problem) if proof is None else proof
     if not (proof.feasible or proof.conflict):
@@ -197,7 +189,7 @@ def _searched(
     problem: "Problem", settings: "SearchSettings", output: Output, resume: bool, where: str
 ) -> "Found":
     from torchid.extraction.extract import extract
-    from torchid.report.extraction import Found, judged
+    from torchid.extraction.found import Found, judged
 
     checkpoint = None if output.folder is None else output.folder / "checkpoint.npz"
     if checkpoint is not None and checkpoint.exists() != resume:
@@ -239,7 +231,6 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     """
     output = results.open()
     from torchid.extraction.convex.atlas import atlas
-    from torchid.extraction.record import atlas_record
     from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
 
     problem, found, notes = sought.problem(arm)
@@ -251,5 +242,5 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     output.say(atlas_table(ranges))
     output.warn(notes)
     output.say(f"\n{escape(atlas_headline(ranges, problem))}")
-    output.write_json({**atlas_record(ranges, problem), "warnings": list(notes)}, "atlas.json")
-    output.draw(lambda: {"atlas": atlas_figure(ranges, problem)})
+    output.write_json({**ranges.plain(), "warnings": list(notes)}, "atlas.json")
+    output.draw(lambda: {"atlas": atlas_figure(ranges.record)})

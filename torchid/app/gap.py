@@ -83,7 +83,6 @@ def gap_command(
     from rich.markup import escape
 
     from torchid.gap.diagnose import diagnose
-    from torchid.gap.record import record
     from torchid.report.gap import gap_page, remarks, tables
     from torchid.report.gap_figures import figures
     from torchid.report.gap_words import verdict
@@ -94,7 +93,7 @@ def gap_command(
     output.verdict(verdict(result))
     output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
     output.warn(result.warnings)
-    output.write_json({**record(result), "seed": settings.seed}, "gap.json")
+    output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
     if save_model is not None:
         write_robot(result.corrected, save_model)
         output.say(f"corrected robot written to {save_model}")
@@ -104,7 +103,7 @@ def gap_command(
         corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
     # The worst joints of an earlier run may have been others.
     output.draw(lambda: figures(result), "gap.json", old=["gap_joint_*.png"])
-    asked = {k: v for k, v in result.settings.items() if k not in ("seed", "only")}
+    asked = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     asked["effects"] = asked["effects"] or "all"
     asked |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
     write_report(

@@ -64,7 +64,6 @@ def identify_command(
     """
     output = results.open()
     from torchid.identification.identify import identify
-    from torchid.identification.record import record
     from torchid.report.identification import headline, identification_page, tables
 
     fraction: float | Literal["auto"] = "auto"
@@ -90,7 +89,7 @@ def identify_command(
     output.say(*tables(result))
     output.warn(result.warnings)
     output.say(f"\n{headline(result)}")
-    data = {**record(result), "seed": seed}
+    data = {**result.plain(), "seed": seed}
     output.write_json(data, "identification.json")
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
@@ -121,7 +120,7 @@ def _figures(result: "Identification") -> "dict[str, Figure]":
     from torchid.report.table import joint_unit
 
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result)}
+    drawn = {"parameters": parameter_figure(result.record)}
     for kind, words, predictions in (
         ("fit", "fitted data", result.fit_predictions),
         ("held_out", "held-out data", result.held_out_predictions),

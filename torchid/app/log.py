@@ -70,7 +70,7 @@ def doctor_command(
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
         output.say(escape(f'or read the log with --columns "{flag}"'))
-    output.write_json({**record(result, flag), "seed": seed}, "doctor.json")
+    output.write_json({**record(result, flag).plain(), "seed": seed}, "doctor.json")
     output.draw(
         lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure},
         "doctor.json",

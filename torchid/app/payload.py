@@ -40,7 +40,7 @@ def payload_command(
         signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
     output = results.open()
-    from torchid.identification.payload import payload, record
+    from torchid.identification.payload import payload
     from torchid.report.identification import payload_headline, payload_tables
 
     settings = replace(settings, effects=opt.effect_names(effects), cutoff=opt.cutoff_hz(cutoff))
@@ -54,5 +54,5 @@ def payload_command(
     output.say(*payload_tables(carried))
     output.warn(carried.warnings)
     output.say(f"\n{payload_headline(carried)}")
-    data = {**record(carried), "cutoff_hz": carried.cutoff, "seed": seed}
+    data = {**carried.plain(), "seed": seed}
     output.write_json(data, "payload.json")

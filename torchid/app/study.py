@@ -117,12 +117,11 @@ def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) 
     from torchid.report.study.facts import headline
     from torchid.report.study.page import write_study
     from torchid.report.study.tables import all_tables
-    from torchid.study.record import record
 
     output.say(*all_tables(found))
     output.warn(found.warnings)
     output.say(f"\n{escape(headline(found))}\n")
-    data = record(found)
+    data = found.plain()
     if folder is not None:
         write_json(data, folder / "study.json")
         if figures:

@@ -233,7 +233,7 @@ def own_command(
     """
     output = results.open()
     from torchid.report.withheld import own_headline, own_tables
-    from torchid.withheld.own import own_record, withheld_own
+    from torchid.withheld.own import withheld_own
 
     places = None
     if joints.strip() != "all":
@@ -258,7 +258,7 @@ def own_command(
     output.say(*own_tables(result))
     if not result.whole:
         output.say("untouched data: the second half of every trajectory (--held-out for others)")
-    output.write_json({**own_record(result), "seed": settings.seed}, "own.json")
+    output.write_json({**result.plain(), "seed": settings.seed}, "own.json")
 
 
 def processes(jobs: int | None) -> int:

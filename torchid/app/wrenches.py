@@ -60,7 +60,6 @@ def wrenches_command(
     from torchid.log.readers import read_log
     from torchid.report.wrenches.figures import figures
     from torchid.report.wrenches.tables import findings, tables
-    from torchid.study.equal_torque.record import study_record
     from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
     from torchid.study.equal_torque.study import equal_torque_study
 
@@ -94,7 +93,7 @@ def wrenches_command(
     output.warn(study.warnings)
     told = findings(study)
     output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
-    output.write_json({**study_record(study), "findings": told}, "wrenches.json")
+    output.write_json({**study.plain(), "findings": told}, "wrenches.json")
     output.draw(lambda: figures(study))
 
 
@@ -133,8 +132,8 @@ def _given(
     told = [note for file in files if (note := other_robot(file, robot))] + unequal(found)
     output.warn(told)
     output.say(f"\n{escape(headline(found))}")
-    data = given_record(found, [str(file) for file in files])
-    output.write_json({**data, "warnings": told, "seed": seed}, "wrenches.json")
+    data = given_record(found, tuple(str(file) for file in files))
+    output.write_json({**data.plain(), "warnings": told, "seed": seed}, "wrenches.json")
     output.draw(lambda: figures(found))
 
 

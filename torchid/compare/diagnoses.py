@@ -3,52 +3,34 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
 from torchid.compare.basis import refuse_other_kinematics
-from torchid.compare.reading import Result
+from torchid.compare.reading import Compared
+from torchid.compare.record import (
+    ComparedCoefficient,
+    GapComparisonRecord,
+    Named,
+    SharedRecord,
+    State,
+    TorqueSpread,
+)
 from torchid.compare.scatter import Scatter, holm, scatter
-from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
+from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.effects.registry import KINDS
-from torchid.errors import TorchidError
+from torchid.gap.record import FoundEffect, GapRecord
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
-from torchid.robot.record import recorded_robot
-
-State = Literal["named", "not_testable", "not_found"]
 
 BLOCKS = 20
 """Fewest blocks that a diagnosis takes its standard deviations from."""
 
 ALPHA = 0.05
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect as one diagnosis names it.
-
-    Attributes:
-        effect, family: which.
-        place: joints (from 1) it is at; empty for the whole arm.
-        also: names that it cannot be told from.
-        values, std: coefficients and their standard deviations [units].
-        shapes: its shape parameters.
-        units: of both.
-        share: of the gap.
-    """
-
-    effect: str
-    family: str
-    place: tuple[int, ...]
-    also: tuple[str, ...]
-    values: dict[str, float]
-    std: dict[str, float]
-    shapes: dict[str, float]
-    units: dict[str, str]
-    share: float | None
 
 
 @dataclass(frozen=True)
@@ -90,7 +72,7 @@ class Shared:
 
 
 @dataclass(frozen=True)
-class GapComparison:
+class GapComparison(Result):
     """All of it.
 
     Attributes:
@@ -109,31 +91,47 @@ class GapComparison:
     torque: TorqueSpread | None
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        shared = sum(s.everywhere for s in self.shared)
+        return (
+            f"GapComparison('{self.robot}', {len(self.labels)} diagnoses, {shared} of "
+            f"{len(self.shared)} causes in all)"
+        )
+
+    @cached_property
+    def record(self) -> GapComparisonRecord:
+        """As the JSON has it."""
+        effects = [
+            SharedRecord.of(
+                s, coefficients=[ComparedCoefficient.of(c, c.scatter) for c in s.coefficients]
+            )
+            for s in self.shared
+        ]
+        return GapComparisonRecord.of(
+            self, results=self.labels, compared="gap diagnoses", effects=effects
+        )
+
 
 def compare_diagnoses(
-    results: Sequence[Result], *, on: Log | None = None, seed: int = 0
+    results: Sequence[Compared[GapRecord]], *, on: Log | None = None, seed: int = 0
 ) -> GapComparison:
     """Compare two or more gap diagnoses.
 
     Raises:
         TorchidError: diagnoses of other kinematics, or incomplete ones.
     """
-    try:
-        entries = [[_named(entry) for entry in r.data["which"]] for r in results]
-        statuses = tuple(str(r.data["status"]) for r in results)
-        closed = tuple(r.data["how_far"]["closed"] for r in results)
-        # By effect and place that a diagnosis could not test.
-        hidden = [
-            {(str(e["effect"]), _place(e["joint"])): e["smallest_detectable"] for e in own}
-            for own in (r.data["not_testable"] for r in results)
-        ]
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise TorchidError(
-            "a diagnosis is not complete.", got=f"{type(error).__name__}: {error}"
-        ) from error
-    given = [recorded_robot(r.data, str(r.path)) for r in results]
-    refuse_other_kinematics([(r.label, g) for r, g in zip(results, given, strict=True)])
-    corrected = [recorded_robot(r.data, str(r.path), "corrected") for r in results]
+    records = [r.record for r in results]
+    entries = [[_named(entry) for entry in r.which] for r in records]
+    # By effect and place that a diagnosis could not test.
+    hidden = [
+        {
+            (e.effect, tuple(j + 1 for j in e.joints[:1])): e.smallest_detectable
+            for e in r.not_testable
+        }
+        for r in records
+    ]
+    given = [r.model for r in records]
+    refuse_other_kinematics([(r.label, r.record.model) for r in results])
     shared = [_shared(group, entries, hidden) for group in _groups(entries)]
     # Adjusted over all coefficients of all causes.
     p = torch.tensor([c.scatter.p for s in shared for c in s.coefficients], dtype=torch.float64)
@@ -143,9 +141,10 @@ def compare_diagnoses(
         for s in shared
     ]
     torque, notes = None, []
+    corrected = (r.corrected for r in records)
     robots = [r for r in corrected if r is not None and r.parameters is not None]
     if len(robots) == len(results):
-        cutoff = min(float(r.data["band_hz"]) for r in results) if on is not None else None
+        cutoff = min(r.band_hz for r in records) if on is not None else None
         motion = common_motion(robots[0], on, seed, cutoff)
         torque = torque_spread([described_model(robot) for robot in robots], motion)
     else:
@@ -157,40 +156,34 @@ def compare_diagnoses(
             "the simulators as given have different parameters or effects: what is an effect of "
             "one gap may be part of the other's model"
         )
-    if len({str(r.data.get("settings", {}).get("effects")) for r in results}) > 1:
+    if len({r.settings.effects for r in records}) > 1:
         notes.append("the diagnoses searched over different effects")
     return GapComparison(
         labels=tuple(r.label for r in results),
-        robot=" and ".join(dict.fromkeys(r.robot_name for r in results)),
-        statuses=statuses,
-        closed=closed,
+        robot=" and ".join(dict.fromkeys(r.robot for r in records)),
+        statuses=tuple(r.status for r in records),
+        closed=tuple(r.how_far.closed for r in records),
         shared=tuple(sorted(shared, key=lambda s: -sum(n is not None for n in s.named))),
         torque=torque,
         notes=tuple(notes),
     )
 
 
-def _place(joint: int | None) -> tuple[int, ...]:
-    return () if joint is None else (int(joint),)
-
-
-def _named(entry: Mapping[str, Any]) -> Named:
-    own = entry["parameters"]
-    name = str(entry["effect"])
-    kind = KINDS.get(name)
+def _named(entry: FoundEffect) -> Named:
+    name, kind = entry.effect, KINDS.get(entry.effect)
     located = kind is None or name == "link_inertia" or "joint" in {f.name for f in fields(kind)}
-    at = [*entry["joints"], *(own[p] for p in entry["places"])] if located else []
-    numbers = {k: float(v) for k, v in own.items() if isinstance(v, int | float)}
+    numbers = {k: float(v) for k, v in entry.parameters.items() if isinstance(v, int | float)}
+    at = [j + 1 for j in entry.joints] + [int(numbers[p]) for p in entry.places if p in numbers]
     return Named(
         name,
-        str(entry["family"]),
-        () if entry.get("common") else tuple(int(j) for j in at),
-        tuple(entry["ambiguous_with"]),
-        {k: numbers[k] for k in entry["std"] if k in numbers},
-        {k: float(v) for k, v in entry["std"].items() if v is not None},
-        {k: numbers[k] for k in entry["shape"] if k in numbers},
-        dict(entry["unit"]),
-        entry.get("share"),
+        entry.family,
+        () if entry.common or not located else tuple(at),
+        entry.ambiguous_with,
+        {k: numbers[k] for k in entry.std if k in numbers},
+        {k: v for k, v in entry.std.items() if v is not None},
+        {k: numbers[k] for k in entry.shape if k in numbers},
+        entry.unit,
+        entry.share,
     )
 
 

@@ -2,20 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import get_args
 
 import torch
 
 from torchid.compare.basis import Common, common_basis
 from torchid.compare.reading import Identified
+from torchid.compare.record import (
+    BirgeRecord,
+    ComparedParameter,
+    ComparisonRecord,
+    TorqueSpread,
+    Verdict,
+)
 from torchid.compare.scatter import Scatter, Whole, holm, monotone, scatter, typical_birge, whole
-from torchid.compare.torque import TorqueSpread, identified_spread
+from torchid.compare.torque import identified_spread
 from torchid.errors import TorchidError
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
-
-Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"]
 
 ALPHA = 0.05
 """Family-wise level, and 1 - that of the intervals."""
@@ -52,7 +59,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Result):
     """All of it.
 
     Attributes:
@@ -77,6 +84,30 @@ class Comparison:
     torque: TorqueSpread | None
     notes: tuple[str, ...]
     same_motion: bool = False
+
+    def __repr__(self) -> str:
+        return (
+            f"Comparison('{self.robot}', {len(self.labels)} identifications, "
+            f"{len(self.having('agree'))} of {len(self.parameters)} parameters agree)"
+        )
+
+    @cached_property
+    def record(self) -> ComparisonRecord:
+        """As the JSON has it."""
+        whole = self.whole
+        return ComparisonRecord.of(
+            self,
+            results=self.labels,
+            compared="identifications",
+            counts={verdict: len(self.having(verdict)) for verdict in get_args(Verdict)},
+            parameters=[ComparedParameter.of(p, p.scatter, std=p.std) for p in self.parameters],
+            correction="Holm, family-wise 5 %",
+            birge=BirgeRecord(
+                pooled=None if whole is None else whole.pooled,
+                pooled_expected=None if whole is None else whole.pooled_expected,
+                typical=self.birge,
+            ),
+        )
 
     def having(self, *verdicts: Verdict) -> list[Compared]:
         """Parameters of these verdicts."""

@@ -1,82 +1,193 @@
-"""Comparisons as plain data: the schema torchid.compare/1. What is not a number is null."""
+"""Comparisons as their JSON has them: the schema torchid.compare/1."""
 
-from typing import Any, get_args
+from typing import Literal
 
-from torchid.compare.diagnoses import GapComparison
-from torchid.compare.identifications import Comparison, Verdict
-from torchid.compare.scatter import Scatter
-from torchid.compare.sets import SetComparison
-from torchid.json_data import picked, plain
+from msgspec import UNSET, UnsetType, field
 
-SCHEMA = "torchid.compare/1"
-_PARAMETER = "name unit verdict values std held_at_zero=held p_holm"
-_WHOLE = "chi_square=q degrees_of_freedom=count expected p birge"
-_SHARED = "effects joints=place named_in_all=everywhere states"
-_NAMED = "ambiguous_with=also joints=place effect family values std shapes units share"
-_RANGE = "name unit verdict low high"
-_TORQUE = "on=source rms=size spread claimed_std=claimed pairs errors"
+from torchid.results.record import Part, Real, Record, Rows
+from torchid.typing import Bool, Float, Tensor
+
+Verdict = Literal["agree", "drift", "differ", "never_determined", "not_compared"]
+State = Literal["named", "not_testable", "not_found"]
 
 
-def record(result: Comparison | GapComparison | SetComparison) -> dict[str, Any]:
-    """Any comparison as JSON-ready data."""
-    own: dict[str, Any]
-    if isinstance(result, Comparison):
-        together = result.whole
-        own = {
-            "compared": "identifications",
-            "counts": {verdict: len(result.having(verdict)) for verdict in get_args(Verdict)},
-            "parameters": [
-                {**picked(p, _PARAMETER), **_scatter(p.scatter)} for p in result.parameters
-            ],
-            "correction": "Holm, family-wise 5 %",
-            "birge": {
-                "pooled": None if together is None else together.pooled,
-                "pooled_expected": None if together is None else together.pooled_expected,
-                "typical": result.birge,
-            },
-            "whole": None if together is None else picked(together, _WHOLE),
-        }
-    elif isinstance(result, GapComparison):
-        effects = [
-            {
-                **picked(s, _SHARED),
-                "named": [None if n is None else picked(n, _NAMED) for n in s.named],
-                "smallest_detectable": s.smallest,
-                "coefficients": [
-                    {**picked(c, "name unit values std p_holm"), **_scatter(c.scatter)}
-                    for c in s.coefficients
-                ],
-            }
-            for s in result.shared
-        ]
-        own = {
-            "compared": "gap diagnoses",
-            "status": result.statuses,
-            "closed": result.closed,
-            "effects": effects,
-        }
-    else:
-        own = {
-            "compared": "parameter sets",
-            "sets": result.counts,
-            "parameters": [picked(r, _RANGE) for r in result.physical],
-            "base_parameters": [picked(r, _RANGE) for r in result.base],
-        }
-    whole = {
-        "schema": SCHEMA,
-        "robot": result.robot,
-        "results": result.labels,
-        **own,
-        "torque": None if result.torque is None else picked(result.torque, _TORQUE),
-        "notes": result.notes,
-    }
-    return {**plain(whole)}
+class TorqueSpread(Part, frozen=True):
+    """Torque of m models on one motion [N m; N].
+
+    Attributes:
+        source: of the motion, in words.
+        size: (n,) RMS of the models' mean.
+        spread: (n,) standard deviation between models, RMS over the motion.
+        pairs: (m, m, n) RMS of every difference of two models.
+        claimed: (n,) RMS of the standard deviation that the parameters' covariances claim for a
+            model's torque; None where there are none.
+        errors: (m, n) RMS of the measured torque minus each model's; None without a log.
+    """
+
+    source: str = field(name="on")
+    size: Float[Tensor, " n"] = field(name="rms")
+    spread: Float[Tensor, " n"]
+    pairs: Float[Tensor, "m m n"]
+    claimed: Float[Tensor, " n"] | None = field(name="claimed_std", default=None)
+    errors: Float[Tensor, "m n"] | None = None
 
 
-def _scatter(s: Scatter | None) -> dict[str, Any]:
-    if s is None:
-        return dict.fromkeys(("p", "birge", "between_std", "consensus", "consensus_std"))
-    return {
-        **picked(s, "p birge between_std=between consensus consensus_std=std"),
-        "consensus_ci95": [s.consensus - s.quantile * s.std, s.consensus + s.quantile * s.std],
-    }
+class ComparedParameter(Part, frozen=True, kw_only=True):
+    """One parameter in m identifications; see torchid.compare.identifications.Compared."""
+
+    name: str
+    unit: str
+    verdict: Verdict
+    values: Float[Tensor, " m"]
+    std: Float[Tensor, " m"]
+    held: Bool[Tensor, " m"] = field(name="held_at_zero")
+    p_holm: float | None
+    p: float | None = None
+    birge: float | None = None
+    between: float | None = field(name="between_std", default=None)
+    consensus: float | None = None
+    consensus_std: float | None = None
+    consensus_ci95: tuple[float, float] | UnsetType = UNSET
+
+
+class BirgeRecord(Part, frozen=True, kw_only=True):
+    """Ratios of the scatter to what standard deviations claim."""
+
+    pooled: float | None
+    pooled_expected: tuple[float, ...] | None
+    typical: float | None
+
+
+class WholeRecord(Part, frozen=True, kw_only=True):
+    """All parameters together."""
+
+    q: Real = field(name="chi_square")
+    count: int = field(name="degrees_of_freedom")
+    expected: tuple[float, ...]
+    p: Real
+    birge: Real
+
+
+class ComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Identifications compared, as the JSON has it."""
+
+    robot: str
+    results: tuple[str, ...]
+    compared: Literal["identifications"] = "identifications"
+    counts: dict[str, int]
+    parameters: tuple[ComparedParameter, ...]
+    correction: str
+    birge: BirgeRecord
+    whole: WholeRecord | None
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[ComparedParameter]:
+        """The parameters."""
+        return Rows(self.parameters)
+
+
+class Named(Part, frozen=True):
+    """An effect as one diagnosis names it.
+
+    Attributes:
+        effect, family: which.
+        place: joints (from 1) it is at; empty for the whole arm.
+        also: names that it cannot be told from.
+        values, std: coefficients and their standard deviations [units].
+        shapes: its shape parameters.
+        units: of both.
+        share: of the gap.
+    """
+
+    effect: str
+    family: str
+    place: tuple[int, ...] = field(name="joints")
+    also: tuple[str, ...] = field(name="ambiguous_with")
+    values: dict[str, float]
+    std: dict[str, float]
+    shapes: dict[str, float]
+    units: dict[str, str]
+    share: float | None
+
+
+class ComparedCoefficient(Part, frozen=True, kw_only=True):
+    """A coefficient that two or more diagnoses give."""
+
+    name: str
+    unit: str
+    values: tuple[float | None, ...]
+    std: tuple[float | None, ...]
+    p_holm: Real
+    p: Real
+    birge: Real
+    between: Real = field(name="between_std")
+    consensus: Real
+    consensus_std: Real
+    consensus_ci95: tuple[float, float]
+
+
+class SharedRecord(Part, frozen=True, kw_only=True):
+    """One cause over all diagnoses; joints from 1."""
+
+    effects: tuple[str, ...]
+    place: tuple[int, ...] = field(name="joints")
+    everywhere: bool = field(name="named_in_all")
+    states: tuple[State, ...]
+    named: tuple[Named | None, ...]
+    smallest: tuple[float | None, ...] = field(name="smallest_detectable")
+    coefficients: tuple[ComparedCoefficient, ...]
+
+
+class GapComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Diagnoses compared, as the JSON has it."""
+
+    robot: str
+    results: tuple[str, ...]
+    compared: Literal["gap diagnoses"] = "gap diagnoses"
+    statuses: tuple[str, ...] = field(name="status")
+    closed: tuple[float | None, ...]
+    effects: tuple[SharedRecord, ...]
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[SharedRecord]:
+        """The causes."""
+        return Rows(self.effects)
+
+
+class Range(Part, frozen=True):
+    """One parameter: its lowest and highest value in each file, (m,).
+
+    `differ`: two files' ranges have no value in common; `drift`: and the middles of all rise or
+    fall in the order given; `never_determined`: the range exceeds +-50 % in every file.
+    """
+
+    name: str
+    unit: str
+    verdict: Verdict
+    low: Float[Tensor, " m"]
+    high: Float[Tensor, " m"]
+
+
+class SetComparisonRecord(Record, frozen=True, kw_only=True, tag="torchid.compare/1"):
+    """Files of sets compared, as the JSON has it."""
+
+    robot: str
+    results: tuple[str, ...]
+    compared: Literal["parameter sets"] = "parameter sets"
+    counts: tuple[int, ...] = field(name="sets")
+    physical: tuple[Range, ...] = field(name="parameters")
+    base: tuple[Range, ...] = field(name="base_parameters")
+    torque: TorqueSpread | None
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[Range]:
+        """The physical parameters."""
+        return Rows(self.physical)

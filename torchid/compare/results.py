@@ -2,23 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from torchid.compare.diagnoses import GapComparison, compare_diagnoses
 from torchid.compare.identifications import Comparison, compare_identifications
-from torchid.compare.reading import (
-    GAP,
-    IDENTIFICATION,
-    Result,
-    read_identification,
-    read_results,
-)
+from torchid.compare.reading import Compared as Given
+from torchid.compare.reading import read_identification, read_results
 from torchid.compare.sets import SetComparison, compare_sets, robot_of
 from torchid.errors import TorchidError
+from torchid.feasibility.sets import SetsRecord
 from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.record import GapRecord
+from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.robot.record import recorded_robot
 
 Compared = Comparison | GapComparison | SetComparison
 
@@ -61,7 +59,7 @@ def compare_results(
     return compared(read, robot or common_robot(read), on=on, seed=seed)
 
 
-def common_robot(results: Sequence[Result], tip: str | None = None) -> Robot | None:
+def common_robot(results: Sequence[Given[Any]], tip: str | None = None) -> Robot | None:
     """The robot that results record or name; of identifications and diagnoses None where none
     records it.
 
@@ -72,20 +70,19 @@ def common_robot(results: Sequence[Result], tip: str | None = None) -> Robot | N
     Raises:
         TorchidError: files of sets that name different robots, or one that is not where it was.
     """
-    if results[0].schema not in (IDENTIFICATION, GAP):
+    if isinstance(results[0].record, SetsRecord):
         return robot_of(results, tip)
-    recorded = (recorded_robot(r.data, str(r.path)) for r in results)
-    return next((robot for robot in recorded if robot is not None), None)
+    return next((r.record.model for r in results if r.record.model is not None), None)
 
 
 def compared(
-    results: Sequence[Result], robot: Robot | None, *, on: Log | None = None, seed: int = 0
+    results: Sequence[Given[Any]], robot: Robot | None, *, on: Log | None = None, seed: int = 0
 ) -> Compared:
     """As `compare_results`, of results that were read."""
-    if results[0].schema == IDENTIFICATION:
+    if isinstance(results[0].record, IdentificationRecord):
         every = [read_identification(r) for r in results]
         return compare_identifications(every, robot=robot, on=on, seed=seed)
-    if results[0].schema == GAP:
+    if isinstance(results[0].record, GapRecord):
         return compare_diagnoses(results, on=on, seed=seed)
     if robot is None:
         raise TorchidError("sets are compared for a robot.", expected="its kinematics")

@@ -42,6 +42,17 @@ class Scatter:
     std: float
     quantile: float
 
+    @property
+    def consensus_std(self) -> float:
+        """Of the consensus."""
+        return self.std
+
+    @property
+    def consensus_ci95(self) -> tuple[float, float]:
+        """The consensus's 95 % interval."""
+        half = self.quantile * self.std
+        return self.consensus - half, self.consensus + half
+
 
 def scatter(
     values: Float[Tensor, " m"], std: Float[Tensor, " m"], freedom: Float[Tensor, " m"]

@@ -2,17 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
 from torchid.compare.identifications import Verdict
-from torchid.compare.reading import Result
+from torchid.compare.reading import Compared
+from torchid.compare.record import Range, SetComparisonRecord, TorqueSpread
 from torchid.compare.scatter import monotone
-from torchid.compare.torque import TorqueSpread, common_motion, described_model, torque_spread
+from torchid.compare.torque import common_motion, described_model, torque_spread
 from torchid.errors import TorchidError
-from torchid.feasibility.sets import read_other_effects, read_sets
+from torchid.feasibility.sets import SetsRecord, read_other_effects, read_sets
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
@@ -26,22 +29,7 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Range:
-    """One parameter: its lowest and highest value in each file, (m,).
-
-    `differ`: two files' ranges have no value in common; `drift`: and the middles of all rise or
-    fall in the order given; `never_determined`: the range exceeds +-50 % in every file.
-    """
-
-    name: str
-    unit: str
-    verdict: Verdict
-    low: Float[Tensor, " m"]
-    high: Float[Tensor, " m"]
-
-
-@dataclass(frozen=True)
-class SetComparison:
+class SetComparison(Result):
     """All of it.
 
     Attributes:
@@ -60,21 +48,29 @@ class SetComparison:
     torque: TorqueSpread
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return f"SetComparison('{self.robot}', {len(self.labels)} files of sets)"
 
-def robot_of(results: Sequence[Result], tip: str | None = None) -> Robot:
+    @cached_property
+    def record(self) -> SetComparisonRecord:
+        """As the JSON has it."""
+        return SetComparisonRecord.of(self, results=self.labels, compared="parameter sets")
+
+
+def robot_of(results: Sequence[Compared[SetsRecord]], tip: str | None = None) -> Robot:
     """The robot that files of sets name.
 
     Raises:
         TorchidError: files of different robots, or of one that is not where it was.
     """
-    names = list(dict.fromkeys(r.robot_name for r in results))
+    names = list(dict.fromkeys(str(r.record.robot) for r in results))
     if len(names) > 1:
         raise TorchidError("the sets are of different robots.", got=", ".join(names))
-    return named_robot(results[0].path, results[0].data, tip)
+    return named_robot(results[0].path, results[0].record.named, tip)
 
 
 def compare_sets(
-    results: Sequence[Result], robot: Robot, *, on: Log | None = None, seed: int = 0
+    results: Sequence[Compared[SetsRecord]], robot: Robot, *, on: Log | None = None, seed: int = 0
 ) -> SetComparison:
     """Compare two or more files of sets of one robot.
 
@@ -114,9 +110,9 @@ def compare_sets(
         base=_ranges([base.project(v) for v in vectors], base.names, base.units),
         torque=torque_spread(models, motion),
         notes=tuple(
-            f"{r.label} says that its sets are of '{r.robot_name}'"
+            f"{r.label} says that its sets are of '{r.record.robot}'"
             for r in results
-            if r.data.get("robot") not in (None, robot.name)
+            if r.record.robot not in (None, robot.name)
         ),
     )
 

@@ -4,9 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import msgspec
 import torch
 
 from torchid.compare.reading import Identified
+from torchid.compare.record import TorqueSpread
 from torchid.design.motion import Measurement, measurements
 from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque as full_torque
@@ -46,28 +48,6 @@ class CommonMotion:
     motions: tuple[Motion, ...]
     source: str
     measured: tuple[Measurement, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueSpread:
-    """Torque of m models on one motion [N m; N].
-
-    Attributes:
-        source: of the motion, in words.
-        size: (n,) RMS of the models' mean.
-        spread: (n,) standard deviation between models, RMS over the motion.
-        pairs: (m, m, n) RMS of every difference of two models.
-        claimed: (n,) RMS of the standard deviation that the parameters' covariances claim for a
-            model's torque; None where there are none.
-        errors: (m, n) RMS of the measured torque minus each model's; None without a log.
-    """
-
-    source: str
-    size: Float[Tensor, " n"]
-    spread: Float[Tensor, " n"]
-    pairs: Float[Tensor, "m m n"]
-    claimed: Float[Tensor, " n"] | None = None
-    errors: Float[Tensor, "m n"] | None = None
 
 
 def random_motion(robot: Robot, seed: int = 0) -> CommonMotion:
@@ -144,7 +124,8 @@ def identified_spread(
         )
         variance = ((rows @ r.covariance) * rows).sum(1).clamp(min=0)
         claimed.append(variance.reshape(-1, robot.n).mean(0))
-    return replace(torque_spread(models, motion), claimed=torch.stack(claimed).mean(0).sqrt())
+    spread = torque_spread(models, motion)
+    return msgspec.structs.replace(spread, claimed=torch.stack(claimed).mean(0).sqrt())
 
 
 def torque_spread(models: Sequence[Model], motion: CommonMotion) -> TorqueSpread:

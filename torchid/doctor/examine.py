@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from torchid.doctor.motion import (
     check_position_unit,
     check_standstill,
 )
+from torchid.doctor.record import DoctorRecord, conclusion, record
 from torchid.doctor.repair import Repair, repaired
 from torchid.doctor.samples import samples
 from torchid.doctor.search import CLEAR, Search, rms, search
@@ -38,6 +40,7 @@ from torchid.doctor.torque import (
 from torchid.doctor.velocity import check_velocity
 from torchid.errors import LogError
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
 
 MODEL_CHECKS = (
@@ -47,7 +50,7 @@ MODEL_CHECKS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Examination:
+class Examination(Result):
     """What the doctor found.
 
     Attributes:
@@ -62,6 +65,14 @@ class Examination:
     checks: tuple[Check, ...]
     search: Search | None = None
     judge: Judge | None = None
+
+    def __repr__(self) -> str:
+        return f"Examination('{self.robot.name}': {conclusion(self)})"
+
+    @cached_property
+    def record(self) -> DoctorRecord:
+        """As the JSON has it."""
+        return record(self)
 
     @property
     def applied(self) -> tuple[Check, ...]:

@@ -1,18 +1,21 @@
-"""An examination in a sentence or two, and as plain data: the schema torchid.doctor/1, in which
-joints are 1-based."""
+"""An examination in a sentence or two, and as its JSON has it: the schema torchid.doctor/1."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
-from torchid.doctor.check import Check, joint_list
-from torchid.doctor.examine import Examination
+from msgspec import UNSET, UnsetType
+
+from torchid.doctor.check import Check, Verdict, joint_list
 from torchid.json_data import plain
+from torchid.results.record import Joint, Part, Record, Rows
 
-SCHEMA = "torchid.doctor/1"
+if TYPE_CHECKING:
+    from torchid.doctor.examine import Examination
+
 _MINOR = ("torque side", "unseen joint sign")
 """No fault is hidden where these cannot be told: a mirrored arm has the same torques."""
 
 
-def conclusion(examination: Examination) -> str:
+def conclusion(examination: "Examination") -> str:
     """What is wrong, or that nothing is, and what this log cannot show."""
     said = [
         f"{word}: {', '.join(names)}"
@@ -33,7 +36,7 @@ def conclusion(examination: Examination) -> str:
     return f"{text} This log cannot tell: {', '.join(untold(examination))}{reason}."
 
 
-def untold(examination: Examination) -> tuple[str, ...]:
+def untold(examination: "Examination") -> tuple[str, ...]:
     """What may hide a fault since this log cannot tell."""
     kinds = [(c.name.removeprefix("unseen "), c) for c in _hidden(examination)]
     return tuple(
@@ -41,41 +44,91 @@ def untold(examination: Examination) -> tuple[str, ...]:
     )
 
 
-def _hidden(examination: Examination) -> list[Check]:
+def _hidden(examination: "Examination") -> list[Check]:
     return [c for c in examination.checks if c.verdict == "cannot tell" and c.name not in _MINOR]
 
 
-def record(examination: Examination, columns: str | None = None) -> dict[str, Any]:
-    """The examination as JSON-ready data.
+class Choosable(Part, frozen=True):
+    """One of several explanations, and what to do with it."""
+
+    name: str
+    fix: str
+
+
+class CheckRecord(Part, frozen=True, kw_only=True):
+    """A verdict with its evidence; see torchid.doctor.check.Check.
+
+    `applicable`: whether its repairs wait for no choice.
+    """
+
+    name: str
+    verdict: Verdict
+    joints: tuple[Joint, ...]
+    estimate: float | tuple[float | None, ...] | None
+    interval: tuple[float | tuple[float | None, ...] | None, ...] | None
+    unit: str
+    evidence: str
+    fix: str | None
+    applicable: bool
+    choices: tuple[Choosable, ...]
+    chosen: str | None
+
+
+class DoctorRecord(Record, frozen=True, kw_only=True, tag="torchid.doctor/1"):
+    """An examination as its JSON has it.
+
+    Attributes:
+        robot, log: what was examined.
+        conclusion: in a sentence or two.
+        silent: whether nothing is wrong or doubtful.
+        untold: what may hide a fault since this log cannot tell.
+        checks: in the order in which they were made.
+        repairs: what would mend the log.
+        columns: what `--columns` must be to read it mended, where that can be said.
+        seed: from a command.
+    """
+
+    robot: str
+    log: str
+    conclusion: str
+    silent: bool
+    untold: tuple[str, ...]
+    checks: tuple[CheckRecord, ...]
+    repairs: tuple[str, ...]
+    columns: str | None = None
+    seed: int | UnsetType = UNSET
+
+    def __repr__(self) -> str:
+        return f"DoctorRecord('{self.robot}': {self.conclusion})"
+
+    @property
+    def table(self) -> Rows[CheckRecord]:
+        """The checks."""
+        return Rows(self.checks)
+
+
+def record(examination: "Examination", columns: str | None = None) -> DoctorRecord:
+    """The examination as the JSON has it.
 
     Args:
         examination: of a log.
         columns: what `--columns` must be to read it mended, where that can be said.
     """
-    return {
-        "schema": SCHEMA,
-        "robot": examination.robot.name,
-        "log": examination.log.source,
-        "conclusion": conclusion(examination),
-        "silent": examination.silent,
-        "untold": list(untold(examination)),
-        "checks": [_check(check, check in examination.applied) for check in examination.checks],
-        "repairs": [str(repair) for repair in examination.repairs],
-        "columns": columns,
-    }
-
-
-def _check(check: Check, applied: bool) -> dict[str, Any]:
-    return {
-        "name": check.name,
-        "verdict": check.verdict,
-        "joints": [k + 1 for k in check.joints],
-        "estimate": plain(check.estimate),
-        "interval": plain(check.interval),
-        "unit": check.unit,
-        "evidence": check.evidence,
-        "fix": check.fix,
-        "applicable": applied and bool(check.repairs),
-        "choices": [{"name": c.name, "fix": c.fix} for c in check.choices],
-        "chosen": check.chosen,
-    }
+    return DoctorRecord(
+        robot=examination.robot.name,
+        log=examination.log.source,
+        conclusion=conclusion(examination),
+        silent=examination.silent,
+        untold=untold(examination),
+        checks=tuple(
+            CheckRecord.of(
+                check,
+                estimate=plain(check.estimate) if check.estimate is not None else None,
+                interval=plain(check.interval) if check.interval is not None else None,
+                applicable=check in examination.applied and bool(check.repairs),
+            )
+            for check in examination.checks
+        ),
+        repairs=tuple(str(repair) for repair in examination.repairs),
+        columns=columns,
+    )

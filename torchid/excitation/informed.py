@@ -27,8 +27,9 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, identified_torque_limits
-from torchid.excitation.trajectories import random_trajectory
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.values import Prior
+from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
@@ -64,6 +65,14 @@ class InformedDesign:
     goal: Goal
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
+
+    def log(self, rate: float = 100.0) -> Log:
+        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
+
+        Raises:
+            TorchidError: a rate that is too low.
+        """
+        return trajectory_log(self.trajectory, rate)
 
     @property
     def hardly(self) -> bool:

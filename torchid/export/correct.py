@@ -330,7 +330,7 @@ def _forward(
     if replayed is None:
         corrected = full.corrected if isinstance(full, Diagnosis) else full
         replayed = rollouts(before, corrected, on.segments, HORIZONS, settings.seed, STARTS)
-    horizons = [row["horizon_s"] for row in replayed["horizons"]]
+    horizons = [row.horizon_s for row in replayed.horizons]
     starts = starts_of(on.segments, min(HORIZONS), STARTS, settings.seed)
     if not horizons or not len(starts.first):
         return ()
@@ -339,19 +339,19 @@ def _forward(
     with suppress(TorchidError):  # not installed, or it refuses a URDF that Pinocchio reads
         positions = InMujoco(path, robot).positions(windows)
     out = []
-    for row in replayed["horizons"]:
-        step = max(1, round(row["horizon_s"] / windows.dt))
+    for row in replayed.horizons:
+        step = max(1, round(row.horizon_s / windows.dt))
         use = windows.steps >= step
         if not bool(use.any()):
-            out.append(Forward(row["horizon_s"], 0, None, None, None))
+            out.append(Forward(row.horizon_s, 0, None, None, None))
             continue
         error = None
         if positions is not None:
             apart = (positions[use, step] - windows.q[use, step]).abs()
             lost = torch.where(apart < DIVERGED, apart, DIVERGED)
             error = lost.square().mean(0).sqrt()
-        nominal, after = (torch.tensor(row[k]).double() for k in ("rms_before", "rms_after"))
-        out.append(Forward(row["horizon_s"], int(use.sum()), nominal, after, error))
+        nominal, after = row.rms_before.double(), row.rms_after.double()
+        out.append(Forward(row.horizon_s, int(use.sum()), nominal, after, error))
     return tuple(out)
 
 

@@ -17,16 +17,17 @@ from torchid.export.dynamics import Dynamics, described, of_base, records
 from torchid.extraction.problem import FAR
 from torchid.feasibility.record import check_sets
 from torchid.feasibility.sets import ParameterSets, read_other_effects, read_sets
+from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
-from torchid.identification.record import SCHEMA as IDENTIFICATION
 from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
+from torchid.results.files import read
 from torchid.robot.library import load_robot, named_robot
 from torchid.robot.model import Robot
-from torchid.robot.record import recorded_robot
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
+IDENTIFICATION = "torchid.identification/1"
 CORRECTED = "corrected"
 """Where a diagnosis has the robot that it corrected."""
 
@@ -73,23 +74,34 @@ def base_dynamics(path: Path, robot: Robot) -> Dynamics:
     )
 
 
-def diagnosis_dynamics(path: Path, data: Mapping[str, Any]) -> tuple[Dynamics, GapSettings]:
+def diagnosis(path: Path) -> GapRecord:
+    """A diagnosis with the robot that it corrected.
+
+    Raises:
+        TorchidError: another file, or a fault in it, with its place.
+    """
+    found = read(path, ("torchid.gap/1",), "the JSON of `torchid gap`")
+    assert isinstance(found, GapRecord)
+    if found.corrected is None:
+        raise TorchidError(f"'{path}' does not hold the corrected model.", expected=_KINDS)
+    return found
+
+
+def diagnosis_dynamics(path: Path) -> tuple[Dynamics, GapSettings]:
     """The corrected robot of a diagnosis with all its effects; its cut-off and its band."""
-    robot = recorded_robot(data, str(path), CORRECTED)
-    assert robot is not None, "a diagnosis that `load` has accepted"
-    settings = GapSettings(
-        cutoff=data.get("cutoff_hz") or "auto",
-        report_band=data.get("band_hz") or GapSettings.report_band,
-    )
-    return replace(robot_dynamics(robot), title=f"the corrected robot of {path.name}"), settings
+    found = diagnosis(path)
+    assert found.corrected is not None
+    settings = GapSettings(cutoff=found.cutoff_hz, report_band=found.band_hz)
+    title = f"the corrected robot of {path.name}"
+    return replace(robot_dynamics(found.corrected), title=title), settings
 
 
-def model_of(path: Path, data: Mapping[str, Any], robot: str | None, tip: str | None) -> Robot:
+def model_of(path: Path, robot: str | None, tip: str | None) -> Robot:
     """The robot that a diagnosis corrects: the one given, else as it was recorded."""
     if robot is not None:
         return load_robot(robot, tip=tip)
-    recorded = recorded_robot(data, str(path))
-    return named_robot(path, data, tip) if recorded is None else recorded
+    found = diagnosis(path)
+    return named_robot(path, {"robot": found.robot}, tip) if found.model is None else found.model
 
 
 def set_dynamics(

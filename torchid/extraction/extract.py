@@ -12,7 +12,9 @@ import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,7 +30,11 @@ from torchid.extraction.problem import Problem
 from torchid.extraction.settings import SearchSettings
 from torchid.feasibility.sets import ParameterSets
 from torchid.files import atomic_write
+from torchid.results.record import Result
 from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.extraction.record import ExtractionRecord
 
 ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
 
@@ -132,7 +138,7 @@ def fingerprint(problem: Problem, settings: SearchSettings) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Extraction:
+class Extraction(Result):
     """What a search found, all runs.
 
     Attributes:
@@ -160,6 +166,14 @@ class Extraction:
     def __repr__(self) -> str:
         name, best = self.problem.robot.name, float(self.phi[self.best])
         return f"Extraction('{name}', {len(self.sets)} sets, best {self.best} with phi {best:.4g})"
+
+    @cached_property
+    def record(self) -> "ExtractionRecord":
+        """As the JSON has it."""
+        from torchid.extraction.found import Found, judged
+
+        judgement = judged(self.problem, self.sets)
+        return Found(self.problem, "cma-es", *judgement, self, self.seconds).record
 
     @property
     def best(self) -> int:

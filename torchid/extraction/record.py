@@ -1,59 +1,44 @@
-"""An extraction as plain data (schema torchid.extraction/1)."""
+"""Extractions and atlases as their JSON has them: the schemas torchid.extraction/1 and atlas/1."""
 
-import math
 from typing import Any
 
-from torchid.extraction.convex.atlas import Atlas
+from msgspec import UNSET, UnsetType, field
+
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.problem import Problem
-from torchid.feasibility.margins import Feasibility
-from torchid.json_data import picked, plain
+from torchid.feasibility.sets import SetEntry
+from torchid.results.record import Ends, Part, Real, Record, Rows
 from torchid.robot.library import named_record
 from torchid.typing import Float, Tensor
 
-SCHEMA = "torchid.extraction/1"
-ATLAS_SCHEMA = "torchid.atlas/1"
 NOTICEABLE = 1e-3
 """Share of phi_min by which releasing a condition must lower it to be listed."""
 
 
-def problem_record(problem: Problem) -> dict[str, Any]:
-    """Which base parameters were asked for, within which bounds and conditions."""
-    target, low = problem.target, problem.box[:, 0]
-    total = problem.conditions.total_mass.tolist()
-    return {
-        **named_record(problem.robot),
-        "loss": target.loss,
-        "bounds": problem.bounds.name,
-        "base_names": list(target.base.names),
-        "base_values": target.values.tolist(),
-        "search_variables": len(low),
-        "total_mass": total if all(math.isfinite(x) for x in total) else None,
-    }
+class CertificateRecord(Part, frozen=True, kw_only=True):
+    """phi_min and what forces it; see torchid.extraction.convex.certificate.
+
+    `phi_min_without`: conditions whose release lowers it noticeably, and to what.
+    """
+
+    feasible: bool
+    with_conditions: bool
+    phi_min: Real
+    phi_strict: Real
+    exact: bool
+    conflict: tuple[str, ...]
+    forcing: tuple[str, ...]
+    phi_min_without: dict[str, float]
+    relaxed_active: tuple[str, ...] = field(name="relaxed")
+    seconds: float
 
 
-def sets_record(
-    ids: tuple[str, ...], phi: Float[Tensor, " K"], gamma: Float[Tensor, " K"], found: Feasibility
-) -> list[dict[str, Any]]:
-    """One entry a set: loss, penalty, verdict."""
-    rows = (
-        {"id": name, "phi": phi[k], "gamma": gamma[k], "feasible": found.feasible[k],
-         "reasons": found.reasons(k), "degree": found.degree[k]}
-        for k, name in enumerate(ids)
-    )  # fmt: skip
-    return [dict(plain(row)) for row in rows]
-
-
-def certificate_record(proof: Certificate | None) -> dict[str, Any] | None:
-    """phi_min and what forces it; None where there is no certificate."""
+def certificate_record(proof: Certificate | None) -> CertificateRecord | None:
+    """As the JSON has it; None where there is no certificate."""
     if proof is None:
         return None
-    return {
-        "feasible": proof.feasible and proof.with_conditions,
-        **picked(proof, "with_conditions phi_min phi_strict exact conflict forcing"),
-        "phi_min_without": noticeable(proof),
-        **picked(proof, "relaxed=relaxed_active seconds"),
-    }
+    possible = proof.feasible and proof.with_conditions
+    return CertificateRecord.of(proof, feasible=possible, phi_min_without=noticeable(proof))
 
 
 def noticeable(proof: Certificate) -> dict[str, float]:
@@ -64,25 +49,124 @@ def noticeable(proof: Certificate) -> dict[str, float]:
     return dict(sorted(lower.items(), key=lambda item: item[1]))
 
 
-def atlas_record(atlas: Atlas, problem: Problem) -> dict[str, Any]:
-    """Ranges of all parameters."""
-    share = atlas.narrowed
-    parameters = [
-        {
-            "name": name,
-            "unit": atlas.units[k],
-            "low": atlas.low[k],
-            "high": atlas.high[k],
-            "bounds": [atlas.bounds_low[k], atlas.bounds_high[k]],
-            "share_of_bounds": share[k],
-            "status": atlas.status[k],
-        }
-        for k, name in enumerate(atlas.names)
-    ]
+class SearchRecord(Part, frozen=True, kw_only=True):
+    """Settings and course of a population search; (R,) before the polish."""
+
+    runs: int
+    stages: int
+    generations: int
+    population: int | None
+    penalty: str
+    schedule: str
+    engine: str
+    polish: bool
+    seed: int
+    searched_phi: Float[Tensor, " R"] = field(name="phi_before_polish")
+    searched_gamma: Float[Tensor, " R"] = field(name="gamma_before_polish")
+    contradictions: tuple[str, ...]
+
+
+class ExtractedSet(SetEntry, frozen=True, kw_only=True):
+    """A set as in a file of sets, with its loss, penalty, verdict, and how far its torque is (n,)
+    from the one asked for."""
+
+    phi: Real
+    gamma: Real
+    feasible: bool
+    reasons: tuple[str, ...]
+    degree: Real
+    torque_error_percent: Float[Tensor, " n"]
+
+
+class ExtractionRecord(Record, frozen=True, kw_only=True, tag="torchid.extraction/1"):
+    """An extraction as its JSON has it.
+
+    Attributes:
+        robot, robot_source, robot_tip: its name, and what it is loaded by.
+        loss, bounds: what was asked for, and within what.
+        base_names, base_values: the base parameters asked for.
+        search_variables: their number. total_mass: interval [kg], or None.
+        method: how it was searched. search: its course, of a population search.
+        certificate: the least loss of any feasible set.
+        best: id of the set of least loss.
+        sets: all of them.
+        at_bounds: parameters of the best one that lie on their bounds.
+        seconds: it took.
+        warnings: sentences for the user.
+    """
+
+    robot: str
+    robot_source: str
+    robot_tip: str | UnsetType = UNSET
+    loss: str
+    bounds: str
+    base_names: tuple[str, ...]
+    base_values: Float[Tensor, " B"]
+    search_variables: int
+    total_mass: Ends | None
+    method: str
+    search: SearchRecord | None
+    certificate: CertificateRecord | None
+    best: str
+    sets: tuple[ExtractedSet, ...]
+    at_bounds: tuple[str, ...]
+    seconds: float
+    warnings: tuple[str, ...]
+
+    @property
+    def table(self) -> Rows[ExtractedSet]:
+        """The sets."""
+        return Rows(self.sets)
+
+
+class AtlasRange(Part, frozen=True, kw_only=True):
+    """The range of one parameter over feasible sets of equal torque, and over those of any."""
+
+    name: str
+    unit: str
+    low: Real
+    high: Real
+    bounds: Ends
+    share_of_bounds: Real
+    status: tuple[str, str]
+
+
+class AtlasRecord(Record, frozen=True, kw_only=True, tag="torchid.atlas/1"):
+    """An atlas as its JSON has it; see ExtractionRecord for what was asked.
+
+    `kind` and `radius`: what equal torque means.
+    """
+
+    robot: str
+    robot_source: str
+    robot_tip: str | UnsetType = UNSET
+    loss: str
+    bounds: str
+    base_names: tuple[str, ...]
+    base_values: Float[Tensor, " B"]
+    search_variables: int
+    total_mass: Ends | None
+    kind: str
+    radius: Real
+    parameters: tuple[AtlasRange, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def table(self) -> Rows[AtlasRange]:
+        """The ranges."""
+        return Rows(self.parameters)
+
+
+def problem_fields(problem: Problem) -> dict[str, Any]:
+    """Which base parameters were asked for, within which bounds and conditions."""
+    target, total = problem.target, problem.conditions.total_mass
+    known = bool(total.isfinite().all())
     return {
-        "schema": ATLAS_SCHEMA,
-        **problem_record(problem),
-        "kind": atlas.kind,
-        "radius": plain(atlas.radius),
-        "parameters": plain(parameters),
+        **named_record(problem.robot),
+        "loss": target.loss,
+        "bounds": problem.bounds.name,
+        "base_names": target.base.names,
+        "base_values": target.values,
+        "search_variables": problem.size,
+        "total_mass": tuple(total.tolist()) if known else None,
     }

@@ -11,6 +11,7 @@ from torchid.dynamics.forward import gravity_torque
 from torchid.feasibility.bounds import Bounds
 from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, inertia_eigenvalues
 from torchid.feasibility.sets import ParameterSets
+from torchid.results.record import Real
 from torchid.robot.inertia import InertialParameters, symmetric
 from torchid.robot.model import Robot
 from torchid.robot.shapes import OwnInertial
@@ -41,8 +42,8 @@ class Finding:
 
     link: int | None
     what: str
-    value: float
-    threshold: float
+    value: Real
+    threshold: Real
     sentence: str
     name: str | None = None
 

@@ -1,11 +1,14 @@
-"""A check of sets: conditions gathered, verdicts and findings, and its record
-(schema torchid.feasibility/1)."""
+"""A check of sets: conditions gathered, verdicts and findings; its JSON has the schema
+torchid.feasibility/1."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+
+from msgspec import UNSET, UnsetType
 
 from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds, read_total_mass
 from torchid.feasibility.conditions import GEOMETRY_GROUP, Conditions, conditions, physics_only
@@ -19,17 +22,116 @@ from torchid.feasibility.margins import (
 )
 from torchid.feasibility.plausibility import Bodies, bodies, plausibility
 from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
-from torchid.json_data import picked, plain
+from torchid.json_data import plain
+from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, link_shapes, own_inertials
 from torchid.typing import Float, Tensor
 
-SCHEMA = "torchid.feasibility/1"
 NO_GEOMETRY = "none"
 
 
+class LinkVerdict(Part, frozen=True, kw_only=True):
+    """One link of a set.
+
+    Attributes:
+        link, name: which.
+        mass, com: [kg], (3,) [m].
+        inertia_eigenvalues: (3,) barycentric, ascending [kg m^2].
+        violation: of the inertia, in words.
+        triangle_margin, triangle_excess_percent: of the largest against the sum of the others.
+        com_margins, shape_margin: to the box (3,) and to round shapes [m].
+        degrees: by condition.
+        density, semi_axes, gyration: of the equivalent ellipsoid [kg/m^3; m; m].
+    """
+
+    link: Joint
+    name: str
+    mass: Real
+    com: Float[Tensor, "3"]
+    inertia_eigenvalues: Float[Tensor, "3"]
+    violation: str | None
+    triangle_margin: Real
+    triangle_excess_percent: float | None
+    com_margins: tuple[Real, ...]
+    shape_margin: Real
+    degrees: dict[str, float | None]
+    density: Real
+    semi_axes: Float[Tensor, "3"]
+    gyration: Real
+
+
+class Nearest(Part, frozen=True, kw_only=True):
+    """The feasible set nearest in torque to an infeasible one; see torchid.extraction."""
+
+    status: str
+    feasible: bool
+    least: Real
+    torque_change: Float[Tensor, " n"]
+    torque_change_relative: Float[Tensor, " n"]
+
+
+class SetVerdict(Part, frozen=True, kw_only=True):
+    """One set.
+
+    Attributes:
+        id: of the set. feasible, reasons: the verdict, and what is violated.
+        margins, degrees: by condition; degree: the smallest.
+        total_mass: [kg].
+        links: one by one.
+        plausibility: what is not plausible, though not forbidden.
+        nearest: the feasible set nearest to it, where it was asked for.
+    """
+
+    id: str
+    feasible: bool
+    reasons: tuple[str, ...]
+    margins: dict[str, float | None]
+    degree: Real
+    degrees: dict[str, float | None]
+    total_mass: Real
+    links: tuple[LinkVerdict, ...]
+    plausibility: tuple[Finding, ...]
+    nearest: Nearest | UnsetType = UNSET
+
+
+class ConditionsRecord(Part, frozen=True, kw_only=True):
+    """What was checked beside physics: (n, 3, 2) boxes [m], and the total mass [kg]."""
+
+    geometry: str
+    com_box: Float[Tensor, "n 3 2"]
+    round_shapes: bool
+    total_mass: Ends | None
+
+
+class FeasibilityRecord(Record, frozen=True, kw_only=True, tag="torchid.feasibility/1"):
+    """A check as its JSON has it.
+
+    Attributes:
+        robot: its name.
+        conditions: beside physics.
+        n_sets, n_feasible: how many.
+        sets: one by one.
+        warnings: about the robot and its shapes.
+        seed: of the poses, from a command.
+    """
+
+    robot: str
+    conditions: ConditionsRecord
+    n_sets: int
+    n_feasible: int
+    sets: tuple[SetVerdict, ...]
+    warnings: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[SetVerdict]:
+        """The sets."""
+        return Rows(self.sets)
+
+
 @dataclass(frozen=True, eq=False)
-class Check:
+class Check(Result):
     """K sets of a robot, checked.
 
     Attributes:
@@ -55,6 +157,29 @@ class Check:
     bodies: Bodies
     findings: tuple[tuple[Finding, ...], ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        feasible = int(self.feasibility.feasible.sum())
+        return f"Check('{self.robot.name}', {feasible} of {len(self.sets)} sets feasible)"
+
+    @cached_property
+    def record(self) -> FeasibilityRecord:
+        """As the JSON has it."""
+        total = self.conditions.total_mass
+        known = bool(total.isfinite().any())
+        return FeasibilityRecord(
+            robot=self.robot.name,
+            conditions=ConditionsRecord(
+                geometry=self.geometry,
+                com_box=self.conditions.com_box,
+                round_shapes=self.round_shapes,
+                total_mass=(float(total[0]), float(total[1])) if known else None,
+            ),
+            n_sets=len(self.sets),
+            n_feasible=int(self.feasibility.feasible.sum()),
+            sets=tuple(_set(self, k) for k in range(len(self.sets))),
+            warnings=self.warnings,
+        )
 
 
 def check(
@@ -175,42 +300,21 @@ def _com_boxes(
     return shapes.boxes.where(shapes.boxes.isfinite(), free), f"shapes ({kinds}){without}"
 
 
-def record(check: Check) -> dict[str, Any]:
-    """JSON-ready data; every number is finite or null."""
-    total = plain(check.conditions.total_mass)
-    return {
-        "schema": SCHEMA,
-        "robot": check.robot.name,
-        "conditions": {
-            "geometry": check.geometry,
-            "com_box": plain(check.conditions.com_box),
-            "round_shapes": check.round_shapes,
-            "total_mass": None if total == [None, None] else total,
-        },
-        "n_sets": len(check.sets),
-        "n_feasible": int(check.feasibility.feasible.sum()),
-        "sets": [_set(check, k) for k in range(len(check.sets))],
-        "warnings": list(check.warnings),
-    }
-
-
-def _set(check: Check, k: int) -> dict[str, Any]:
+def _set(check: Check, k: int) -> SetVerdict:
     found = check.feasibility
     margins = (found.margins[k], found.total_mass[k], found.coefficients[k])
     degrees = (found.degrees[k], found.total_mass_degree[k], found.coefficient_degrees[k])
-    return {
-        "id": check.sets.ids[k],
-        "feasible": bool(found.feasible[k]),
-        "reasons": list(found.reasons(k)),
-        "margins": _named(*margins, found.coefficient_reasons),
-        "degree": plain(found.degree[k]),
-        "degrees": _named(*degrees, found.coefficient_reasons),
-        "total_mass": plain(check.sets.parameters.mass[k].sum()),
-        "links": [_link(check, k, i) for i in range(check.robot.n)],
-        "plausibility": [
-            picked(f, "link name what value threshold sentence") for f in check.findings[k]
-        ],
-    }
+    return SetVerdict(
+        id=check.sets.ids[k],
+        feasible=bool(found.feasible[k]),
+        reasons=found.reasons(k),
+        margins=_named(*margins, found.coefficient_reasons),
+        degree=float(found.degree[k]),
+        degrees=_named(*degrees, found.coefficient_reasons),
+        total_mass=float(check.sets.parameters.mass[k].sum()),
+        links=tuple(_link(check, k, i) for i in range(check.robot.n)),
+        plausibility=check.findings[k],
+    )
 
 
 def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[str]) -> Any:
@@ -229,27 +333,27 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
     return {name: plain(value) for name, value in out.items() if value != math.inf}
 
 
-def _link(check: Check, k: int, i: int) -> dict[str, Any]:
+def _link(check: Check, k: int, i: int) -> LinkVerdict:
     found = check.feasibility
-    mass, _, triangle, *com, shape = plain(found.margins[k, i])
+    mass, _, triangle, *com, shape = found.margins[k, i].tolist()
     degrees = zip(LINK_CONDITIONS, found.degrees[k, i].tolist(), strict=True)
-    eigenvalues = check.eigenvalues[k, i].tolist()
-    return {
-        "link": i + 1,
-        "name": check.robot.link_names[i],
-        "mass": mass,
-        "com": plain(check.sets.parameters.com[k, i]),
-        "inertia_eigenvalues": plain(eigenvalues),
-        "violation": found.inertia_violation(k, i),
-        "triangle_margin": triangle,
-        "triangle_excess_percent": excess_percent(eigenvalues),
-        "com_margins": com,
-        "shape_margin": shape,
-        "degrees": {name: plain(degree) for name, degree in degrees if degree != math.inf},
-        "density": plain(check.bodies.density[k, i]),
-        "semi_axes": plain(check.bodies.semi_axes[k, i]),
-        "gyration": plain(check.bodies.gyration[k, i]),
-    }
+    eigenvalues = check.eigenvalues[k, i]
+    return LinkVerdict(
+        link=i,
+        name=check.robot.link_names[i],
+        mass=mass,
+        com=check.sets.parameters.com[k, i],
+        inertia_eigenvalues=eigenvalues,
+        violation=found.inertia_violation(k, i),
+        triangle_margin=triangle,
+        triangle_excess_percent=excess_percent(eigenvalues.tolist()),
+        com_margins=tuple(com),
+        shape_margin=shape,
+        degrees={name: plain(degree) for name, degree in degrees if degree != math.inf},
+        density=float(check.bodies.density[k, i]),
+        semi_axes=check.bodies.semi_axes[k, i],
+        gyration=float(check.bodies.gyration[k, i]),
+    )
 
 
 def excess_percent(eigenvalues: Sequence[float]) -> float | None:

@@ -1,27 +1,28 @@
 """Sets of physical parameters, and the file they are kept in (schema torchid.parameter_sets/1)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from msgspec import UNSET, UnsetType
 
 from torchid.effects.base import JointEffect
 from torchid.effects.registry import Valued, column_kind, effect_from_record, nominal_columns
 from torchid.errors import TorchidError
-from torchid.json_data import read_json
+from torchid.results.files import contents, parsed
+from torchid.results.record import FINITE, Part, Record, Result, Rows, Values
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.library import named_record
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-SCHEMA = "torchid.parameter_sets/1"
 _FILE = '{"sets": [{"id", "mass", "com", "inertia_about_com", ...}, ...]}'
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterSets:
+class ParameterSets(Result):
     """K candidate sets of physical parameters of one robot.
 
     Attributes:
@@ -47,6 +48,11 @@ class ParameterSets:
     def __repr__(self) -> str:
         links, count = self.parameters.pi.shape[-2], self.coefficients.shape[-1]
         return f"ParameterSets({len(self)} of {links} links and {count} coefficients of effects)"
+
+    @property
+    def record(self) -> "SetsRecord":
+        """As sets.json has it, without a robot's name."""
+        return sets_record(self, None)
 
     @property
     def vector(self) -> Float[Tensor, "K P"]:
@@ -117,37 +123,118 @@ def joined(parts: Sequence[ParameterSets]) -> ParameterSets:
     )
 
 
-def to_record(sets: ParameterSets, robot: Robot, others: Sequence[Valued] = ()) -> dict[str, Any]:
-    """JSON-ready data, lossless: masses, first moments and inertias about the link frames.
+class SetEntry(Part, frozen=True, kw_only=True):
+    """One set of a file: centres of mass or first moments, and inertias about the one point or the
+    other.
+
+    Attributes:
+        id: what to call it.
+        mass: (n,) [kg].
+        com, first_moment: (n, 3) [m; kg m].
+        inertia_about_com, inertia_about_link_frame: (n, 6) xx xy xz yy yz zz [kg m^2].
+        effects: with their coefficients, as in a robot's yaml.
+    """
+
+    id: str | int | float | None = None
+    mass: Annotated[Float[Tensor, " n"], FINITE]
+    com: Annotated[Float[Tensor, "n 3"], FINITE] | UnsetType = UNSET
+    first_moment: Annotated[Float[Tensor, "n 3"], FINITE] | UnsetType = UNSET
+    inertia_about_com: Annotated[Float[Tensor, "n 6"], FINITE] | UnsetType = UNSET
+    inertia_about_link_frame: Annotated[Float[Tensor, "n 6"], FINITE] | UnsetType = UNSET
+    effects: tuple[Values, ...] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for keys in (("com", "first_moment"), ("inertia_about_com", "inertia_about_link_frame")):
+            if sum(getattr(self, key) is not UNSET for key in keys) != 1:
+                raise ValueError(f"a set needs one of {' and '.join(keys)}")
+
+    @property
+    def pi(self) -> Float[Tensor, "n 10"]:
+        """Inertial parameters in the link frames."""
+        mass = self.mass.unsqueeze(-1)
+        moment = mass * self.com if isinstance(self.com, Tensor) else self.first_moment
+        about_frame = isinstance(self.inertia_about_link_frame, Tensor)
+        inertia = self.inertia_about_link_frame if about_frame else self.inertia_about_com
+        assert isinstance(moment, Tensor)
+        assert isinstance(inertia, Tensor)
+        pi = torch.cat([mass, moment, inertia], -1)
+        if not about_frame:
+            com = self.com if isinstance(self.com, Tensor) else InertialParameters(pi).com
+            pi[:, 4:] += parallel_axis(self.mass, com)
+        return pi
+
+
+class SetsRecord(Record, frozen=True, kw_only=True, tag="torchid.parameter_sets/1"):
+    """A file of sets.
+
+    Attributes:
+        robot, robot_source, robot_tip: name of the robot, and what it is loaded by.
+        sets: at least one.
+        other_effects: that hold beside every set, which has no columns for them.
+    """
+
+    robot: str | None = None
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    sets: tuple[SetEntry, ...]
+    other_effects: tuple[Values, ...] | UnsetType = UNSET
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The robot, as `named_record` names it."""
+        keys = ("robot", "robot_source", "robot_tip")
+        return {key: value for key in keys if (value := getattr(self, key))}
+
+    @property
+    def table(self) -> Rows[SetEntry]:
+        """The sets."""
+        return Rows(self.sets)
+
+
+class _Sets(Part, frozen=True, kw_only=True):
+    """What any file of sets has, whatever else it holds."""
+
+    robot: str | None = None
+    sets: tuple[SetEntry, ...]
+    other_effects: tuple[Values, ...] | UnsetType = UNSET
+
+
+def sets_record(
+    sets: ParameterSets, robot: Robot | None, others: Sequence[Valued] = ()
+) -> SetsRecord:
+    """A file of sets, lossless: masses, first moments and inertias about the link frames.
 
     Args:
         sets: of one robot.
-        robot: that they belong to.
+        robot: that they belong to, if it is to be named.
         others: effects that hold beside every set, which has no columns for them.
     """
-    entries = []
-    for k, name in enumerate(sets.ids):
-        pi, values = sets.parameters.pi[k], iter(sets.coefficients[k].tolist())
-        effects = [
-            {
-                "effect": effect.name,
-                "joint": effect.joint + 1,
-                **{c.name: next(values) for c in effect.coefficients},
-            }
-            for effect in sets.effects
-        ]
-        entries.append(
-            {
-                "id": name,
-                "mass": pi[:, 0].tolist(),
-                "first_moment": pi[:, 1:4].tolist(),
-                "inertia_about_link_frame": pi[:, 4:].tolist(),
-                "effects": effects,
-            }
-        )
-    beside = [dict(effect.record(values)) for effect, values in others]
-    more = {"other_effects": beside} if beside else {}
-    return {"schema": SCHEMA, **named_record(robot), "sets": entries, **more}
+    beside = tuple(dict(effect.record(values)) for effect, values in others)
+    return SetsRecord(
+        **({} if robot is None else named_record(robot)),
+        sets=tuple(
+            SetEntry(
+                id=name,
+                mass=pi[:, 0],
+                first_moment=pi[:, 1:4],
+                inertia_about_link_frame=pi[:, 4:],
+                effects=tuple(
+                    {
+                        "effect": e.name,
+                        "joint": e.joint + 1,
+                        **{c.name: next(v) for c in e.coefficients},
+                    }
+                    for v in [iter(values)]
+                    for e in sets.effects
+                ),
+            )
+            for name, pi, values in zip(
+                sets.ids, sets.parameters.pi, sets.coefficients.tolist(), strict=True
+            )
+        ),
+        other_effects=beside or UNSET,
+    )
 
 
 def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
@@ -172,16 +259,27 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     >>> robot = torchid.load_robot("3r")
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder) / "sets.json"
-    ...     _ = file.write_text(json.dumps(to_record(nominal_set(robot), robot)))
+    ...     nominal_set(robot).save(file)
     ...     read_sets(file, robot).ids
     ('3r',)
     """
     path = Path(path)
-    data = read_json(path, _FILE)
-    entries = data.get("sets")
-    if not isinstance(entries, list) or not entries:
-        raise TorchidError(f"'{path}' holds no parameter sets.", got=list(data), expected=_FILE)
-    parts = [_read_set(entry, k, robot, str(path)) for k, entry in enumerate(entries, start=1)]
+    entries = _file(path).sets
+    if not entries:
+        raise TorchidError(f"'{path}' holds no parameter sets.", expected=_FILE)
+    parts = []
+    for k, entry in enumerate(entries, start=1):
+        where = f"'{path}': set {k}"
+        if len(entry.mass) != robot.n:
+            raise TorchidError(
+                f"{where} is of another robot.",
+                got=f"{len(entry.mass)} links",
+                expected=f"this robot's {robot.n} links",
+            )
+        effects, values = _read_effects(entry.effects or (), robot, where)
+        name = k if entry.id is None else entry.id
+        pi = InertialParameters(entry.pi.unsqueeze(0))
+        parts.append(ParameterSets((str(name),), pi, effects, values.reshape(1, -1)))
     for part in parts[1:]:
         if part.effects != parts[0].effects:
             raise TorchidError(
@@ -201,74 +299,29 @@ def read_other_effects(path: Path, robot: Robot) -> tuple[Valued, ...]:
     Raises:
         TorchidError: not a list of effects as in a robot's yaml.
     """
-    entries = read_json(path, _FILE).get("other_effects", [])
-    if not isinstance(entries, list) or not all(isinstance(e, Mapping) for e in entries):
-        raise TorchidError(f"'{path}': other_effects is not a list of effects.", got=entries)
-    return tuple(effect_from_record(entry, robot) for entry in entries)
+    return tuple(effect_from_record(entry, robot) for entry in _file(path).other_effects or ())
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:
     """A sentence if the file says that its sets belong to a robot of another name."""
-    name = read_json(path, _FILE).get("robot")
+    name = _file(path).robot
     if name is None or name == robot.name:
         return None
     return f"'{path}' says that its sets belong to '{name}'; the robot here is '{robot.name}'"
 
 
-def _read_set(entry: Any, k: int, robot: Robot, source: str) -> ParameterSets:
-    where = f"'{source}': set {k}"
-    if not isinstance(entry, Mapping):
-        raise TorchidError(f"{where} is not a mapping.", got=type(entry).__name__)
-    mass = _numbers(entry, "mass", (robot.n,), where)
-    com_key = _one_of(entry, ("com", "first_moment"), where)
-    inertia_key = _one_of(entry, ("inertia_about_com", "inertia_about_link_frame"), where)
-    place = _numbers(entry, com_key, (robot.n, 3), where)
-    inertia = _numbers(entry, inertia_key, (robot.n, 6), where)
-    moment = place if com_key == "first_moment" else mass.unsqueeze(-1) * place
-    pi = torch.cat([mass.unsqueeze(-1), moment, inertia], -1)
-    if inertia_key == "inertia_about_com":
-        com = InertialParameters(pi).com if com_key == "first_moment" else place
-        pi[:, 4:] += parallel_axis(mass, com)
-    effects, values = _read_effects(entry.get("effects"), robot, where)
-    ids, parameters = (str(entry.get("id", k)),), InertialParameters(pi.unsqueeze(0))
-    return ParameterSets(ids, parameters, effects, values.reshape(1, -1))
+def _file(path: Path) -> _Sets:
+    """A file of sets, of an extraction too, whose entries say more."""
+    return parsed(contents(path, _FILE), _Sets, path, "a file of parameter sets", _FILE)
 
 
-def _one_of(entry: Mapping[str, Any], keys: tuple[str, str], where: str) -> str:
-    given = [key for key in keys if key in entry]
-    if len(given) != 1:
-        raise TorchidError(
-            f"{where} needs one of {' and '.join(keys)}.", got=given or "neither", available=keys
-        )
-    return given[0]
-
-
-def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Tensor:
-    try:
-        values = torch.tensor(entry[key], dtype=torch.float64)
-    except KeyError as error:
-        raise TorchidError(f"{where} has no '{key}'.", available=list(entry)) from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise TorchidError(f"{where}: {key} is not a table of numbers.", got=entry[key]) from error
-    if tuple(values.shape) != shape:
-        raise TorchidError(
-            f"{where}: {key} has the wrong size.",
-            got=tuple(values.shape),
-            expected=f"{shape} for this robot's {shape[0]} links",
-        )
-    if not torch.isfinite(values).all():
-        raise TorchidError(f"{where}: {key} is not all finite.", got=entry[key])
-    return values
-
-
-def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[JointEffect, ...], Tensor]:
-    data = [] if data is None else data
-    if not isinstance(data, list):
-        raise TorchidError(f"{where}: effects must be a list.", got=type(data).__name__)
+def _read_effects(
+    data: Sequence[Values], robot: Robot, where: str
+) -> tuple[tuple[JointEffect, ...], Tensor]:
     effects: list[JointEffect] = []
     values: list[float] = []
     for record in data:
-        if not isinstance(record, Mapping) or "effect" not in record:
+        if "effect" not in record:
             raise TorchidError(
                 f"{where}: an effect needs the key 'effect'.",
                 got=record,
@@ -285,5 +338,9 @@ def _read_effects(data: Any, robot: Robot, where: str) -> tuple[tuple[JointEffec
         if kind(joint - 1) in effects:
             raise TorchidError(f"{where}: {kind.name} of joint {joint} is listed twice.")
         effects.append(kind(joint - 1))
-        values += [float(_numbers(record, c.name, (), where)) for c in kind.coefficients]
+        for c in kind.coefficients:
+            value = record.get(c.name)
+            if not isinstance(value, int | float):
+                raise TorchidError(f"{where}: {kind.name} needs a number '{c.name}'.", got=value)
+            values.append(float(value))
     return tuple(effects), torch.tensor(values, dtype=torch.float64)

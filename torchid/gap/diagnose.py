@@ -8,7 +8,7 @@ and how far it closes the gap is judged by its terms fitted without each fold, o
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -19,9 +19,10 @@ from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import EVENTS, KINDS, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import Data, prepare
-from torchid.gap.diagnosis import Budget, Diagnosis, HowFar, Parametric, Status, Trace
+from torchid.gap.diagnosis import Diagnosis, HowFar, Trace
 from torchid.gap.localise.where import where
 from torchid.gap.noise.floor import Noise, noise_of, sliding_only
+from torchid.gap.record import Budget, Parametric, Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation, explained, without_terms
 from torchid.gap.search.solve import Solution, solved
@@ -198,7 +199,8 @@ def diagnose(
         traces=tuple(checked.shown),
         band=data.band,
         cutoff=data.samples.cutoff,
-        settings={**asdict(settings), "refitted": wanted.free},
+        settings=settings,
+        refitted=wanted.free,
         warnings=tuple(
             dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))
         ),

@@ -1,32 +1,49 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
-import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
-from torchid.effects.base import Effect, Motion
+from torchid.effects.base import PLACES, Coefficient, Effect, Motion
 from torchid.effects.registry import Valued
-from torchid.robot.model import Robot
+from torchid.gap.record import (
+    Budget,
+    Experiment,
+    FarRecord,
+    FoundEffect,
+    GapRecord,
+    GapSettingsRecord,
+    JointGap,
+    JointRms,
+    NoiseFloor,
+    NotTestable,
+    Parametric,
+    Planted,
+    RegimeGap,
+    Status,
+    Where,
+)
+from torchid.gap.settings import GapSettings
+from torchid.json_data import plain
+from torchid.results.record import Result, Rows
+from torchid.robot.model import JointType, Robot
+from torchid.simulation.two_models import Rollout
 from torchid.typing import Bool, Float, Tensor
 
-Status = Literal["no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"]
+if TYPE_CHECKING:
+    from torchid.next_motion.separating_motion import Separation
 
-Regime = Literal[
-    "velocity_reversal",
-    "low_speed",
-    "high_speed",
-    "high_acceleration",
-    "gravity_load",
-    "position_periodic",
-    "high_frequency",
-    "slow_drift",
-    "transient",
-]
+INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
+INERTIA_REMEDY = (
+    "Replace the link's inertial parameters, or all of them by those `torchid identify` finds."
+)
 
-Interval = tuple[float, float]
 
-OFTEN = 0.8
-"""Share of draws in which a cause must be told to count as one that is found."""
+def unit_of(unit: str, joints: Iterable[int], robot: Robot) -> str:
+    """A coefficient's unit on these joints: that of revolute ones unless all are prismatic."""
+    kinds = {robot.joint_types[j] for j in joints}
+    return Coefficient("", unit, False, "").unit_for(kinds == {JointType.PRISMATIC})
 
 
 @dataclass(frozen=True)
@@ -59,78 +76,6 @@ class Trace:
         """Instants of each joint that count for how far the gap closes."""
         every = self.valid.unsqueeze(1).expand_as(self.measured)
         return every if self.moving is None else every & self.moving
-
-
-@dataclass(frozen=True)
-class NoiseFloor:
-    """RMS of the noise in the band of the report.
-
-    Attributes:
-        low, high: (n,) bracket [N m; N].
-        source: `repeats` or `bracket`.
-        notes: sentences for the user.
-    """
-
-    low: Float[Tensor, " n"]
-    high: Float[Tensor, " n"]
-    source: Literal["repeats", "bracket"]
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class JointGap:
-    """Gap of the model as given on one joint (from 0)."""
-
-    joint: int
-    gap_rms: float
-    noise_floor_rms: Interval
-    share: float
-
-
-@dataclass(frozen=True)
-class RegimeGap:
-    """Excess of the squared gap in one regime of one joint (from 0) over the rest of its rows.
-
-    Attributes:
-        joint, regime: where.
-        excess: share of the joint's squared gap above the noise floor that lies in the regime
-            beyond what the regime's share of time would hold.
-        ci95: its interval, over blocks.
-        p: corrected for the maximum over all joints and regimes.
-        times: trajectory, and start and end [s] in it, of the windows of a transient.
-    """
-
-    joint: int
-    regime: Regime
-    excess: float
-    ci95: Interval
-    p: float
-    times: tuple[tuple[str, float, float], ...] = ()
-
-
-@dataclass(frozen=True)
-class Planted:
-    """What this log would show of a cause and of R - 1 others in its place, if what the answer
-    leaves were noise: shares of draws.
-
-    Attributes:
-        names: (R,) the cause first.
-        told: (R, R + 1) with each of them planted, which is told; none, last.
-        found: by size, as a share of the fitted one, how often the cause is told.
-    """
-
-    names: tuple[str, ...]
-    told: tuple[tuple[float, ...], ...]
-    found: tuple[tuple[float, float], ...]
-
-    @property
-    def smallest(self) -> float | None:
-        """The size, as a share of the fitted one, from which on the cause is told in four of five
-        draws, between sizes by interpolation; None if there is none."""
-        for (a, low), (b, high) in itertools.pairwise(((0.0, 0.0), *self.found)):
-            if high >= OFTEN:
-                return a + (b - a) * (OFTEN - low) / (high - low)
-        return None
 
 
 @dataclass(frozen=True)
@@ -176,22 +121,29 @@ class Finding:
         """Effect and coefficients, for a model."""
         return self.effect, list(self.values)
 
-
-@dataclass(frozen=True)
-class Parametric:
-    """Inertial parameters that had to be changed: of one link, or all base parameters.
-
-    Attributes:
-        links: from 0; empty for all base parameters.
-        share, p_value, how_sure: as Finding's; None where the parameters are always refitted.
-        ambiguous_with: names of effects.
-    """
-
-    links: tuple[int, ...]
-    share: float
-    p_value: float | None
-    ambiguous_with: tuple[str, ...] = ()
-    how_sure: float | None = None
+    def record(self, robot: Robot) -> FoundEffect:
+        """As the JSON has it."""
+        effect = self.effect
+        # Coefficients, shapes and places of the effect; private keys are the program's own.
+        own = {
+            key: value
+            for key, value in effect.record(self.values).items()
+            if key not in ("effect", "joint", "joints") and key[0] != "_"
+        }
+        # A unit follows the joints that the effect is at.
+        located = self.located or self.joints
+        units = {c.name: unit_of(c.unit, located, robot) for c in effect.coefficients}
+        units |= {s.name: unit_of(s.unit, located, robot) for s in effect.shapes}
+        return FoundEffect.of(
+            self,
+            effect,
+            effect=effect.name,
+            parameters=plain(own),
+            std=plain(dict(zip((c.name for c in effect.coefficients), self.std, strict=True))),
+            unit=units,
+            shape=[name for name in own if name in {x.name for x in effect.shapes}],
+            places=[name for name in own if name in PLACES],
+        )
 
 
 @dataclass(frozen=True)
@@ -204,47 +156,40 @@ class HowFar:
         closed: closed fraction of the closable gap, (L0 - L*) / (L0 - Ln), joints weighted by
             their noise; None where the gap's interval holds zero.
         closed_ci95: over blocks of whole trajectories or contiguous stretches.
-        rollout: see torchid.gap.rollout, or None.
+        rollout: simulated motion before and after, or None.
     """
 
     rms_before: Float[Tensor, " n"]
     rms_after: Float[Tensor, " n"]
     closed: float | None
-    closed_ci95: Interval | None
-    rollout: dict[str, Any] | None = None
+    closed_ci95: tuple[float, float] | None
+    rollout: Rollout | None = None
+
+
+def _link(changed: Parametric) -> FoundEffect:
+    """Changed inertial parameters as an accepted effect; a link has the number of its joint."""
+    return FoundEffect.of(
+        changed,
+        effect="link_inertia",
+        family="inertia",
+        joints=changed.links,
+        common=False,
+        parameters={"links": [link + 1 for link in changed.links]},
+        std={},
+        unit={},
+        shape=(),
+        places=(),
+        first=None,
+        meaning=INERTIA_MEANING,
+        remedy=INERTIA_REMEDY,
+        source=None,
+        notes=(),
+        planted=None,
+    )
 
 
 @dataclass(frozen=True)
-class Budget:
-    """Shares of the gap: what refitted base parameters close, what effects close, what is left."""
-
-    parametric: float
-    structural: float
-    unexplained: float
-
-
-@dataclass(frozen=True)
-class NotTestable:
-    """An effect these data could not show.
-
-    Attributes:
-        effect: name.
-        joints: from 0; none for a global effect.
-        smallest_detectable: coefficient that would have been detected, in `unit`; None where no
-            size would: its columns vanish or are exactly those of base parameters.
-        unit: of the first coefficient.
-        reason: one sentence.
-    """
-
-    effect: str
-    joints: tuple[int, ...]
-    smallest_detectable: float | None
-    unit: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Result):
     """All of it.
 
     Attributes:
@@ -259,7 +204,8 @@ class Diagnosis:
         next_experiment: what would separate an ambiguity, or None.
         traces: held-out torque before and after, trajectory by trajectory.
         band, cutoff: of the report and of the fit [Hz].
-        settings: as a record.
+        settings: how it was searched.
+        refitted: whether base parameters were fitted with everything.
         warnings: sentences for the user.
     """
 
@@ -274,11 +220,12 @@ class Diagnosis:
     budget: Budget
     floor: NoiseFloor
     not_testable: tuple[NotTestable, ...]
-    next_experiment: dict[str, Any] | None
+    next_experiment: Experiment | None
     traces: tuple[Trace, ...]
     band: float
     cutoff: float
-    settings: dict[str, Any]
+    settings: GapSettings
+    refitted: bool
     warnings: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -287,3 +234,49 @@ class Diagnosis:
             "" if self.how_far.closed is None else f", {100 * self.how_far.closed:.0f} % closed"
         )
         return f"Diagnosis('{self.robot.name}', {self.status}: {effects}{closed})"
+
+    @cached_property
+    def record(self) -> GapRecord:
+        """As the JSON has it."""
+        far, floor = self.how_far, self.floor
+        rms = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
+        return GapRecord(
+            robot=self.robot.name,
+            status=self.status,
+            where=Where(self.joints, self.regimes),
+            which=(
+                *(f.record(self.robot) for f in self.findings),
+                *(_link(p) for p in self.parametric if p.links),
+            ),
+            parametric=self.parametric,
+            how_far=FarRecord.of(
+                far,
+                rms_before=far.rms_before.norm(),
+                rms_after=far.rms_after.norm(),
+                noise_floor_rms=[float(floor.low.norm()), float(floor.high.norm())],
+                per_joint=[
+                    JointRms(j, before, after, (float(floor.low[j]), float(floor.high[j])))
+                    for j, (before, after) in enumerate(rms)
+                ],
+            ),
+            budget=self.budget,
+            not_testable=self.not_testable,
+            next_experiment=self.next_experiment,
+            noise_floor=floor,
+            trajectories=tuple(t.name for t in self.traces),
+            band_hz=self.band,
+            cutoff_hz=self.cutoff,
+            settings=GapSettingsRecord.of(self.settings, self),
+            warnings=self.warnings,
+            model=self.robot,
+            corrected=self.corrected,
+        )
+
+    @property
+    def effects(self) -> Rows[FoundEffect]:
+        """What was found, as a table."""
+        return self.record.effects
+
+    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "Separation":
+        """The motion that separates what this diagnosis cannot tell apart; see `excite_for`."""
+        return self.record.next_motion(robot, **settings)

@@ -1,195 +1,358 @@
-"""A diagnosis as plain data: the schema torchid.gap/1 (design: README, Contracts).
+"""A diagnosis as its JSON has it: the schema torchid.gap/1."""
 
-Joints and links are 1-based, numbers are plain floats, and what is not a number is null. The
-contract's keys are always there; the others say more about the same thing.
-"""
+import itertools
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from collections.abc import Iterable
-from typing import Any
+import msgspec
 
-from torchid.effects.base import PLACES, Coefficient
-from torchid.gap.diagnosis import (
-    Diagnosis,
-    Finding,
-    Parametric,
-    RegimeGap,
+from torchid.results.record import (
+    FINITE,
+    Ends,
+    Joint,
+    Model,
+    Part,
+    Real,
+    Record,
+    Rows,
+    Values,
+    face,
 )
-from torchid.json_data import plain
-from torchid.robot.model import JointType, Robot
-from torchid.robot.record import robot_record
+from torchid.robot.model import Robot
+from torchid.simulation.two_models import Rollout
+from torchid.typing import Float, Tensor
 
-SCHEMA = "torchid.gap/1"
+if TYPE_CHECKING:
+    from torchid.next_motion.separating_motion import Separation
 
-INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
-INERTIA_REMEDY = (
-    "Replace the link's inertial parameters, or all of them by those `torchid identify` finds."
-)
+Status = Literal["no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"]
 
+Regime = Literal[
+    "velocity_reversal",
+    "low_speed",
+    "high_speed",
+    "high_acceleration",
+    "gravity_load",
+    "position_periodic",
+    "high_frequency",
+    "slow_drift",
+    "transient",
+]
 
-def record(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The diagnosis as JSON-ready data."""
-    which = [finding_record(f, diagnosis.robot) for f in diagnosis.findings]
-    which += [_link_inertia(p) for p in diagnosis.parametric if p.links]
-    return plain(
-        {
-            "schema": SCHEMA,
-            "robot": diagnosis.robot.name,
-            "status": diagnosis.status,
-            "where": {
-                "joints": [
-                    {
-                        "joint": gap.joint + 1,
-                        "gap_rms": gap.gap_rms,
-                        "noise_floor_rms": gap.noise_floor_rms,
-                        "share": gap.share,
-                    }
-                    for gap in diagnosis.joints
-                ],
-                "regimes": [_regime(gap) for gap in diagnosis.regimes],
-            },
-            "which": which,
-            "parametric": [
-                {
-                    "links": [link + 1 for link in p.links],
-                    "all_base_parameters": not p.links,
-                    "share": p.share,
-                    "p_value": p.p_value,
-                    "how_sure": p.how_sure,
-                    "ambiguous_with": p.ambiguous_with,
-                }
-                for p in diagnosis.parametric
-            ],
-            "how_far": _how_far(diagnosis),
-            "budget": {
-                "parametric": diagnosis.budget.parametric,
-                "structural": diagnosis.budget.structural,
-                "unexplained": diagnosis.budget.unexplained,
-            },
-            "not_testable": [
-                {
-                    "effect": x.effect,
-                    "joint": x.joints[0] + 1 if x.joints else None,
-                    "joints": [j + 1 for j in x.joints],
-                    "smallest_detectable": x.smallest_detectable,
-                    "unit": x.unit,
-                    "reason": x.reason,
-                }
-                for x in diagnosis.not_testable
-            ],
-            "next_experiment": diagnosis.next_experiment,
-            "noise_floor": {
-                "source": diagnosis.floor.source,
-                "low": diagnosis.floor.low,
-                "high": diagnosis.floor.high,
-                "notes": diagnosis.floor.notes,
-            },
-            "trajectories": [t.name for t in diagnosis.traces],
-            "band_hz": diagnosis.band,
-            "cutoff_hz": diagnosis.cutoff,
-            "settings": diagnosis.settings,
-            "warnings": diagnosis.warnings,
-            "model": robot_record(diagnosis.robot),
-            "corrected": robot_record(diagnosis.corrected),
-        }
-    )
+Interval = tuple[float, float]
+
+OFTEN = 0.8
+"""Share of draws in which a cause must be told to count as one that is found."""
 
 
-def unit_of(unit: str, joints: Iterable[int], robot: Robot) -> str:
-    """A coefficient's unit on these joints: that of revolute ones unless all are prismatic."""
-    kinds = {robot.joint_types[j] for j in joints}
-    return Coefficient("", unit, False, "").unit_for(kinds == {JointType.PRISMATIC})
+class JointGap(Part, frozen=True):
+    """Gap of the model as given on one joint."""
+
+    joint: Joint
+    gap_rms: Real
+    noise_floor_rms: Ends
+    share: Real
 
 
-def finding_record(finding: Finding, robot: Robot) -> dict[str, Any]:
-    """An accepted effect; `parameters` holds coefficients, and shape parameters and places too."""
-    effect = finding.effect
-    written = effect.record(finding.values)
-    # Coefficients, shapes and places of the effect; private keys are the program's own.
-    own = {
-        k: v for k, v in written.items() if k not in ("effect", "joint", "joints") and k[0] != "_"
-    }
-    located = finding.located or finding.joints
-    # A unit follows the joints that the effect is at.
-    units = {c.name: unit_of(c.unit, located, robot) for c in effect.coefficients}
-    units |= {s.name: unit_of(s.unit, located, robot) for s in effect.shapes}
-    return {
-        "effect": effect.name,
-        "family": effect.family,
-        "joints": [j + 1 for j in finding.joints],
-        "common": finding.common,
-        "ambiguous_with": finding.ambiguous_with,
-        "parameters": own,
-        "p_value": finding.p_value,
-        "how_sure": finding.how_sure,
-        "std": dict(zip((c.name for c in effect.coefficients), finding.std, strict=True)),
-        "unit": units,
-        "shape": [name for name in own if name in {s.name for s in effect.shapes}],
-        "places": [name for name in own if name in PLACES],
-        "share": finding.share,
-        "first": finding.first,
-        "meaning": effect.meaning,
-        "remedy": effect.remedy,
-        "source": effect.source,
-        "notes": finding.notes,
-        "planted": None
-        if finding.planted is None
-        else vars(finding.planted) | {"smallest": finding.planted.smallest},
-    }
+class Window(Part, frozen=True):
+    """A stretch of a trajectory [s]."""
+
+    trajectory: str
+    from_s: float
+    to_s: float
 
 
-def _link_inertia(p: Parametric) -> dict[str, Any]:
-    """Changed inertial parameters as an entry of `which`; a link has the number of its joint."""
-    links = [link + 1 for link in p.links]
-    return {
-        "effect": "link_inertia",
-        "family": "inertia",
-        "joints": links,
-        "ambiguous_with": p.ambiguous_with,
-        "parameters": {"links": links},
-        "p_value": p.p_value,
-        "how_sure": p.how_sure,
-        "std": {},
-        "unit": {},
-        "shape": [],
-        "places": [],
-        "share": p.share,
-        "first": None,
-        "meaning": INERTIA_MEANING,
-        "remedy": INERTIA_REMEDY,
-        "source": None,
-        "notes": [],
-    }
+class RegimeGap(Part, frozen=True):
+    """Excess of the squared gap in one regime of one joint over the rest of its rows.
+
+    Attributes:
+        joint, regime: where.
+        excess: share of the joint's squared gap above the noise floor that lies in the regime
+            beyond what the regime's share of time would hold.
+        ci95: its interval, over blocks.
+        p: corrected for the maximum over all joints and regimes.
+        times: windows of a transient.
+    """
+
+    joint: Joint
+    regime: Regime
+    excess: Real
+    ci95: Ends
+    p: Real
+    times: tuple[Window, ...] = ()
 
 
-def _regime(gap: RegimeGap) -> dict[str, Any]:
-    return {
-        "joint": gap.joint + 1,
-        "regime": gap.regime,
-        "excess": gap.excess,
-        "ci95": gap.ci95,
-        "p": gap.p,
-        "times": [{"trajectory": n, "from_s": a, "to_s": b} for n, a, b in gap.times],
-    }
+class Where(Part, frozen=True):
+    """Joints, and kinds of motion."""
+
+    joints: tuple[JointGap, ...]
+    regimes: tuple[RegimeGap, ...]
 
 
-def _how_far(diagnosis: Diagnosis) -> dict[str, Any]:
-    """RMS over all joints as root of the sum of the joints' mean squares."""
-    far, floor = diagnosis.how_far, diagnosis.floor
-    joints = zip(far.rms_before.tolist(), far.rms_after.tolist(), strict=True)
-    return {
-        "rms_before": float(far.rms_before.norm()),
-        "rms_after": float(far.rms_after.norm()),
-        "noise_floor_rms": [float(floor.low.norm()), float(floor.high.norm())],
-        "closed": far.closed,
-        "closed_ci95": far.closed_ci95,
-        "per_joint": [
-            {
-                "joint": j + 1,
-                "before": before,
-                "after": after,
-                "noise_floor_rms": [float(floor.low[j]), float(floor.high[j])],
-            }
-            for j, (before, after) in enumerate(joints)
-        ],
-        "rollout": far.rollout,
-    }
+class Planted(Part, frozen=True):
+    """What this log would show of a cause and of R - 1 others in its place, if what the answer
+    leaves were noise: shares of draws.
+
+    Attributes:
+        names: (R,) the cause first.
+        told: (R, R + 1) with each of them planted, which is told; none, last.
+        found: by size, as a share of the fitted one, how often the cause is told.
+        smallest: the size, as a share of the fitted one, from which on the cause is told in four
+            of five draws, between sizes by interpolation; None if there is none.
+    """
+
+    names: tuple[str, ...]
+    told: tuple[tuple[float, ...], ...]
+    found: tuple[tuple[float, float], ...]
+    smallest: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        msgspec.structs.force_setattr(self, "smallest", self._smallest())
+
+    def _smallest(self) -> float | None:
+        for (a, low), (b, high) in itertools.pairwise(((0.0, 0.0), *self.found)):
+            if high >= OFTEN:
+                return a + (b - a) * (OFTEN - low) / (high - low)
+        return None
+
+
+class FoundEffect(Part, frozen=True, kw_only=True):
+    """An accepted effect; of inertial parameters those of one link.
+
+    Attributes:
+        effect, family: which.
+        joints: at it; of one that belongs to the whole arm those whose torque it changes.
+        common: whether one coefficient is common to all joints.
+        ambiguous_with: names of effects the data do not separate it from.
+        parameters: coefficients, shapes and places.
+        p_value, how_sure, share, first: as Finding's.
+        std, unit: of the coefficients, and units of shapes too.
+        shape, places: which of the parameters are shapes, and which places.
+        meaning, remedy, source: of the effect, in words.
+        notes: sentences.
+        planted: what the log would show of it.
+    """
+
+    effect: str
+    family: str
+    joints: tuple[Joint, ...]
+    common: bool = False
+    ambiguous_with: tuple[str, ...]
+    parameters: Values
+    p_value: float | None
+    how_sure: float | None = None
+    std: dict[str, float | None]
+    unit: dict[str, str]
+    shape: tuple[str, ...]
+    places: tuple[str, ...]
+    share: float | None = None
+    first: float | None = None
+    meaning: str = ""
+    remedy: str = ""
+    source: str | None = None
+    notes: tuple[str, ...] = ()
+    planted: Planted | None = None
+
+
+class Parametric(Part, frozen=True):
+    """Inertial parameters that had to be changed: of one link, or all base parameters.
+
+    Attributes:
+        links: empty for all base parameters.
+        share, p_value, how_sure: as Finding's; None where the parameters are always refitted.
+        ambiguous_with: names of effects.
+        all_base_parameters: whether there is no link.
+    """
+
+    links: tuple[Joint, ...]
+    share: float
+    p_value: float | None
+    ambiguous_with: tuple[str, ...] = ()
+    how_sure: float | None = None
+    all_base_parameters: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        msgspec.structs.force_setattr(self, "all_base_parameters", not self.links)
+
+
+class JointRms(Part, frozen=True):
+    """Torque error of one joint before and after, and the noise."""
+
+    joint: Joint
+    before: Real
+    after: Real
+    noise_floor_rms: Ends
+
+
+class FarRecord(Part, frozen=True, kw_only=True):
+    """How far; over all joints as root of the sum of the joints' mean squares [N m; N]."""
+
+    rms_before: Real
+    rms_after: Real
+    noise_floor_rms: Ends
+    closed: float | None
+    closed_ci95: tuple[float, float] | None
+    per_joint: tuple[JointRms, ...]
+    rollout: Rollout | None = None
+
+
+class Budget(Part, frozen=True):
+    """Shares of the gap: what refitted base parameters close, what effects close, what is left."""
+
+    parametric: Real
+    structural: Real
+    unexplained: Real
+
+
+class NotTestable(Part, frozen=True):
+    """An effect these data could not show.
+
+    Attributes:
+        effect: name.
+        joints: none for a global effect.
+        smallest_detectable: coefficient that would have been detected, in `unit`; None where no
+            size would: its columns vanish or are exactly those of base parameters.
+        unit: of the first coefficient.
+        reason: one sentence.
+        joint: the first of them.
+    """
+
+    effect: str
+    joints: tuple[Joint, ...]
+    smallest_detectable: float | None
+    unit: str
+    reason: str
+    joint: Joint | None = None
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "joint", self.joints[0] if self.joints else None)
+        super().__post_init__()
+
+
+class Informative(Part, frozen=True, kw_only=True):
+    """The stretch of a log in which two explanations differ most, and its share of all of it."""
+
+    trajectory: str
+    from_s: float
+    to_s: float
+    share: float
+
+
+class Experiment(Part, frozen=True, kw_only=True):
+    """What would separate the largest ambiguity.
+
+    Attributes:
+        separates: the two names.
+        joint: where, if anywhere.
+        do: what to do, from the effects' own descriptions.
+        most_informative: where this log comes closest.
+        seconds_of_the_same_motion: that would make the odds; None where no length would.
+    """
+
+    separates: tuple[str, ...]
+    joint: Joint | None
+    do: str
+    most_informative: Informative
+    seconds_of_the_same_motion: float | None
+
+
+class NoiseFloor(Part, frozen=True):
+    """RMS of the noise in the band of the report.
+
+    Attributes:
+        low, high: (n,) bracket [N m; N].
+        source: `repeats` or `bracket`.
+        notes: sentences for the user.
+    """
+
+    low: Annotated[Float[Tensor, " n"], FINITE]
+    high: Annotated[Float[Tensor, " n"], FINITE]
+    source: Literal["repeats", "bracket"]
+    notes: tuple[str, ...] = ()
+
+
+class GapSettingsRecord(Part, frozen=True, kw_only=True):
+    """The settings, as GapSettings has them, and whether base parameters were refitted."""
+
+    effects: tuple[str, ...] | None = None
+    background: tuple[str, ...] = ()
+    parameters: str = "auto"
+    cutoff: float | str = "auto"
+    report_band: float | None = None
+    alpha: float | None = None
+    worthwhile: float | None = None
+    worthwhile_torque: float | None = None
+    gain_std: float | None = None
+    folds: int | None = None
+    max_effects: int | None = None
+    held_out_fraction: float = 0.0
+    rollout: bool = True
+    seed: int = 0
+    only: tuple[tuple[str, int | None], ...] | None = None
+    refitted: bool | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether base parameters were fitted with everything; older files do not say it."""
+        if self.refitted is not None:
+            return self.refitted
+        return self.parameters == "free" or bool(self.background)
+
+
+class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
+    """A diagnosis as its JSON has it.
+
+    Attributes:
+        robot: its name.
+        status: the verdict.
+        where: joints and regimes.
+        which: accepted effects, and links whose inertial parameters changed.
+        parametric: changed inertial parameters.
+        how_far, budget: how far.
+        not_testable: effects these data cannot show.
+        next_experiment: what would separate an ambiguity, or None.
+        noise_floor: in the band of the report.
+        trajectories: names of those that were judged.
+        band_hz, cutoff_hz: of the report and of the fit.
+        settings: how it was searched.
+        warnings: sentences for the user.
+        model, corrected: the robot as given, and with what was found.
+        seed: of everything random, from a command.
+    """
+
+    robot: str
+    status: Status
+    where: Where
+    which: tuple[FoundEffect, ...]
+    parametric: tuple[Parametric, ...] = ()
+    how_far: FarRecord
+    budget: Budget
+    not_testable: tuple[NotTestable, ...]
+    next_experiment: Experiment | None
+    noise_floor: NoiseFloor
+    trajectories: tuple[str, ...] = ()
+    band_hz: float
+    cutoff_hz: float
+    settings: GapSettingsRecord
+    warnings: tuple[str, ...] = ()
+    model: Model | None = None
+    corrected: Model | None = None
+    seed: int | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def effects(self) -> Rows[FoundEffect]:
+        """What was found, as a table."""
+        return Rows(self.which)
+
+    table = effects
+
+    def __repr__(self) -> str:
+        effects = ", ".join(f.effect for f in self.which) or "no effects"
+        closed = self.how_far.closed
+        share = "" if closed is None else f", {100 * closed:.0f} % closed"
+        return f"GapRecord('{self.robot}', {self.status}: {effects}{share})"
+
+    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "Separation":
+        """The motion that separates what this diagnosis cannot tell apart; see `excite_for`."""
+        return face("excite_for")(self, robot, **settings)

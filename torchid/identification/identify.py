@@ -12,7 +12,8 @@ from torchid.errors import IdentificationError, LogError
 from torchid.identification.asked import Asked, asked_effects, search_shapes
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, fit
-from torchid.identification.result import FittedRows, Identification, findings
+from torchid.identification.record import FittedRows
+from torchid.identification.result import Identification, findings
 from torchid.identification.rows import Layout, RowSource, layout
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife

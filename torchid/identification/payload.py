@@ -7,9 +7,11 @@ application to collision detection", IROS 2017. The mathematics is in `payload_f
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from functools import cached_property
+from typing import get_args
 
 import torch
+from msgspec import UNSET, UnsetType, field
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
@@ -27,14 +29,13 @@ from torchid.identification.payload_fit import (
 )
 from torchid.identification.result import Identification
 from torchid.identification.settings import Settings
-from torchid.json_data import picked, plain
 from torchid.log.model import Log
+from torchid.results.record import Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import student_quantile
 from torchid.typing import Bool, Float, Tensor
 
-SCHEMA = "torchid.payload/1"
 LEVEL = 0.95
 PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
@@ -42,23 +43,30 @@ _ROUGH = 0.2
 """Relative standard deviation of the mass above which first-order intervals are called rough."""
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(Part, frozen=True):
     """Numbers with standard deviations, (Q,) each; nan where the data do not tell.
 
     Attributes:
         value, std: in the same unit.
-        low, high: the 95 % interval.
+        ci95: (Q, 2) the 95 % interval.
     """
 
     value: Float[Tensor, " Q"]
     std: Float[Tensor, " Q"]
-    low: Float[Tensor, " Q"]
-    high: Float[Tensor, " Q"]
+    ci95: Float[Tensor, "Q 2"]
+
+    @property
+    def low(self) -> Float[Tensor, " Q"]:
+        """Lower end of the interval."""
+        return self.ci95[:, 0]
+
+    @property
+    def high(self) -> Float[Tensor, " Q"]:
+        """Upper end of the interval."""
+        return self.ci95[:, 1]
 
 
-@dataclass(frozen=True)
-class Body:
+class Body(Part, frozen=True):
     """The payload in one frame.
 
     Attributes:
@@ -75,8 +83,7 @@ class Body:
     parameters: Estimate
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(Part, frozen=True):
     """How one parameter differs between the two runs.
 
     Attributes:
@@ -87,13 +94,58 @@ class Change:
 
     name: str
     unit: str
-    change: float
-    std: float
+    change: Real
+    std: Real
     significant: bool
 
 
+class PayloadParameters(Part, frozen=True, kw_only=True):
+    """The ten parameters in the last link's frame, and which of them are determined."""
+
+    names: tuple[str, ...]
+    frame: str
+    parameters: Float[Tensor, "10"] = field(name="value")
+    covariance: Float[Tensor, "10 10"]
+    determined: Bool[Tensor, "10"]
+
+
+class PayloadFrames(Part, frozen=True):
+    """The payload in the last link's frame and in the tool's."""
+
+    last_link: Body
+    tool: Body
+
+
+class PayloadRecord(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
+    """A payload as its JSON has it; see Payload."""
+
+    robot: str
+    model: Model
+    frames: PayloadFrames
+    parameters: PayloadParameters
+    degrees_of_freedom: Real
+    quantile: Real = field(name="quantile95")
+    seen: bool
+    consistent: bool
+    consistent_within: bool = field(name="consistent_within_interval")
+    margin: Real
+    nearest: Float[Tensor, "10"] | None = field(name="nearest_consistent")
+    effect_changes: tuple[Change, ...]
+    unexplained: tuple[Change, ...]
+    undetermined: tuple[str, ...]
+    excluded: tuple[str, ...]
+    warnings: tuple[str, ...]
+    cutoff: float | UnsetType | None = field(name="cutoff_hz", default=UNSET)
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[Change]:
+        """What changed beside the payload."""
+        return Rows((*self.effect_changes, *self.unexplained))
+
+
 @dataclass(frozen=True, eq=False)
-class Payload:
+class Payload(Result):
     """What the last link carries.
 
     Attributes:
@@ -137,6 +189,22 @@ class Payload:
     excluded: tuple[str, ...]
     warnings: tuple[str, ...]
     cutoff: float | None = None
+
+    def __repr__(self) -> str:
+        mass = self.tool.mass
+        return (
+            f"Payload('{self.robot}', {float(mass.value):.4g} ± {float(mass.std):.2g} kg, "
+            f"{self.model})"
+        )
+
+    @cached_property
+    def record(self) -> PayloadRecord:
+        """As the JSON has it."""
+        return PayloadRecord.of(
+            self,
+            frames=PayloadFrames(self.link, self.tool),
+            parameters=PayloadParameters.of(self, names=PARAMETER_NAMES, frame="last_link"),
+        )
 
     @property
     def friction_changes(self) -> tuple[Change, ...]:
@@ -206,33 +274,6 @@ def findings(payload: Payload) -> list[str]:
             + ", ".join(c.name for c in payload.unexplained)
         )
     return said
-
-
-def record(payload: Payload) -> dict[str, Any]:
-    """The payload as JSON-ready data, schema torchid.payload/1; nan is null."""
-    frames = {
-        frame: {
-            name: {"value": e.value, "std": e.std, "ci95": torch.stack([e.low, e.high], -1)}
-            for name, e in vars(body).items()
-        }
-        for frame, body in (("last_link", payload.link), ("tool", payload.tool))
-    }
-    return {
-        "schema": SCHEMA,
-        **picked(payload, "robot model"),
-        "frames": plain(frames),
-        "parameters": {
-            "names": list(PARAMETER_NAMES),
-            "frame": "last_link",
-            **picked(payload, "value=parameters covariance determined"),
-        },
-        **picked(payload, "degrees_of_freedom quantile95=quantile seen consistent"),
-        "consistent_within_interval": payload.consistent_within,
-        **picked(payload, "margin nearest_consistent=nearest"),
-        "effect_changes": [vars(c) for c in payload.effect_changes],
-        "unexplained": [vars(c) for c in payload.unexplained],
-        **picked(payload, "undetermined excluded warnings"),
-    }
 
 
 _ROUNDING = 1e-9
@@ -508,7 +549,8 @@ def _body(fitted: Fitted, pose: Float[Tensor, "4 4"], quantile: float, seen: boo
         nan = torch.full_like(value, math.nan)
         known = determined & told
         value, std = torch.where(known, value, nan), torch.where(known, std, nan)
-        return Estimate(value, std, value - quantile * std, value + quantile * std)
+        half = quantile * std
+        return Estimate(value, std, torch.stack([value - half, value + half], -1))
 
     # A mass that may be zero is no divisor: where it is, nobody can tell.
     return Body(

@@ -1,114 +1,199 @@
-"""An identification as plain data: the schema torchid.identification/1 (design: README, Contracts).
+"""An identification as its JSON has it: the schema torchid.identification/1."""
 
-Joints are 1-based, numbers are plain floats, and what is not a number (an infinite relative
-standard deviation, say) is null.
-"""
+from typing import TYPE_CHECKING, Annotated, Any
 
-from typing import Any
+from msgspec import UNSET, UnsetType, field
 
-from torchid.effects.registry import COLUMN_KINDS
-from torchid.identification.identify import Identification
-from torchid.json_data import picked, plain
-from torchid.robot.library import named_record
-from torchid.robot.record import robot_record
+from torchid.identification.settings import Rows
+from torchid.results.record import FINITE, Ends, Model, Part, Real, Record, Values, face
+from torchid.results.record import Rows as Table
+from torchid.robot.model import Basis, Robot
+from torchid.typing import Float, Tensor
 
-SCHEMA = "torchid.identification/1"
-_CHOICE = "candidates_hz=candidates cross_validated_error_percent=scores"
-_ERRORS = (
-    "trajectories rmse relative_error_percent=relative_percent "
-    "relative_error_percent_moving=relative_percent_moving "
-    "relative_error_percent_raw=relative_percent_raw standstill_fraction standstill_error_share"
-)
-_SETTINGS = (
-    "effects cutoff reversal rows basis method covariance signs essential held_out_fraction "
-    "error_cutoff_hz=error_cutoff compiled"
-)
+if TYPE_CHECKING:
+    from torchid.excitation.informed import InformedDesign
 
 
-def record(result: Identification) -> dict[str, Any]:
-    """The result as JSON-ready data."""
-    choice, base = result.cutoff_choice, result.base
-    # Base parameters led by an effect's coefficient that are sums with others.
-    combined = [b for b in range(base.n_rigid, len(base)) if not base.is_single(b)]
-    return {
-        "schema": SCHEMA,
-        **named_record(result.robot),
-        "n_base": base.n_rigid,
-        "basis": base.basis,
-        "parameters": [_parameter(result, k) for k in range(base.n_rigid)],
-        "effects": _effects(result),
-        "combined": [_parameter(result, b) for b in combined],
-        **picked(result, "condition_number scaled_condition_number cutoff_hz=cutoff"),
-        "cutoff_choice": None if choice is None else picked(choice, _CHOICE),
-        "reversal_speed": result.reversal.tolist(),
-        "fit": picked(result.fit, _ERRORS),
-        "held_out": None if result.held_out is None else picked(result.held_out, _ERRORS),
-        **picked(result, "bounded wrong_sign undetermined dropped"),
-        "absorbed": result.base.absorbed_effects(),
-        "rank_gap": list(result.base.rank_gap),
-        "grouping": picked(result.base, "parameters=parameter_names matrix=grouping"),
-        **picked(result, "base_names=base.names base_values=values covariance factor"),
-        "rows": picked(result.rows, "seconds per_second whitening"),
-        "statistics": {
-            "method": "leverage-corrected block jackknife",
-            **picked(result.uncertainty, "blocks block_seconds correlation_seconds"),
-            "quantile95": result.uncertainty.quantile(0.95),
-        },
-        "settings": picked(result.settings, _SETTINGS),
-        "warnings": list(result.warnings),
-        "model": robot_record(result.robot),
-    }
+class BaseParameter(Part, frozen=True, kw_only=True):
+    """A base parameter; what was not estimated has neither std nor interval."""
+
+    name: str
+    unit: str
+    value: float
+    std: float | None
+    relative_std_percent: float | None
+    ci95: Ends | None
+    estimated: bool
 
 
-def _parameter(result: Identification, k: int) -> dict[str, Any]:
-    low, high = result.interval()[k].tolist()
-    free = bool(result.free[k])
-    return {
-        "name": result.base.names[k],
-        "unit": result.base.units[k],
-        "value": float(result.values[k]),
-        "std": float(result.std[k]) if free else None,
-        "relative_std_percent": plain(result.relative_std_percent[k]) if free else None,
-        "ci95": [low, high] if free else None,
-        "estimated": free,
-    }
+class EffectRecord(Part, frozen=True, kw_only=True):
+    """A kind of effect over the joints (from 1) on which a coefficient is a base parameter of its
+    own; one that is part of a sum is null here, and in `combined` or `absorbed`.
+
+    Attributes:
+        effect: name.
+        joints: from 1.
+        parameters, std: a list a coefficient.
+        places: of effects that are not on every joint, or have shapes: joints and shapes.
+    """
+
+    effect: str
+    joints: tuple[int, ...]
+    parameters: dict[str, tuple[float | None, ...]]
+    std: dict[str, tuple[float | None, ...]]
+    places: tuple[Values, ...] | UnsetType = UNSET
 
 
-def _effects(result: Identification) -> list[dict[str, Any]]:
-    """One entry a kind of effect, over the joints on which a coefficient is a base parameter of its
-    own; one that is part of a sum is null here, and in `combined` or `absorbed`. Effects that are
-    not on every joint, or have shapes, also list their `places`: joints, from 1, and shapes."""
-    # Base parameter led by each independent parameter.
-    position = {k: b for b, k in enumerate(result.base.independent)}
-    start = result.base.n_rigid_parameters
-    found: dict[str, dict[str, Any]] = {}
-    for effect in result.effects:
-        entry = found.setdefault(
-            effect.name,
-            {
-                "effect": effect.name,
-                "joints": [],
-                "parameters": {c.name: [] for c in effect.coefficients},
-                "std": {c.name: [] for c in effect.coefficients},
-            },
-        )
-        width = len(effect.coefficients)
-        own = [position.get(start + c) for c in range(width)]
-        start += width
-        single = [b if b is not None and result.base.is_single(b) else None for b in own]
-        if all(b is None for b in single):
-            continue
-        entry["joints"].append(effect.identity[1][0] + 1)
-        for c, b in zip(effect.coefficients, single, strict=True):
-            known = b is not None and bool(result.free[b])
-            value = None if b is None else float(result.values[b])
-            entry["parameters"][c.name].append(value)
-            entry["std"][c.name].append(float(result.std[b]) if known else None)
-    for name, entry in found.items():
-        members = [e for e in result.effects if e.name == name]
-        if name not in COLUMN_KINDS or len(members) < result.robot.n:
-            # Effects without their coefficients, as `effect_from_record` takes them.
-            left_out = {"effect", *entry["parameters"]}
-            records = [e.record([0.0] * len(e.coefficients)) for e in members]
-            entry["places"] = [{k: v for k, v in r.items() if k not in left_out} for r in records]
-    return list(found.values())
+class CutoffRecord(Part, frozen=True, kw_only=True):
+    """What was tried for the cut-off [Hz], and the cross-validated error [%]."""
+
+    candidates: tuple[float | None, ...] = field(name="candidates_hz")
+    scores: tuple[Real, ...] = field(name="cross_validated_error_percent")
+
+
+class Errors(Part, frozen=True):
+    """Prediction errors per joint.
+
+    Attributes:
+        trajectories: names of the trajectories.
+        rmse: (n,) of the filtered torque, all rows [N m; N].
+        relative_percent: (n,) 100 ||tau - tau_hat|| / ||tau||, filtered torque, all rows.
+        relative_percent_moving: (n,) the same over rows whose own joint moves; nan if none does.
+        relative_percent_raw: (n,) the same for unfiltered torque, all rows.
+        standstill_fraction: (n,) share of the rows in which the joint does not move.
+        standstill_error_share: (n,) their share of the squared error.
+    """
+
+    trajectories: tuple[str, ...]
+    rmse: Float[Tensor, " n"]
+    relative_percent: Float[Tensor, " n"] = field(name="relative_error_percent")
+    relative_percent_moving: Float[Tensor, " n"] = field(name="relative_error_percent_moving")
+    relative_percent_raw: Float[Tensor, " n"] = field(name="relative_error_percent_raw")
+    standstill_fraction: Float[Tensor, " n"]
+    standstill_error_share: Float[Tensor, " n"]
+
+    def judged(self, rows: Rows) -> Float[Tensor, " n"]:
+        """Relative errors (n,) over the rows that the fit used [%]; nan where there are none."""
+        return self.relative_percent_moving if rows == "moving" else self.relative_percent
+
+
+class Grouping(Part, frozen=True, kw_only=True):
+    """Base parameters as sums of physical ones (B, P)."""
+
+    parameter_names: tuple[str, ...] = field(name="parameters")
+    grouping: Annotated[Float[Tensor, "B P"], FINITE] = field(name="matrix")
+
+
+class FittedRows(Part, frozen=True):
+    """What one second of such a log tells: rows of the least squares and their weights.
+
+    Attributes:
+        seconds: length of the log that was fitted.
+        per_second: instants a second, after the filter and decimation.
+        whitening: (n, n) upper triangular, of the rows of the joints [1/(N m); 1/N].
+    """
+
+    seconds: float
+    per_second: float
+    whitening: Annotated[Float[Tensor, "n n"], FINITE]
+
+
+class StatisticsRecord(Part, frozen=True, kw_only=True):
+    """Of the standard deviations; quantile95 is half of the interval in them."""
+
+    method: str
+    blocks: int
+    block_seconds: float
+    correlation_seconds: float
+    quantile95: float
+
+
+class SettingsRecord(Part, frozen=True, kw_only=True):
+    """The settings, as torchid.Settings has them."""
+
+    effects: tuple[str, ...]
+    cutoff: float | str | None
+    reversal: float | str
+    rows: str
+    basis: str | None = None
+    method: str
+    covariance: str
+    signs: str
+    essential: bool
+    held_out_fraction: float
+    error_cutoff: float | None = field(name="error_cutoff_hz")
+    compiled: bool
+
+
+class IdentificationRecord(Record, frozen=True, kw_only=True, tag="torchid.identification/1"):
+    """An identification as its JSON has it; B base parameters.
+
+    Attributes:
+        robot, robot_source, robot_tip: its name, and what it is loaded by.
+        n_base: how many parameters are rigid.
+        basis: report or conditioned.
+        parameters, effects, combined: rigid ones, coefficients of effects, and sums led by one.
+        condition_number, scaled_condition_number: of the regressor.
+        cutoff: [Hz], or None. cutoff_choice: what was tried.
+        reversal: (n,) [rad/s; m/s].
+        fit, held_out: torque errors.
+        bounded, wrong_sign, undetermined, dropped, absorbed: names.
+        rank_gap: singular values on both sides of the rank.
+        base: how base parameters are sums.
+        base_names, base_values, covariance, factor: of all of them.
+        rows, statistics, settings: how they were found.
+        warnings: sentences for the user.
+        model: the robot.
+        seed: from a command.
+    """
+
+    robot: str
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    n_base: int
+    basis: Basis = "report"
+    parameters: tuple[BaseParameter, ...]
+    effects: tuple[EffectRecord, ...]
+    combined: tuple[BaseParameter, ...]
+    condition_number: Real
+    scaled_condition_number: Real
+    cutoff: float | None = field(name="cutoff_hz")
+    cutoff_choice: CutoffRecord | None
+    reversal: Annotated[Float[Tensor, " n"], FINITE] = field(name="reversal_speed")
+    fit: Errors
+    held_out: Errors | None
+    bounded: tuple[str, ...]
+    wrong_sign: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    dropped: tuple[str, ...]
+    absorbed: tuple[str, ...]
+    rank_gap: tuple[Real, Real]
+    base: Grouping = field(name="grouping")
+    base_names: tuple[str, ...]
+    values: Annotated[Float[Tensor, " B"], FINITE] = field(name="base_values")
+    covariance: Annotated[Float[Tensor, "B B"], FINITE]
+    factor: Annotated[Float[Tensor, "C C"], FINITE]
+    rows: FittedRows | None = None
+    statistics: StatisticsRecord
+    settings: SettingsRecord
+    warnings: tuple[str, ...]
+    model: Model | None = None
+    seed: int | UnsetType = UNSET
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        b = len(self.values)
+        if (len(self.base_names), len(self.base.grouping), len(self.factor)) != (b, b, b + 1):
+            raise ValueError("base_names, grouping and factor do not fit the base_values")
+        strange = set(self.undetermined) - set(self.base_names)
+        if strange:
+            raise ValueError(f"undetermined: there is no base parameter {min(strange)}")
+
+    @property
+    def table(self) -> Table[BaseParameter]:
+        """The rigid base parameters."""
+        return Table(self.parameters)
+
+    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "InformedDesign":
+        """The motion after which the parameters are known best; see `excite_for`."""
+        return face("excite_for")(self, robot, **settings)

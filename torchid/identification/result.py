@@ -3,20 +3,37 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from torchid.effects.base import Effect, Motion
+from torchid.effects.registry import COLUMN_KINDS
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, physical_signs
+from torchid.identification.record import (
+    BaseParameter,
+    EffectRecord,
+    Errors,
+    FittedRows,
+    IdentificationRecord,
+    StatisticsRecord,
+)
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty
 from torchid.identification.tuning import CutoffChoice
-from torchid.identification.validation import Errors, Prediction, model_torque
+from torchid.identification.validation import Prediction, model_torque
+from torchid.json_data import plain
+from torchid.results.record import Result
+from torchid.robot.library import named_record
 from torchid.robot.model import Robot
 from torchid.tensors import joint_signals
 from torchid.typing import Bool, Float, Joints, Numbers, Tensor
+
+if TYPE_CHECKING:
+    from torchid.excitation.informed import InformedDesign
 
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
@@ -26,22 +43,7 @@ MUCH_STANDSTILL = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class FittedRows:
-    """What one second of such a log tells: rows of the least squares and their weights.
-
-    Attributes:
-        seconds: length of the log that was fitted.
-        per_second: instants a second, after the filter and decimation.
-        whitening: (n, n) upper triangular, of the rows of the joints [1/(N m); 1/N].
-    """
-
-    seconds: float
-    per_second: float
-    whitening: Float[Tensor, "n n"]
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Result):
     """Base parameters identified from logs.
 
     Attributes:
@@ -102,6 +104,87 @@ class Identification:
             f"{len(self.base) - self.base.n_rigid} coefficients of effects, {where} torque error "
             f"{error})"
         )
+
+    @cached_property
+    def record(self) -> IdentificationRecord:
+        """As the JSON has it."""
+        base, uncertainty = self.base, self.uncertainty
+        # Base parameters led by an effect's coefficient that are sums with others.
+        combined = [b for b in range(base.n_rigid, len(base)) if not base.is_single(b)]
+        return IdentificationRecord.of(
+            self,
+            **named_record(self.robot),
+            n_base=base.n_rigid,
+            basis=base.basis,
+            parameters=[self._parameter(k) for k in range(base.n_rigid)],
+            effects=self._effects(),
+            combined=[self._parameter(b) for b in combined],
+            absorbed=base.absorbed_effects(),
+            rank_gap=base.rank_gap,
+            base_names=base.names,
+            statistics=StatisticsRecord.of(
+                uncertainty,
+                method="leverage-corrected block jackknife",
+                quantile95=uncertainty.quantile(0.95),
+            ),
+            model=self.robot,
+        )
+
+    def _parameter(self, k: int) -> BaseParameter:
+        free = bool(self.free[k])
+        relative = float(self.relative_std_percent[k])
+        low, high = self.interval()[k].tolist()
+        return BaseParameter(
+            name=self.base.names[k],
+            unit=self.base.units[k],
+            value=float(self.values[k]),
+            std=float(self.std[k]) if free else None,
+            relative_std_percent=relative if free and math.isfinite(relative) else None,
+            ci95=(low, high) if free else None,
+            estimated=free,
+        )
+
+    def _effects(self) -> list[EffectRecord]:
+        """One entry a kind of effect."""
+        # Base parameter led by each independent parameter.
+        position = {k: b for b, k in enumerate(self.base.independent)}
+        start = self.base.n_rigid_parameters
+        found: dict[str, dict[str, Any]] = {}
+        for effect in self.effects:
+            names = [c.name for c in effect.coefficients]
+            entry = found.setdefault(
+                effect.name,
+                {
+                    "effect": effect.name,
+                    "joints": [],
+                    "parameters": {name: [] for name in names},
+                    "std": {name: [] for name in names},
+                },
+            )
+            own = [position.get(start + c) for c in range(len(names))]
+            start += len(names)
+            single = [b if b is not None and self.base.is_single(b) else None for b in own]
+            if all(b is None for b in single):
+                continue
+            entry["joints"].append(effect.identity[1][0] + 1)
+            for name, b in zip(names, single, strict=True):
+                known = b is not None and bool(self.free[b])
+                entry["parameters"][name].append(None if b is None else float(self.values[b]))
+                entry["std"][name].append(float(self.std[b]) if known else None)
+        for name, entry in found.items():
+            members = [e for e in self.effects if e.name == name]
+            if name not in COLUMN_KINDS or len(members) < self.robot.n:
+                # Effects without their coefficients, as `effect_from_record` takes them.
+                records = [e.record([0.0] * len(e.coefficients)) for e in members]
+                left_out = {"effect", *entry["parameters"]}
+                entry["places"] = plain(
+                    [{k: v for k, v in r.items() if k not in left_out} for r in records]
+                )
+        return [EffectRecord.of(**entry) for entry in found.values()]
+
+    def next_motion(self, robot: Robot | None = None, **settings: Any) -> "InformedDesign":
+        """The motion after which the parameters are known best; see `excite_for`."""
+        return self.record.next_motion(robot, **settings)
 
     @property
     def std(self) -> Float[Tensor, " B"]:

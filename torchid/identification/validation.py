@@ -12,38 +12,11 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.registry import in_rounds
 from torchid.identification.base_parameters import BaseParameters
-from torchid.identification.settings import Rows
+from torchid.identification.record import Errors
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Samples, Tensor
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Prediction errors per joint.
-
-    Attributes:
-        trajectories: names of the trajectories.
-        rmse: (n,) of the filtered torque, all rows [N m; N].
-        relative_percent: (n,) 100 ||tau - tau_hat|| / ||tau||, filtered torque, all rows.
-        relative_percent_moving: (n,) the same over rows whose own joint moves; nan if none does.
-        relative_percent_raw: (n,) the same for unfiltered torque, all rows.
-        standstill_fraction: (n,) share of the rows in which the joint does not move.
-        standstill_error_share: (n,) their share of the squared error.
-    """
-
-    trajectories: tuple[str, ...]
-    rmse: Float[Tensor, " n"]
-    relative_percent: Float[Tensor, " n"]
-    relative_percent_moving: Float[Tensor, " n"]
-    relative_percent_raw: Float[Tensor, " n"]
-    standstill_fraction: Float[Tensor, " n"]
-    standstill_error_share: Float[Tensor, " n"]
-
-    def judged(self, rows: Rows) -> Float[Tensor, " n"]:
-        """Relative errors (n,) over the rows that the fit used [%]; nan where there are none."""
-        return self.relative_percent_moving if rows == "moving" else self.relative_percent
 
 
 @dataclass(frozen=True)

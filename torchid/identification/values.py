@@ -1,9 +1,8 @@
 """Values of base parameters, wherever they are from, and what is known of their accuracy."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
 
 import torch
 
@@ -17,10 +16,10 @@ from torchid.effects.registry import (
 )
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, base_parameters, nominal_values
-from torchid.identification.record import SCHEMA
+from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
-from torchid.json_data import read_json
-from torchid.robot.model import Basis, Robot
+from torchid.results.files import read_as
+from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -106,106 +105,64 @@ def read_base(path: Path, robot: Robot) -> BaseValues:
     """The result of `torchid identify ... --json PATH`, for the same robot.
 
     Raises:
-        TorchidError: not such a file, another robot's, or values that are not finite.
+        TorchidError: not such a file, or another robot's.
     """
-    return _base(_load(path), path, robot)
+    return recorded_base(read_identification(path), robot, str(path))
 
 
-def _base(data: Mapping[str, Any], path: Path, robot: Robot) -> BaseValues:
-    placed = placed_effects(data, robot)
-    plain = _names(data["settings"], "effects", path)
-    effects = placed or tuple(on_every_joint(plain, robot.n))
-    # Results of an older torchid do not say it: theirs was the report's.
-    basis = data.get("basis", "report")
-    if basis not in get_args(Basis):
-        raise TorchidError(f"'{path}': unknown basis.", got=basis, available=get_args(Basis))
-    base = base_parameters(robot, effects, basis=basis)
-    names = _names(data, "base_names", path)
-    if list(base.names) != names:
-        differing = [n for n in names if n not in base.names]
+def read_identification(path: Path) -> IdentificationRecord:
+    """The result of `torchid identify ... --json PATH`.
+
+    Raises:
+        TorchidError: not such a file, with the place of the fault.
+    """
+    hint = "torchid identify ROBOT LOG... --json FILE"
+    return read_as(path, IdentificationRecord, "a result of an identification", hint)
+
+
+def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> BaseValues:
+    """The base parameters of an identification's record.
+
+    Args:
+        found: the record.
+        robot: the same robot as was identified.
+        source: what the record is called in errors.
+
+    Raises:
+        TorchidError: another robot's.
+    """
+    effects = placed_effects(found, robot)
+    base = base_parameters(robot, effects, basis=found.basis)
+    if base.names != found.base_names:
+        differing = [n for n in found.base_names if n not in base.names]
         raise TorchidError(
-            f"'{path}' holds base parameters of another robot.",
-            got=f"{len(names)} of '{data.get('robot')}'"
+            f"'{source}' holds base parameters of another robot.",
+            got=f"{len(found.base_names)} of '{found.robot}'"
             + (f", e.g. {differing[0]}" if differing else ""),
             expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
             hint="of the same robot by an older torchid: identify again",
         )
-    b = len(base)
-    values = _tensor(data, "base_values", (b,), path)
-    unknown = set(_names(data, "undetermined", path))
-    if not unknown <= set(base.names):
-        raise TorchidError(
-            f"'{path}': what is undetermined is not among the base parameters.",
-            got=sorted(unknown - set(base.names)),
-        )
-    known = torch.tensor([name not in unknown for name in base.names])
-    return BaseValues(
-        base,
-        effects,
-        values,
-        known,
-        _tensor(data, "covariance", (b, b), path),
-        _tensor(data, "factor", (b + 1, b + 1), path),
-    )
+    known = torch.tensor([name not in found.undetermined for name in base.names])
+    return BaseValues(base, effects, found.values, known, found.covariance, found.factor)
 
 
-def placed_effects(data: Mapping[str, Any], robot: Robot) -> tuple[Effect, ...] | None:
-    """The effects of an identification's record, in the order of their coefficients; None where all
-    are of the kinds in its settings, on every joint.
+def placed_effects(found: IdentificationRecord, robot: Robot) -> tuple[Effect, ...]:
+    """The effects of an identification's record, in the order of their coefficients.
 
     Raises:
         TorchidError: an unknown effect, or a place that the robot does not have.
     """
-    entries = data.get("effects") or []
-    if not any("places" in entry for entry in entries):
-        return None
+    if not any(entry.places for entry in found.effects):
+        return tuple(on_every_joint(found.settings.effects, robot.n))
     out: list[Effect] = []
-    for entry in entries:
-        name = str(entry["effect"])
-        if "places" not in entry:
-            out += on_every_joint([name], robot.n)
+    for entry in found.effects:
+        if not entry.places:
+            out += on_every_joint([entry.effect], robot.n)
             continue
-        zeros = {c.name: 0.0 for c in effect_kind(name).coefficients}
-        for place in entry["places"]:
-            out.append(effect_from_record({"effect": name, **zeros, **place}, robot)[0])
+        zeros = {c.name: 0.0 for c in effect_kind(entry.effect).coefficients}
+        for place in entry.places:
+            out.append(effect_from_record({"effect": entry.effect, **zeros, **place}, robot)[0])
     return tuple(out)
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    hint = "torchid identify ROBOT LOG... --json FILE"
-    data = read_json(path, "a result of an identification", hint)
-    schema = data.get("schema")
-    needed = {"settings", "base_names", "base_values", "undetermined", "covariance", "factor"}
-    if schema != SCHEMA or not needed <= set(data):
-        missing = sorted(needed - set(data))
-        raise TorchidError(
-            f"'{path}' is not a result of an identification.",
-            got=f"schema {schema}" + (f", without {', '.join(missing)}" if missing else ""),
-            expected=f"schema {SCHEMA}",
-            hint=hint,
-        )
-    return data
-
-
-def _names(data: Any, key: str, path: Path) -> list[str]:
-    found = data.get(key) if isinstance(data, Mapping) else None
-    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
-        raise TorchidError(f"'{path}': {key} is not a list of names.", got=found)
-    return found
-
-
-def _tensor(data: Mapping[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Tensor:
-    try:
-        values = torch.tensor(data[key], dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise TorchidError(f"'{path}': {key} is not a table of numbers.") from error
-    if tuple(values.shape) != shape or not bool(torch.isfinite(values).all()):
-        raise TorchidError(
-            f"'{path}': {key} has the wrong size or is not finite.",
-            got=tuple(values.shape),
-            expected=shape,
-        )
-    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,23 +191,25 @@ class Prior:
     per_second: float
 
 
-def read_prior(path: Path, robot: Robot) -> Prior:
-    """What the identification in a file knows; for the same robot.
+def prior_of(result: IdentificationRecord, robot: Robot, source: str) -> Prior:
+    """What an identification knows; for the same robot.
+
+    Args:
+        result: its record.
+        robot: the same robot as was identified.
+        source: what the record is called in errors.
 
     Raises:
-        TorchidError: not such a file, or one without the rows' weights, of an older torchid.
+        TorchidError: another robot's, or one without the rows' weights, of an older torchid.
     """
-    data = _load(path)
-    found, rows = _base(data, path, robot), data.get("rows")
-    if not isinstance(rows, Mapping) or not {"per_second", "whitening"} <= set(rows):
+    found = recorded_base(result, robot, source)
+    if result.rows is None:
         raise TorchidError(
-            f"'{path}' does not say how its rows were weighted.",
+            f"'{source}' does not say how its rows were weighted.",
             hint="write it again: torchid identify ROBOT LOG... --json FILE",
         )
-    assert found.covariance is not None
-    assert found.factor is not None
-    r = found.factor[:, :-1]
-    std = found.covariance.diagonal().clamp(min=0).sqrt()
+    r = result.factor[:, :-1]
+    std = result.covariance.diagonal().clamp(min=0).sqrt()
     free = (std > 0).nonzero().flatten()
     root = torch.linalg.qr(r[:, free], mode="r").R
     inverse = torch.linalg.solve_triangular(root, torch.eye(len(free)).to(root), upper=True)
@@ -265,6 +224,6 @@ def read_prior(path: Path, robot: Robot) -> Prior:
         std,
         r.T @ r,
         inflation,
-        _tensor(rows, "whitening", (robot.n, robot.n), path),
-        float(rows["per_second"]),
+        result.rows.whitening,
+        result.rows.per_second,
     )

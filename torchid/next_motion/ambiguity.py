@@ -1,22 +1,22 @@
-"""What a gap diagnosis leaves open (schema torchid.gap/1), as questions to a motion."""
+"""What a gap diagnosis leaves open as questions to a motion."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
-
-import torch
 
 from torchid.effects.base import Effect, ModelEffect
-from torchid.effects.registry import COLUMN_KINDS, KINDS, effect_from_record, nominal_effects
+from torchid.effects.registry import (
+    KINDS,
+    effect_from_record,
+    effect_kind,
+    nominal_effects,
+    on_every_joint,
+)
 from torchid.errors import TorchidError
+from torchid.gap.record import FoundEffect, GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.next_motion.rows import Group, Setting
 from torchid.next_motion.separation import Explanation, beyond
 from torchid.robot.model import Robot
-from torchid.robot.record import recorded_robot
-
-SCHEMA = "torchid.gap/1"
 
 LINK = "link_inertia"
 INERTIAL = (*(name for name, kind in KINDS.items() if kind.inertial), "all_base")
@@ -52,46 +52,39 @@ class Open:
     notes: tuple[str, ...]
 
 
-def read_open(path: Path, data: Mapping[str, Any], robot: Robot | None) -> Open:
-    """What the diagnosis in a file leaves open.
+def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
+    """What a diagnosis leaves open.
 
     Args:
-        path: for errors. data: its content.
-        robot: with the limits to keep; its own record if None.
+        record: of the diagnosis.
+        robot: with the limits to keep.
+        source: what the record is called in errors.
 
     Raises:
-        TorchidError: an incomplete file, another robot's, or nothing left open.
+        TorchidError: a record without its models, another robot's, or nothing left open.
     """
-    again = "write it again: torchid gap ROBOT LOG... --json FILE"
-    model = recorded_robot(data, str(path), "corrected")
-    if model is None:
-        raise TorchidError(f"'{path}' does not hold the corrected model.", hint=again)
-    if robot is not None:
-        _refuse_another(path, model, robot)
-        model = replace(model, limits=robot.limits)
-    try:
-        asked, notes = _ambiguities(data, model)
-        kind = "ambiguity"
-        if not asked:
-            kind, asked = "not_testable", _untestable(data, model)
-        setting = _setting(data, model)
-        # What is fitted anyway (a background) is known, not hidden.
-        asked = [q for q in asked if q.other or q.truth.effects not in setting.fitted]
-        found = [f"{e['effect']} of joint {e['joints']}" for e in data["which"]]
-        status = str(data["status"])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    if record.corrected is None:
         raise TorchidError(
-            f"'{path}' is not a complete diagnosis.",
-            got=f"{type(error).__name__}: {error}",
-            hint=again,
-        ) from error
+            f"'{source}' does not hold the corrected model.",
+            hint="write it again: torchid gap ROBOT LOG... --json FILE",
+        )
+    _refuse_another(source, record.corrected, robot)
+    model = replace(record.corrected, limits=robot.limits)
+    asked, notes = _ambiguities(record, model)
+    kind = "ambiguity"
     if not asked:
+        kind, asked = "not_testable", _untestable(record, model)
+    setting = _setting(record, model)
+    # What is fitted anyway (a background) is known, not hidden.
+    asked = [q for q in asked if q.other or q.truth.effects not in setting.fitted]
+    if not asked:
+        found = [f"{e.effect} of joint {[j + 1 for j in e.joints]}" for e in record.which]
         raise TorchidError(
-            f"'{path}' leaves nothing open that a motion could settle: "
+            f"'{source}' leaves nothing open that a motion could settle: "
             + ("every effect that a motion can bring about was testable, and every one found has "
                "one name." if not notes else "what is left is no matter of motion."),
-            got="; ".join([f"status {status}", *(found or ["no effect found"]), *notes]),
-            hint=_unexplained(status),
+            got="; ".join([f"status {record.status}", *(found or ["no effect found"]), *notes]),
+            hint=_unexplained(record.status),
         )  # fmt: skip
     return Open(kind, setting, tuple(asked), tuple(notes))
 
@@ -102,28 +95,28 @@ def _unexplained(status: str) -> str | None:
     return "the gap is unexplained: drive one trajectory twice, so that its noise is known"
 
 
-def _refuse_another(path: Path, model: Robot, robot: Robot) -> None:
+def _refuse_another(source: str, model: Robot, robot: Robot) -> None:
     same_joints = robot.joint_types == model.joint_types
     if same_joints and bool((robot.frames_apart(model) < SAME_FRAMES).all()):
         return
     raise TorchidError(
-        f"'{path}' is of another robot.",
+        f"'{source}' is of another robot.",
         got=f"'{model.name}', {model.n} joints",
         expected=f"the kinematics of '{robot.name}', {robot.n} joints",
     )
 
 
-def _ambiguities(data: Mapping[str, Any], robot: Robot) -> tuple[list[Question], list[str]]:
+def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Question], list[str]]:
     asked: list[Question] = []
     events: dict[str, list[str]] = {}
-    for entry in data["which"]:
-        effect = str(entry["effect"])
-        for other in map(str, entry["ambiguous_with"]):
+    for entry in record.which:
+        effect = entry.effect
+        for other in entry.ambiguous_with:
             event = next((n for n in (effect, other) if not _by_motion(n)), None)
             if event is None and effect in INERTIAL and other in INERTIAL:
                 event = effect
             if event is None:
-                asked.append(Question(_truth(entry, data, robot), other))
+                asked.append(Question(_truth(entry, record, robot), other))
             else:
                 events.setdefault(event, []).append(other if event == effect else effect)
     return asked, [
@@ -137,43 +130,43 @@ def _by_motion(name: str) -> bool:
     return name in KINDS and KINDS[name].by_motion
 
 
-def _truth(entry: Mapping[str, Any], data: Mapping[str, Any], robot: Robot) -> Explanation:
+def _truth(entry: FoundEffect, record: GapRecord, robot: Robot) -> Explanation:
     """An accepted effect with its coefficients; of a link, the change of its parameters."""
-    kind = KINDS[str(entry["effect"])]
-    joint = int(entry["joints"][0])
+    kind = effect_kind(entry.effect)
+    joint = entry.joints[0] if entry.joints else 0
     if kind.name == LINK:
-        before = recorded_robot(data, "model")
+        before = record.model
         if before is None or before.parameters is None or robot.parameters is None:
-            raise ValueError("no inertial parameters of the model")
-        change = robot.parameters.pi[joint - 1] - before.parameters.pi[joint - 1]
-        return Explanation((kind(joint - 1),), tuple(change.tolist()))  # type: ignore[call-arg]
+            raise TorchidError("the diagnosis does not record the model's inertial parameters.")
+        change = robot.parameters.pi[joint] - before.parameters.pi[joint]
+        return Explanation((kind(joint),), tuple(change.tolist()))  # type: ignore[call-arg]
     own = {f.name for f in fields(kind)} | {c.name for c in kind.coefficients}
-    place = {"joint": joint} if "joint" in own else {}
-    values = {k: v for k, v in entry["parameters"].items() if k in own}
+    place = {"joint": joint + 1} if "joint" in own else {}
+    values = {k: v for k, v in entry.parameters.items() if k in own}
     effect, coefficients = effect_from_record({"effect": kind.name, **place, **values}, robot)
     return Explanation(_group(entry, effect, robot), tuple(coefficients))
 
 
-def _group(entry: Mapping[str, Any], effect: Effect, robot: Robot) -> Group:
+def _group(entry: FoundEffect, effect: Effect, robot: Robot) -> Group:
     """The effect, or the same one on every joint where it is common to all."""
-    if entry.get("common") and isinstance(effect, ModelEffect):
+    if entry.common and isinstance(effect, ModelEffect):
         return tuple(type(effect).candidates(robot))
     return (effect,)
 
 
-def _untestable(data: Mapping[str, Any], robot: Robot) -> list[Question]:
+def _untestable(record: GapRecord, robot: Robot) -> list[Question]:
     """Effects that the log could not have shown, of usual shapes."""
     out: list[Question] = []
-    for entry in data["not_testable"]:
-        kind, joint = KINDS[str(entry["effect"])], entry["joint"]
+    for entry in record.not_testable:
+        kind, joint = effect_kind(entry.effect), entry.joint
         if not kind.by_motion or kind.inertial or kind.needs & {"age", "velocity"}:
             continue
         effects: Sequence[Effect]
         if issubclass(kind, ModelEffect):
             places = kind.candidates(robot)
-            effects = [e for e in places if joint is None or e.joints[:1] == (int(joint) - 1,)]
+            effects = [e for e in places if joint is None or e.joints[:1] == (joint,)]
         else:
-            effects = [] if joint is None else [kind.exemplar(int(joint) - 1)]
+            effects = [] if joint is None else [kind.exemplar(joint)]
         for effect in effects:
             question = Question(Explanation((effect,), (1.0,) * len(effect.coefficients)), "")
             if question not in out:
@@ -181,26 +174,23 @@ def _untestable(data: Mapping[str, Any], robot: Robot) -> list[Question]:
     return out
 
 
-def _setting(data: Mapping[str, Any], robot: Robot) -> Setting:
-    floor, settings = data["noise_floor"], data["settings"]
-    low, high = (torch.tensor(floor[key], dtype=torch.float64) for key in ("low", "high"))
+def _setting(record: GapRecord, robot: Robot) -> Setting:
+    floor, settings = record.noise_floor, record.settings
     # Without repeats the lower bound is whatever a predictor can foretell of the torque.
-    noise = (low * high).sqrt() if floor.get("source") == "repeats" else high
-    background = tuple(settings.get("background") or ())
-    free = bool(settings.get("refitted", settings.get("parameters") == "free" or background))
-    fitted: list[Group] = [
-        (COLUMN_KINDS[name](j),) for name in background for j in range(robot.n) if free
-    ]
-    for entry in data["which"]:
-        if entry["effect"] != LINK and _by_motion(entry["effect"]):
-            fitted.append(_truth(entry, data, robot).effects)
+    noise = (floor.low * floor.high).sqrt() if floor.source == "repeats" else floor.high
+    fitted: list[Group] = []
+    if settings.free:
+        fitted = [(e,) for e in on_every_joint(settings.background, robot.n)]
+    for entry in record.which:
+        if entry.effect != LINK and _by_motion(entry.effect):
+            fitted.append(_truth(entry, record, robot).effects)
     return Setting(
         robot,
         tuple(p for p in nominal_effects(robot) if not p[0].needs & {"age", "velocity"}),
         base_parameters(robot),
-        noise.clamp(min=1e-6 * float(high.max())),
-        float(data["band_hz"]),
-        float(data["cutoff_hz"]),
-        free,
+        noise.clamp(min=1e-6 * float(floor.high.max())),
+        record.band_hz,
+        record.cutoff_hz,
+        settings.free,
         tuple(dict.fromkeys(fitted)),
     )

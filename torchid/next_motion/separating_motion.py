@@ -22,7 +22,8 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import MotionLimits, largest_scale, motion_limits
 from torchid.excitation.restriction import restricted
 from torchid.excitation.torque import TorqueLimits, corrected_torque_limits
-from torchid.excitation.trajectories import random_trajectory
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.log.model import Log
 from torchid.next_motion.rows import Rows, Setting
 from torchid.next_motion.separation import (
     HOPELESS,
@@ -70,6 +71,8 @@ class Separation:
         hopeless: rivals that no motion tried separates, not part of the design.
         warnings: sentences for the user.
         torque: the torque limits kept, by the corrected model; None if there are none.
+        kind: `ambiguity`, or `not_testable`: effects that the log could not have shown.
+        notes: what is no matter of motion, sentences for the user.
     """
 
     trajectory: FourierTrajectory
@@ -80,6 +83,16 @@ class Separation:
     hopeless: tuple[Rival, ...]
     warnings: tuple[str, ...]
     torque: TorqueLimits | None = None
+    kind: str = "ambiguity"
+    notes: tuple[str, ...] = ()
+
+    def log(self, rate: float = 100.0) -> Log:
+        """The motion as a log without torque: t [s], q, dq, ddq (T, n), `rate` samples a second.
+
+        Raises:
+            TorchidError: a rate that is too low.
+        """
+        return trajectory_log(self.trajectory, rate)
 
     @property
     def hardly(self) -> bool:

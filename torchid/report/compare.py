@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from torchid.compare.diagnoses import ALPHA, GapComparison, Named, Shared
-from torchid.compare.identifications import Compared, Comparison, Verdict
+from torchid.compare.diagnoses import ALPHA, GapComparison, Shared
+from torchid.compare.identifications import Compared, Comparison
+from torchid.compare.record import Named, TorqueSpread, Verdict
 from torchid.compare.sets import SetComparison
-from torchid.compare.torque import TorqueSpread
 from torchid.report.table import Cell, Table, count, short
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")

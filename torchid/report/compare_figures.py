@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from torchid.compare.diagnoses import GapComparison
 from torchid.compare.identifications import Compared, Comparison
-from torchid.compare.sets import Range, SetComparison
-from torchid.compare.torque import TorqueSpread
+from torchid.compare.record import Range, TorqueSpread
+from torchid.compare.sets import SetComparison
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.compare import ORDER, WORDS
 from torchid.report.panels import Figure, finish, panel, rows_of

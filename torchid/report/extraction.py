@@ -1,104 +1,24 @@
 """An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
 parameters the torque determines, and how far."""
 
-from dataclasses import dataclass
-from typing import Any
-
 import torch
 from rich.text import Text
 
 from torchid.extraction.convex.atlas import Atlas
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
-from torchid.extraction.penalty import gamma
-from torchid.extraction.problem import FAR, Problem, torque_error
-from torchid.extraction.record import (
-    SCHEMA,
-    certificate_record,
-    noticeable,
-    problem_record,
-    sets_record,
-)
-from torchid.feasibility.margins import Feasibility, feasibility
-from torchid.feasibility.sets import ParameterSets, to_record
+from torchid.extraction.found import Found, at_bounds
+from torchid.extraction.problem import FAR, Problem
+from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
-from torchid.json_data import picked, plain
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import Cell, Table, count, listed
 from torchid.robot.inertia import InertialParameters
-from torchid.typing import Float, Tensor
 
 _SHOWN = 12
-_ON_A_BOUND = 1e-4
-"""Share of a bound's span within which a parameter counts as lying on it."""
 ON_THE_BOUNDARY = 1e-6
 """Degree below which a feasible set is said to be on the boundary."""
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Sets of any method, judged.
-
-    Attributes:
-        problem: what was asked for.
-        method: cma-es, log-cholesky or sdp.
-        sets: K of them.
-        phi, gamma: (K,) loss and penalty.
-        torque: (K, n) difference from the asked-for torque, relative (see `torque_error`).
-        verdict: feasibility.
-        search: the course of a population search, or None.
-        seconds: it took.
-    """
-
-    problem: Problem
-    method: str
-    sets: ParameterSets
-    phi: Float[Tensor, " K"]
-    gamma: Float[Tensor, " K"]
-    torque: Float[Tensor, "K n"]
-    verdict: Feasibility
-    search: Extraction | None
-    seconds: float
-
-    @property
-    def best(self) -> int:
-        """The set with the lowest final loss."""
-        if self.search is not None:
-            return self.search.best
-        return int(self.phi.nan_to_num(torch.inf).argmin())
-
-
-def judged(
-    problem: Problem, sets: ParameterSets
-) -> tuple[ParameterSets, Tensor, Tensor, Tensor, Feasibility]:
-    """Sets with loss, penalty, torque and feasibility."""
-    return (
-        sets,
-        problem.residual_of_vector(sets.vector).square().sum(-1),
-        gamma(problem, problem.search_vector(sets)),
-        torque_error(problem, sets),
-        feasibility(sets, problem.conditions),
-    )
-
-
-def at_bounds(found: Found) -> list[str]:
-    """Parameters of the best set that lie on their bounds, e.g. m3 (upper)."""
-    problem = found.problem
-    n = problem.n
-    names = [f"m{i + 1}" for i in range(n)]
-    names += [f"c{i + 1}{axis}" for i in range(n) for axis in "xyz"]
-    names += [f"I{i + 1}{e}" for i in range(n) for e in ("xx", "xy", "xz", "yy", "yz", "zz")]
-    names += found.sets.coefficient_names()
-    own = problem.search_vector(found.sets)[found.best]
-    low, high = problem.box.unbind(-1)
-    near = _ON_A_BOUND * (high - low)
-    lower, upper = (own - low < near).tolist(), (high - own < near).tolist()
-    return [
-        f"{name} ({'lower' if below else 'upper'})"
-        for name, below, above in zip(names, lower, upper, strict=True)
-        if below or above
-    ]
 
 
 def headline(found: Found, proof: Certificate | None) -> str:
@@ -200,38 +120,6 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
     return out
 
 
-def extraction_record(
-    found: Found, proof: Certificate | None, warnings: tuple[str, ...]
-) -> dict[str, Any]:
-    """JSON-ready data."""
-    search: dict[str, Any] | None = None
-    if found.search is not None:
-        s = found.search
-        settings = "runs stages generations population penalty schedule engine polish seed"
-        course = "phi_before_polish=searched_phi gamma_before_polish=searched_gamma contradictions"
-        search = {**picked(s.settings, settings), **picked(s, course)}
-    return {
-        "schema": SCHEMA,
-        **problem_record(found.problem),
-        "method": found.method,
-        "search": search,
-        "certificate": certificate_record(proof),
-        "best": found.sets.ids[found.best],
-        "sets": [
-            {**physical, **entry, "torque_error_percent": plain([100 * x for x in torque])}
-            for physical, entry, torque in zip(
-                to_record(found.sets, found.problem.robot)["sets"],
-                sets_record(found.sets.ids, found.phi, found.gamma, found.verdict),
-                found.torque.tolist(),
-                strict=True,
-            )
-        ],
-        "at_bounds": at_bounds(found),
-        "seconds": found.seconds,
-        "warnings": list(warnings),
-    }
-
-
 def search_figure(search: Extraction, proof: Certificate | None) -> Figure:
     """Loss and penalty of all runs against the stage, and the loss after the polish."""
     figure, (upper, lower) = panel(9, 5.4, 2, 1, sharex=True)
@@ -318,28 +206,27 @@ def atlas_table(atlas: Atlas) -> Table:
     )
 
 
-def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
+def atlas_figure(atlas: AtlasRecord) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}
-    for k, name in enumerate(atlas.names):
-        columns.setdefault(kinds.get(name[0], "coefficients"), []).append(k)
+    for k, parameter in enumerate(atlas.parameters):
+        columns.setdefault(kinds.get(parameter.name[0], "coefficients"), []).append(k)
     height = 1.6 + 0.17 * max(len(rows) for rows in columns.values())
     figure, grid = panel(11, height, 1, len(columns))
-    low, high = (
-        (end - atlas.bounds_low) / (atlas.bounds_high - atlas.bounds_low)
-        for end in (atlas.low, atlas.high)
-    )
+    ends = torch.tensor([(p.low, p.high, *p.bounds) for p in atlas.parameters], dtype=torch.float64)
+    least, most = ends[:, 2], ends[:, 3]
+    low, high = ((end - least) / (most - least) for end in (ends[:, 0], ends[:, 1]))
     for axes, (title, rows) in zip(grid, columns.items(), strict=True):
         for y, k in enumerate(rows):
-            share = float(atlas.narrowed[k])
+            share = atlas.parameters[k].share_of_bounds
             colour = GREEN if share < _KNOWN else ORANGE if share < _NARROWED else RED
             colour = GREY if not bool(torch.isfinite(low[k] + high[k])) else colour
             start, end = float(low[k].nan_to_num(0.0)), float(high[k].nan_to_num(1.0))
             axes.plot([0, 1], [y, y], color="#eaeef2", linewidth=4, solid_capstyle="butt")
             axes.plot([start, end], [y, y], color=colour, linewidth=4, solid_capstyle="butt")
             axes.plot([(start + end) / 2], [y], "|", color=colour, markersize=7)
-        rows_of(axes, [atlas.names[k] for k in rows])
+        rows_of(axes, [atlas.parameters[k].name for k in rows])
         axes.set_xlim(-0.02, 1.02)
         axes.set_title(title, fontsize=9, color=INK)
         axes.grid(False, axis="y")
@@ -351,5 +238,5 @@ def atlas_figure(atlas: Atlas, problem: Problem) -> Figure:
         "narrowed to less than half": {"color": ORANGE, "linewidth": 4},
         "hardly or not narrowed": {"color": RED, "linewidth": 4},
     }
-    title = f"{problem.robot.name}: what the torque determines"
+    title = f"{atlas.robot}: what the torque determines"
     return finish(figure, title, columns=3, keys=keys)

@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 from torchid.effects.registry import KINDS
-from torchid.gap.diagnosis import Diagnosis, NotTestable
-from torchid.gap.record import INERTIA_MEANING, INERTIA_REMEDY, unit_of
+from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, unit_of
+from torchid.gap.record import Experiment, NotTestable
 from torchid.report import gap_figures
 from torchid.report.gap_figures import joint_figure
 from torchid.report.gap_words import (
@@ -32,6 +32,8 @@ from torchid.report.table import (
     torque_unit,
     unit_words,
 )
+from torchid.results.record import as_plain
+from torchid.simulation.two_models import Rollout
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
@@ -62,8 +64,8 @@ def where_table(diagnosis: Diagnosis) -> Table:
             text = f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
             if r.times:
                 starts: dict[str, list[str]] = {}
-                for name, start, _ in r.times[:_MOST_REGIMES]:
-                    starts.setdefault(name, []).append(f"{start:.1f}")
+                for window in r.times[:_MOST_REGIMES]:
+                    starts.setdefault(window.trajectory, []).append(f"{window.from_s:.1f}")
                 places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
                 text += f" at {places}{' ...' if len(r.times) > _MOST_REGIMES else ''}"
             said.append(text)
@@ -160,16 +162,16 @@ def closed_words(diagnosis: Diagnosis) -> str:
     return f"{percent(far.closed)} {interval(far.closed_ci95)}"
 
 
-def rollout_table(rollout: dict[str, Any]) -> Table:
+def rollout_table(rollout: Rollout) -> Table:
     """Position errors of short simulations, corrected model relative to the given one."""
     rows = []
-    for row in rollout.get("horizons", ()):
-        if row.get("ratio") is None:
+    for row in rollout.horizons:
+        if row.ratio is None:
             continue
-        within = row.get("ratio_ci95")
+        within = row.ratio_ci95
         span = f" [{within[0]:.2f}, {within[1]:.2f}]" if within else ""
-        lost = [percent(row[key]) for key in ("diverged_before", "diverged_after")]
-        rows.append((f"{row['horizon_s']:g} s", f"{row['ratio']:.2f}{span}", *lost))
+        lost = percent(row.diverged_before), percent(row.diverged_after)
+        rows.append((f"{row.horizon_s:g} s", f"{row.ratio:.2f}{span}", *lost))
     columns = ("horizon", "ratio [95 %]", "lost before", "lost after")
     return Table("simulated motion: position error after to before", columns, rows)
 
@@ -182,7 +184,8 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
         f"Hz; the fit is below {diagnosis.cutoff:g} Hz; noise from {known}.",
         "Share: of the squared gap beyond the noise, each joint in units of its own noise.",
     ]
-    return [*out, *(diagnosis.how_far.rollout or {}).get("sentences", ())]
+    rollout = diagnosis.how_far.rollout
+    return out if rollout is None else [*out, *rollout.sentences]
 
 
 def not_testable_table(diagnosis: Diagnosis) -> Table:
@@ -219,9 +222,10 @@ def _reason(members: list[NotTestable]) -> str:
     return _NUMBER.sub(lambda _: next(each), members[0].reason)
 
 
-def experiment_table(experiment: dict[str, Any]) -> Table:
+def experiment_table(experiment: Experiment) -> Table:
     """What to record next."""
-    texts = {key.replace("_", " "): _value(value) for key, value in experiment.items()}
+    entries = as_plain(experiment).items()
+    texts = {key.replace("_", " "): _value(value) for key, value in entries}
     rows = [(key, text) for key, text in texts.items() if text]
     return Table("next experiment", ("", " "), rows, names=("",), words=(" ",))
 

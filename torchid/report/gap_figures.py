@@ -6,7 +6,8 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import OFTEN, Diagnosis, Regime, Trace
+from torchid.gap.diagnosis import Diagnosis, Trace
+from torchid.gap.record import OFTEN, Regime
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import CLEAR, regime_words
 from torchid.report.panels import Figure, finish, new_figure, panel, ruled, styled

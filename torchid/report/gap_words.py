@@ -3,8 +3,8 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from torchid.gap.diagnosis import Diagnosis, Finding, Parametric, RegimeGap
-from torchid.gap.record import unit_of
+from torchid.gap.diagnosis import Diagnosis, Finding, unit_of
+from torchid.gap.record import Parametric, RegimeGap
 from torchid.report.table import count, interval, listed, percent, torque_unit
 from torchid.robot.model import Robot
 

@@ -12,9 +12,10 @@ import torch
 from torchid.design.motion import MOVING
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Estimate, Payload
+from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
-from torchid.identification.validation import Errors, Prediction
+from torchid.identification.validation import Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of
@@ -216,22 +217,24 @@ def torque_figure(
     return finish(figure, title, *grid[0])
 
 
-def parameter_figure(result: Identification) -> Figure:
+def parameter_figure(result: IdentificationRecord) -> Figure:
     """Each estimated parameter's 95 % interval relative to its value: what the log determines."""
-    relative = result.uncertainty.quantile() * result.relative_std_percent
-    shown = [k for k in range(len(result.base)) if bool(result.free[k])]
+    std = result.covariance.diagonal().clamp(min=0).sqrt()
+    relative = 100 * result.statistics.quantile95 * std / result.values.abs()
+    left_out = {*result.undetermined, *result.bounded, *result.dropped}
+    shown = [k for k, name in enumerate(result.base_names) if name not in left_out]
     order = sorted(shown, key=lambda k: float(relative[k]))
     figure, axes = panel(9, 1.4 + 0.19 * len(order))
     values = [max(1e-3, min(float(relative[k]), 1e3)) for k in order]
     colours = [GREEN if v < 30 else ORANGE if v < 100 else RED for v in values]
     axes.barh(range(len(order)), values, left=1e-3, color=colours, height=0.7)
     axes.set(xscale="log", xlim=(max(1e-3, min(values) / 2), 1.1e3))
-    rows_of(axes, [short(result.base.names[k], 44) for k in order])
+    rows_of(axes, [short(result.base_names[k], 44) for k in order])
     axes.axvline(100, color=INK, linewidth=0.8)
     axes.set_xlabel(
         "half-width of the 95 % interval, % of the value (100 %: cannot be told from zero)"
     )
-    return finish(figure, f"{result.robot.name}: how well each parameter is known")
+    return finish(figure, f"{result.robot}: how well each parameter is known")
 
 
 def truth_figure(result: Identification, truth: torch.Tensor) -> Figure:
@@ -381,7 +384,7 @@ def _pictures(result: Identification) -> list[Picture]:
             "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
             f"the line at 100 % cannot be told from zero ({poor}).",
             f"Bars, one a coefficient: {poor} cannot be told from zero.",
-            lambda: parameter_figure(result),
+            lambda: parameter_figure(result.record),
         )
     )
     return out

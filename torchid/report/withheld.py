@@ -353,9 +353,9 @@ def own_tables(found: OwnCheck) -> list[Table]:
     withheld = []
     for w in found.withheld:
         others = (
-            f"{name} {_joints(js)}" if js else name
-            for name, js in w.findings
-            if (name, js) != (w.effect, w.joints)
+            f"{f.effect} {_joints(f.joints)}" if f.joints else f.effect
+            for f in w.found
+            if (f.effect, f.joints) != (w.effect, w.joints)
         )
         again = "yes" if w.named else "in a set" if w.in_set else "no"
         shares = ("no gap" if x is None else f"{100 * x:.0f} %" for x in (w.closed, w.known))

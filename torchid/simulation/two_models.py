@@ -10,14 +10,13 @@ starts. Neighbouring rollouts share data: intervals come from whole blocks of th
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from torchid.design.segments import Segment
 from torchid.effects.registry import model_torque, nominal_effects
-from torchid.json_data import plain
+from torchid.results.record import Part, Real
 from torchid.robot.model import Robot
 from torchid.simulation.open_loop import rollout
 from torchid.simulation.shooting import Windows, edge_of, starts_of, windows_of
@@ -33,19 +32,64 @@ this, so that one runaway does not decide a mean."""
 SHRANK = 0.9
 """Ratio of torque RMS below which the torque gap is said to have shrunk."""
 
-_FIGURES = (
-    "rms_before",
-    "rms_after",
-    "joint_ratio",
-    "joint_ratio_ci95",
-    "ratio",
-    "ratio_ci95",
-    "diverged_before",
-    "diverged_after",
-)
 _LONGEST_STEP = 4e-3  # of the simulation [s]
 _FEWEST_BLOCKS = 5  # for an interval
 _LOST = 0.5  # share of rollouts that diverge above which a horizon says little
+
+
+class TorqueGap(Part, frozen=True):
+    """RMS of the torque gap of both models (n,), and after to before."""
+
+    rms_before: Float[Tensor, " n"]
+    rms_after: Float[Tensor, " n"]
+    ratio: Real
+
+
+class Horizon(Part, frozen=True, kw_only=True):
+    """Position errors after some time of simulation; null where nothing is long enough.
+
+    Attributes:
+        horizon_s: [s].
+        starts: how many simulations.
+        rms_before, rms_after: (n,) of the position error [rad; m].
+        joint_ratio, joint_ratio_ci95: after to before, a joint.
+        ratio, ratio_ci95: over all joints.
+        diverged_before, diverged_after: shares of simulations that lost the arm.
+    """
+
+    horizon_s: float
+    starts: int
+    rms_before: Float[Tensor, " n"] | None = None
+    rms_after: Float[Tensor, " n"] | None = None
+    joint_ratio: tuple[float | None, ...] | None = None
+    joint_ratio_ci95: tuple[tuple[float, float] | None, ...] | None = None
+    ratio: float | None = None
+    ratio_ci95: tuple[float, float] | None = None
+    diverged_before: Real = math.nan
+    diverged_after: Real = math.nan
+
+
+class Rollout(Part, frozen=True, kw_only=True):
+    """Position errors of two models, simulated with the measured torque.
+
+    Attributes:
+        starts, step_s, diverged_beyond: number of rollouts, their step [s], and the error at which
+            one counts as diverged [rad; m].
+        torque: of the same passages.
+        horizons: in ascending order.
+        ignored_effects: names of effects that a replay of measured torque cannot have.
+        fitted_on_these_data: whether the model after was fitted on the same passages.
+        sentences: what to know about it.
+    """
+
+    starts: int
+    step_s: float | None
+    diverged_beyond: float
+    torque: TorqueGap
+    horizons: tuple[Horizon, ...]
+    ignored_effects: tuple[str, ...]
+    fitted_on_these_data: bool
+    sentences: tuple[str, ...]
 
 
 def rollouts(
@@ -56,7 +100,7 @@ def rollouts(
     seed: int = 0,
     max_starts: int = 128,
     fitted_here: bool = False,
-) -> dict[str, Any]:
+) -> Rollout:
     """Position errors of two models, simulated from measured states with the measured torque.
 
     Args:
@@ -67,45 +111,28 @@ def rollouts(
         max_starts: how many rollouts; they run as one batch.
         fitted_here: whether the model after was fitted on these passages.
 
-    Returns:
-        JSON-ready:
-        starts, step_s, diverged_beyond: number of rollouts, their step [s], and the error at
-            which one counts as diverged [rad or m];
-        torque: {rms_before, rms_after (n), ratio} of the torque gap in the passages' band;
-        horizons: a list of {horizon_s, starts, rms_before, rms_after (n) [rad or m],
-            joint_ratio (n), joint_ratio_ci95 (n, 2), ratio, ratio_ci95, diverged_before,
-            diverged_after: shares}. A ratio is after to before; None where both are not positive
-            or there are too few starts;
-        ignored_effects: names of effects that a replay of measured torque cannot have;
-        fitted_on_these_data: `fitted_here`;
-        sentences: what to know about it.
-
     Raises:
         RobotError: a model has no parameters, or an effect that does not exist.
     """
     starts = starts_of(passages, min(horizons), max_starts, seed)
-    out: dict[str, Any] = {
-        "starts": len(starts.first),
-        "step_s": None,
-        "diverged_beyond": DIVERGED,
-        "torque": _torque_gap(before, after, passages),
-        "horizons": [],
-        "ignored_effects": [],
-        "fitted_on_these_data": fitted_here,
-        "sentences": ["No trajectory is long enough for a rollout."],
-    }
-    if not out["starts"]:
-        return out
-    windows = windows_of(passages, starts, max(horizons))
-    runs = [_errors(robot, windows) for robot in (before, after)]
-    rows = [_at(h, windows, [error for error, _ in runs], before, seed) for h in horizons]
-    ignored = sorted({name for _, names in runs for name in names})
-    return out | {
-        "step_s": windows.dt,
-        "horizons": rows,
-        "ignored_effects": ignored,
-        "sentences": _sentences(out["torque"], rows, ignored, fitted_here),
-    }
+    torque, step, rows, ignored = _torque_gap(before, after, passages), None, [], list[str]()
+    said = ["No trajectory is long enough for a rollout."]
+    if len(starts.first):
+        windows = windows_of(passages, starts, max(horizons))
+        runs = [_errors(robot, windows) for robot in (before, after)]
+        rows = [_at(h, windows, [error for error, _ in runs], before, seed) for h in horizons]
+        ignored = sorted({name for _, names in runs for name in names})
+        step, said = windows.dt, _sentences(torque, rows, ignored, fitted_here)
+    return Rollout(
+        starts=len(starts.first),
+        step_s=step,
+        diverged_beyond=DIVERGED,
+        torque=torque,
+        horizons=tuple(rows),
+        ignored_effects=tuple(ignored),
+        fitted_on_these_data=fitted_here,
+        sentences=tuple(said),
+    )
 
 
 def _errors(robot: Robot, windows: Windows) -> tuple[Float[Tensor, "B T n"], Sequence[str]]:
@@ -126,13 +153,12 @@ def _at(
     errors: Sequence[Float[Tensor, "B T n"]],
     robot: Robot,
     seed: int,
-) -> dict[str, Any]:
+) -> Horizon:
     """Errors of both models at one horizon."""
     step = max(1, round(horizon / windows.dt))
     use = windows.steps >= step
-    out: dict[str, Any] = {"horizon_s": horizon, "starts": int(use.sum())}
     if not use.any():
-        return out | dict.fromkeys(_FIGURES)
+        return Horizon(horizon_s=horizon, starts=0)
     final = [e[use, step] for e in errors]
     lost = [(e[use, : step + 1] >= DIVERGED).any(-1).any(-1) for e in errors]
     moved = windows.q[use, step] - windows.q[use, 0]
@@ -141,16 +167,18 @@ def _at(
     alone = _ratio([e.square() for e in final], block, seed)
     scaled = [(e / _scale(robot, moved)).square().sum(-1, keepdim=True) for e in final]
     whole = _ratio(scaled, block, seed)
-    return out | {
-        "rms_before": rms[0].tolist(),
-        "rms_after": rms[1].tolist(),
-        "joint_ratio": [ratio for ratio, _ in alone],
-        "joint_ratio_ci95": [interval for _, interval in alone],
-        "ratio": whole[0][0],
-        "ratio_ci95": whole[0][1],
-        "diverged_before": float(lost[0].double().mean()),
-        "diverged_after": float(lost[1].double().mean()),
-    }
+    return Horizon(
+        horizon_s=horizon,
+        starts=int(use.sum()),
+        rms_before=rms[0],
+        rms_after=rms[1],
+        joint_ratio=tuple(ratio for ratio, _ in alone),
+        joint_ratio_ci95=tuple(interval for _, interval in alone),
+        ratio=whole[0][0],
+        ratio_ci95=whole[0][1],
+        diverged_before=float(lost[0].double().mean()),
+        diverged_after=float(lost[1].double().mean()),
+    )
 
 
 def _scale(robot: Robot, moved: Float[Tensor, "b n"]) -> Float[Tensor, " n"]:
@@ -167,7 +195,7 @@ def _scale(robot: Robot, moved: Float[Tensor, "b n"]) -> Float[Tensor, " n"]:
 
 def _ratio(
     squares: Sequence[Float[Tensor, "b c"]], block: Int[Tensor, " b"], seed: int
-) -> list[tuple[float | None, list[float] | None]]:
+) -> list[tuple[float | None, tuple[float, float] | None]]:
     """Root of the ratio of sums of squares, second to first, a column, with the 2.5 % and 97.5 %
     quantiles over resampled blocks."""
     blocks = int(block.max()) + 1
@@ -177,16 +205,18 @@ def _ratio(
     ratios = (second / first).sqrt()
     same = (first == 0) & (second == 0)
     ratios[same] = 1.0
-    out: list[tuple[float | None, list[float] | None]] = []
+    out: list[tuple[float | None, tuple[float, float] | None]] = []
     for column in ratios.T:
-        value = plain(column[0])
-        known = blocks >= _FEWEST_BLOCKS and bool(column.isfinite().all())
-        ends = column[1:].quantile(column.new_tensor(tails())).tolist() if known else None
+        value = float(column[0]) if bool(column[0].isfinite()) else None
+        ends = None
+        if blocks >= _FEWEST_BLOCKS and bool(column.isfinite().all()):
+            low, high = column[1:].quantile(column.new_tensor(tails())).tolist()
+            ends = low, high
         out.append((value, ends))
     return out
 
 
-def _torque_gap(before: Robot, after: Robot, passages: Sequence[Segment]) -> dict[str, Any]:
+def _torque_gap(before: Robot, after: Robot, passages: Sequence[Segment]) -> TorqueGap:
     """RMS of measured minus modelled torque (n) of both models, edges left out."""
     rms = []
     for robot in (before, after):
@@ -199,32 +229,32 @@ def _torque_gap(before: Robot, after: Robot, passages: Sequence[Segment]) -> dic
         rms.append((squares / max(1, count)).sqrt())
     total = [float(x.norm()) for x in rms]
     ratio = total[1] / total[0] if total[0] else 1.0 if not total[1] else math.inf
-    return plain({"rms_before": rms[0], "rms_after": rms[1], "ratio": ratio})
+    return TorqueGap(rms[0], rms[1], ratio)
 
 
 def _sentences(
-    torque: dict[str, Any],
-    rows: Sequence[dict[str, Any]],
+    torque: TorqueGap,
+    rows: Sequence[Horizon],
     ignored: Sequence[str],
     fitted_here: bool,
 ) -> list[str]:
     out = []
     for row in rows:
-        horizon = f"{row['horizon_s']:g} s"
-        if not row["starts"]:
+        horizon = f"{row.horizon_s:g} s"
+        if not row.starts:
             out.append(f"No trajectory is long enough for a rollout of {horizon}.")
             continue
-        if _disagrees(torque["ratio"], row):
-            low_high = row["ratio_ci95"]
+        if _disagrees(torque.ratio, row):
+            low_high = row.ratio_ci95
             within = f" ({low_high[0]:.2f} to {low_high[1]:.2f})" if low_high else ""
             out.append(
-                f"Torque and rollouts disagree: the torque gap shrank to {torque['ratio']:.2f} of "
-                f"what it was, the position error after {horizon} did not: {row['ratio']:.2f}"
+                f"Torque and rollouts disagree: the torque gap shrank to {torque.ratio:.2f} of "
+                f"what it was, the position error after {horizon} did not: {row.ratio:.2f}"
                 f"{within}."
             )
-        if row["diverged_after"] > _LOST:
+        if row.diverged_after > _LOST:
             out.append(
-                f"{row['diverged_after']:.0%} of the rollouts of {horizon} lose the arm even with "
+                f"{row.diverged_after:.0%} of the rollouts of {horizon} lose the arm even with "
                 "the corrected model: replay of torque in open loop says little at that horizon."
             )
     if ignored:
@@ -235,11 +265,11 @@ def _sentences(
     return out
 
 
-def _disagrees(torque_ratio: float | None, row: dict[str, Any]) -> bool:
+def _disagrees(torque_ratio: float, row: Horizon) -> bool:
     """Not where both models lose the arm mostly: then their errors are those of a replay."""
-    if torque_ratio is None or torque_ratio >= SHRANK or row["ratio"] is None:
+    if not torque_ratio < SHRANK or row.ratio is None:
         return False
-    if min(row["diverged_before"], row["diverged_after"]) > _LOST:
+    if min(row.diverged_before, row.diverged_after) > _LOST:
         return False
-    highest = row["ratio_ci95"][1] if row["ratio_ci95"] else row["ratio"]
+    highest = row.ratio_ci95[1] if row.ratio_ci95 else row.ratio
     return bool(highest >= 1)

@@ -1,71 +1,160 @@
-"""A study as plain data: the schema torchid.study/1."""
+"""A study as its JSON has it: the schema torchid.study/1."""
 
-from typing import Any
+from msgspec import field
 
-from torchid.extraction.record import certificate_record
-from torchid.identification.payload import record as payload_record
-from torchid.json_data import picked, plain
+from torchid.extraction.record import CertificateRecord, certificate_record
+from torchid.identification.payload import PayloadRecord
+from torchid.results.record import Part, Real, Record, Rows
 from torchid.study.result import ScenarioResult, Study
-
-SCHEMA = "torchid.study/1"
-_SCENARIO = (
-    "id=scenario.id bounds=scenario.bounds loss=scenario.penalty phi gamma feasible reasons degree "
-    "torque_rms"
-)
+from torchid.typing import Float, Tensor
 
 
-def record(study: Study) -> dict[str, Any]:
-    """The result as JSON-ready data."""
+class StudyIdentification(Part, frozen=True, kw_only=True):
+    """Base parameters (B,), identified and true, and what they foretell."""
+
+    names: tuple[str, ...]
+    values: Float[Tensor, " B"]
+    true: Float[Tensor, " B"]
+    largest_error: Real
+    rows: int
+    validation_error_percent: tuple[Real, ...]
+
+
+class RunsRecord(Part, frozen=True, kw_only=True):
+    """All R runs of a scenario."""
+
+    phi: Float[Tensor, " R"]
+    gamma: Float[Tensor, " R"]
+    searched_phi: Float[Tensor, " R"] = field(name="phi_before_polish")
+    searched_gamma: Float[Tensor, " R"] = field(name="gamma_before_polish")
+    feasible: int
+    gamma_zero: int
+    reasons: tuple[tuple[str, ...], ...]
+    degree: Float[Tensor, " R"]
+
+
+class ScenarioRecord(Part, frozen=True, kw_only=True):
+    """One scenario: its best set, and all runs."""
+
+    id: str
+    bounds: str
+    penalty: str = field(name="loss")
+    phi: Real
+    gamma: Real
+    feasible: bool
+    reasons: tuple[str, ...]
+    degree: Real
+    torque_rms: Float[Tensor, " n"]
+    force_norm_difference_rms: Float[Tensor, " n"]
+    runs: RunsRecord
+    contradictions: tuple[str, ...]
+
+
+class ClassRecord(Part, frozen=True, kw_only=True):
+    """Errors of one class of sets."""
+
+    name: str = field(name="class")
+    sets: int
+    median: float | None = field(name="force_error_median")
+    quartiles: tuple[float | None, float | None]
+
+
+class WrenchesRecord(Part, frozen=True, kw_only=True):
+    """Errors of internal forces by class."""
+
+    classes: tuple[ClassRecord, ...]
+    unit: str
+
+
+class StudyPayload(PayloadRecord, frozen=True, kw_only=True, tag="torchid.payload/1"):
+    """The payload, identified and true (10,) in the tool frame."""
+
+    true: Float[Tensor, "10"]
+
+
+class StudySearch(Part, frozen=True, kw_only=True):
+    """Settings of the searches."""
+
+    runs: int
+    stages: int
+    generations: int
+    schedule: str
+    engine: str
+    polish: bool
+    seed: int
+
+
+class StudyRecord(Record, frozen=True, kw_only=True, tag="torchid.study/1"):
+    """A study as its JSON has it; see Study."""
+
+    study: str
+    robot: str
+    section: str
+    identification: StudyIdentification
+    sets: tuple[ScenarioRecord, ...]
+    certificate: dict[str, CertificateRecord | None]
+    wrenches: WrenchesRecord
+    payload: StudyPayload
+    search: StudySearch
+    seconds: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def table(self) -> Rows[ScenarioRecord]:
+        """The scenarios."""
+        return Rows(self.sets)
+
+
+def record(study: Study) -> StudyRecord:
+    """The result as the JSON has it."""
     result = study.identification
     errors = result.held_out
-    return {
-        "schema": SCHEMA,
-        **picked(study, "study=settings.name robot=robot.name section=settings.section"),
-        "identification": {
-            **picked(result, "names=base.names values"),
-            "true": study.truth.tolist(),
-            "largest_error": float((result.values - study.truth).abs().max()),
-            "rows": int(study.log.samples * study.robot.n),
-            "validation_error_percent": [] if errors is None else plain(errors.relative_percent),
-        },
-        "sets": [_scenario(study, s) for s in study.scenarios],
-        "certificate": {
+    return StudyRecord(
+        study=study.settings.name,
+        robot=study.robot.name,
+        section=study.settings.section,
+        identification=StudyIdentification(
+            names=result.base.names,
+            values=result.values,
+            true=study.truth,
+            largest_error=float((result.values - study.truth).abs().max()),
+            rows=int(study.log.samples * study.robot.n),
+            validation_error_percent=(
+                () if errors is None else tuple(errors.relative_percent.tolist())
+            ),
+        ),
+        sets=tuple(_scenario(study, s) for s in study.scenarios),
+        certificate={
             group: certificate_record(proof) for group, proof in study.certificates.items()
         },
-        "wrenches": {
-            "classes": [
-                {
-                    **picked(c, "class=name sets force_error_median=median"),
-                    "quartiles": [c.lower_quartile, c.upper_quartile],
-                }
+        wrenches=WrenchesRecord(
+            classes=tuple(
+                ClassRecord.of(c, quartiles=(c.lower_quartile, c.upper_quartile))
                 for c in study.comparison.classes
-            ],
-            "unit": "N, largest joint's rms against the true set, all runs of all scenarios",
-        },
-        "payload": {"true": study.payload.true.tolist(), **payload_record(study.payload.estimate)},
-        "search": picked(
-            study.settings.search, "runs stages generations schedule engine polish seed"
-        ),
-        **picked(study, "seconds warnings"),
-    }
-
-
-def _scenario(study: Study, result: ScenarioResult) -> dict[str, Any]:
-    found = result.extraction
-    at = study.wrench_motion.labels.index(result.scenario.id)
-    force = study.wrench_motion.force
-    difference = (force[at] - force[0]).square().mean(0).sqrt()
-    return {
-        **picked(result, _SCENARIO),
-        "force_norm_difference_rms": difference.tolist(),
-        "runs": {
-            **picked(
-                found, "phi gamma phi_before_polish=searched_phi gamma_before_polish=searched_gamma"
             ),
-            "feasible": int(result.feasibility.feasible.sum()),
-            "gamma_zero": int((found.gamma == 0).sum()),
-            "reasons": [list(result.feasibility.reasons(k)) for k in range(len(found.phi))],
-            "degree": plain(result.feasibility.degree),
-        },
-        "contradictions": list(found.contradictions),
-    }
+            unit="N, largest joint's rms against the true set, all runs of all scenarios",
+        ),
+        payload=StudyPayload.of(study.payload.estimate.record, true=study.payload.true),
+        search=StudySearch.of(study.settings.search),
+        seconds=dict(study.seconds),
+        warnings=study.warnings,
+    )
+
+
+def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:
+    found, scenario = result.extraction, result.scenario
+    at = study.wrench_motion.labels.index(scenario.id)
+    force = study.wrench_motion.force
+    return ScenarioRecord.of(
+        result,
+        scenario,
+        force_norm_difference_rms=(force[at] - force[0]).square().mean(0).sqrt(),
+        runs=RunsRecord.of(
+            found,
+            feasible=int(result.feasibility.feasible.sum()),
+            gamma_zero=int((found.gamma == 0).sum()),
+            reasons=[result.feasibility.reasons(k) for k in range(len(found.phi))],
+            degree=result.feasibility.degree,
+        ),
+        contradictions=found.contradictions,
+    )

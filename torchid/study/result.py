@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from torchid.extraction.convex.certificate import Certificate
 from torchid.extraction.extract import Extraction
@@ -10,11 +12,15 @@ from torchid.feasibility.sets import ParameterSets
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Payload
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.study.settings import Scenario, StudySettings
 from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import Comparison
 from torchid.wrenches.deviation import WrenchErrors
+
+if TYPE_CHECKING:
+    from torchid.study.record import StudyRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +104,7 @@ class PayloadResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Result):
     """Everything a study found.
 
     Attributes:
@@ -132,3 +138,16 @@ class Study:
     payload: PayloadResult
     seconds: Mapping[str, float]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        feasible = sum(s.feasible for s in self.scenarios)
+        return (
+            f"Study('{self.settings.name}', {feasible} of {len(self.scenarios)} best sets feasible)"
+        )
+
+    @cached_property
+    def record(self) -> "StudyRecord":
+        """As the JSON has it."""
+        from torchid.study.record import record
+
+        return record(self)

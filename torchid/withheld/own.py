@@ -9,10 +9,10 @@ log.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
 
 import torch
+from msgspec import UNSET, UnsetType, field, structs
 
 from torchid import __version__
 from torchid.design.columns import Columns, Model
@@ -30,14 +30,14 @@ from torchid.gap.data import prepare
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.noise.floor import stuck
-from torchid.gap.record import record
+from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.closing import closing
 from torchid.gap.validate.folds import traces
-from torchid.json_data import picked, plain
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
+from torchid.results.record import Joint, Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.withheld.parallel import Progress, each
 
@@ -54,8 +54,7 @@ BAND = 20.0
 """Of the motion along which effects are planted [Hz]."""
 
 
-@dataclass(frozen=True)
-class Planted:
+class Planted(Part, frozen=True):
     """A known effect on top of a real log.
 
     Attributes:
@@ -67,8 +66,8 @@ class Planted:
     """
 
     effect: str
-    joint: int
-    level: float
+    joint: Joint
+    level: float = field(name="size_over_noise")
     coefficients: dict[str, float]
     named: bool
     in_set: bool
@@ -166,15 +165,18 @@ def _on_top(bed: Bed, effect: JointEffect, size: float) -> tuple[list[float], Lo
     return values.tolist(), Log.concatenate(grown)
 
 
-SCHEMA = "torchid.withheld.own/1"
-_PLANTED = "size_over_noise=level coefficients named in_set status"
-
 AS_MUCH = 0.9
 """Share of what an effect is known to close that must be closed once more."""
 
 
-@dataclass(frozen=True)
-class Withheld:
+class FoundThere(Part, frozen=True):
+    """An effect that was named, and where."""
+
+    effect: str
+    joints: tuple[Joint, ...]
+
+
+class Withheld(Part, frozen=True):
     """An accepted effect, taken out of the corrected model, on untouched data.
 
     Attributes:
@@ -182,33 +184,51 @@ class Withheld:
         joints: from 0; none where it belongs to the whole arm.
         named: whether it was named at its place.
         in_set: whether it, or something that it cannot be told from, was.
-        findings: (name, joints from 0) of all that was named.
+        found: all that was named.
         known: share of the closable gap that it closes on these data, as fitted on the others; None
             where there is no gap without it.
         closed, closed_ci95: share that the diagnosis closed.
         status: of the diagnosis.
+        as_much: whether the gap shrank as much as it is known to; None where there was none.
     """
 
     effect: str
-    joints: tuple[int, ...]
+    joints: tuple[Joint, ...]
     named: bool
     in_set: bool
-    findings: tuple[tuple[str, tuple[int, ...]], ...]
-    known: float | None
+    found: tuple[FoundThere, ...]
+    known: float | None = field(name="known_closed")
     closed: float | None
     closed_ci95: tuple[float, float] | None
     status: str
+    as_much: bool | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        enough = self.closed is not None and self.closed >= AS_MUCH * (self.known or 0.0)
+        structs.force_setattr(self, "as_much", None if self.known is None else enough)
+
+
+class OwnRecord(Record, frozen=True, kw_only=True, tag="torchid.withheld.own/1"):
+    """A check on one's own arm as its JSON has it; see OwnCheck."""
+
+    version: str
+    robot: str
+    untouched: tuple[str, ...]
+    whole: bool = field(name="untouched_are_whole_trajectories")
+    withheld: tuple[Withheld, ...]
+    planted: tuple[Planted, ...]
+    first: GapRecord = field(name="diagnosis")
+    seed: int | UnsetType = UNSET
 
     @property
-    def as_much(self) -> bool | None:
-        """Whether the gap shrank as much as it is known to; None where there was none."""
-        if self.known is None:
-            return None
-        return self.closed is not None and self.closed >= AS_MUCH * self.known
+    def table(self) -> Rows[Withheld]:
+        """What was withheld."""
+        return Rows(self.withheld)
 
 
 @dataclass(frozen=True)
-class OwnCheck:
+class OwnCheck(Result):
     """All of it.
 
     Attributes:
@@ -223,6 +243,21 @@ class OwnCheck:
     whole: bool
     withheld: tuple[Withheld, ...]
     planted: tuple[Planted, ...]
+
+    def __repr__(self) -> str:
+        named = sum(w.named for w in self.withheld)
+        name = self.first.robot.name
+        return f"OwnCheck('{name}', {named} of {len(self.withheld)} withheld effects named again)"
+
+    @cached_property
+    def record(self) -> OwnRecord:
+        """As the JSON has it."""
+        return OwnRecord.of(
+            self,
+            version=__version__,
+            robot=self.first.robot.name,
+            first=self.first.record,
+        )
 
 
 def withheld_own(
@@ -297,34 +332,6 @@ def withheld_own(
     return OwnCheck(first, tuple(untouched.names), whole, tuple(withheld), flat)
 
 
-def own_record(found: OwnCheck) -> dict[str, Any]:
-    """As JSON-ready data; joints from 1."""
-    data = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "robot": found.first.robot.name,
-        "untouched": found.untouched,
-        "untouched_are_whole_trajectories": found.whole,
-        "withheld": [
-            {
-                "effect": w.effect,
-                "joints": [j + 1 for j in w.joints],
-                **picked(w, "named in_set"),
-                "found": [
-                    {"effect": name, "joints": [j + 1 for j in js]} for name, js in w.findings
-                ],
-                **picked(w, "known_closed=known closed closed_ci95 as_much status"),
-            }
-            for w in found.withheld
-        ],
-        "planted": [
-            {"effect": p.effect, "joint": p.joint + 1, **picked(p, _PLANTED)} for p in found.planted
-        ],
-        "diagnosis": record(found.first),
-    }
-    return {**plain(data)}
-
-
 def _without(corrected: Robot, finding: Finding) -> Robot:
     """The corrected model as it would be without a finding."""
     kept = []
@@ -353,7 +360,7 @@ def _withheld(bed: Bed, finding: Finding) -> Withheld:
         place,
         named(found, name, place),
         in_set(found, name, place),
-        tuple((f.effect.name, f.located) for f in found.findings),
+        tuple(FoundThere(f.effect.name, f.located) for f in found.findings),
         known.closed,
         found.how_far.closed,
         found.how_far.closed_ci95,

@@ -148,14 +148,13 @@ def written(
 
 def _answer(job: Job) -> dict[str, Any]:
     from torchid import diagnose, load_robot, read_log
-    from torchid.gap.record import record
 
     found = diagnose(load_robot(job.robot), read_log(job.log), settings=job.settings)
     corrected = {
         "effects": [dict(effect) for effect in found.corrected.effects],
         "pi": found.corrected.require_parameters("an answer").pi,
     }
-    return {**record(found), "corrected": plain(corrected)}
+    return {**found.plain(), "corrected": plain(corrected)}
 
 
 @cache

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from torchid.results.record import Real
 from torchid.statistics.resampling import Array, bootstrap, percentile_interval
 
 Statistic = Callable[[Array], float]
@@ -28,9 +29,9 @@ class Estimate:
         clusters: independent units that the interval rests on.
     """
 
-    value: float
-    low: float
-    high: float
+    value: Real
+    low: Real
+    high: Real
     clusters: int
 
 

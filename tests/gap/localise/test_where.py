@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import NOISE, banded, coloured, floor, trace
-from torchid.gap.diagnosis import Regime
 from torchid.gap.localise.regimes import reversals
 from torchid.gap.localise.resampling import Draws, Look, best_of, corrected, linear, quadratic
 from torchid.gap.localise.signatures import white_share
 from torchid.gap.localise.where import where
+from torchid.gap.record import NoiseFloor, Regime
 
 JOINT = 1
 
@@ -105,8 +105,9 @@ def test_times_of_transients():
     )
     _, regimes = where([trace(on_joint(bumps), seed=2)], floor(), 0, band=20.0)
     times = of(regimes, "transient").times
-    assert all(any(a - 0.15 < c < b + 0.15 for _, a, b in times) for c in (12.3, 41.0))
-    assert all(min(abs(0.5 * (a + b) - c) for c in (12.3, 41.0)) < 0.4 for _, a, b in times)
+    assert all(any(w.from_s - 0.15 < c < w.to_s + 0.15 for w in times) for c in (12.3, 41.0))
+    middles = [0.5 * (w.from_s + w.to_s) for w in times]
+    assert all(min(abs(m - c) for c in (12.3, 41.0)) < 0.4 for m in middles)
     assert not of(regimes, "transient", joint=0).times
 
 
@@ -119,7 +120,8 @@ def test_times_are_those_of_the_trajectory():
     _, regimes = where(both, floor(), 0, band=20.0)
     times = of(regimes, "transient").times
     assert times
-    assert all(name == "two" and abs(0.5 * (a + b) - 12.3) < 0.4 for name, a, b in times)
+    assert all(w.trajectory == "two" for w in times)
+    assert all(abs(0.5 * (w.from_s + w.to_s) - 12.3) < 0.4 for w in times)
 
 
 def test_all_regimes_of_all_joints_are_there():
@@ -138,7 +140,7 @@ def test_joints_by_hand():
     measured = made.before + gap
     measured[:25] += 100.0
     level = torch.tensor([0.1, 0.2], dtype=torch.float64)
-    bracket = replace(floor(2), low=level, high=level)
+    bracket = NoiseFloor(level, level, "bracket")
     joints, _ = where([replace(made, measured=measured)], bracket, 0, band=20.0)
     assert [j.gap_rms for j in joints] == pytest.approx([0.3, 0.4])
     above = [0.09 / 0.01 - 1, 0.16 / 0.04 - 1]

@@ -7,7 +7,7 @@ import torch
 
 from tests.gap.problems import measured, question_of, term
 from torchid.effects.friction import ViscousFriction
-from torchid.gap.diagnosis import Planted
+from torchid.gap.record import Planted
 from torchid.gap.search.climb import fitted
 from torchid.gap.search.evidence import Question, fit_terms
 from torchid.gap.search.planting import SIZES, planted

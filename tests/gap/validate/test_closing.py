@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.gap.diagnoses import NOISE, coulomb, floor, trace
-from torchid.gap.diagnosis import NoiseFloor
+from torchid.gap.record import NoiseFloor
 from torchid.gap.validate.closing import budget, closing, noise_variance
 
 
@@ -96,10 +96,10 @@ def test_joints_count_in_units_of_their_noise():
 
 def test_the_noise_is_the_middle_of_an_interval_and_the_top_of_a_bracket():
     assert torch.allclose(noise_variance(exact()), torch.full((3,), NOISE**2))
-    known = replace(floor(), source="repeats")
+    known = NoiseFloor(floor().low, floor().high, "repeats")
     middle = 0.5 * (known.low.square() + known.high.square())
     assert torch.allclose(noise_variance(known), middle)
-    bracket = replace(floor(), source="bracket")
+    bracket = NoiseFloor(floor().low, floor().high, "bracket")
     assert torch.allclose(noise_variance(bracket), bracket.high.square())
 
 

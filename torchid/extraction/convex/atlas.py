@@ -20,6 +20,7 @@ linear over { y : conditions homogenised by 1 / m, mass of y = 1 } (A. Charnes, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -32,8 +33,10 @@ from torchid.extraction.convex.conic import Rows, Status
 from torchid.extraction.convex.rows import AXES
 from torchid.extraction.convex.sets import ConvexSets, com_box, convex_sets
 from torchid.extraction.problem import Problem
+from torchid.extraction.record import AtlasRange, AtlasRecord, problem_fields
 from torchid.identification.result import Identification
 from torchid.identification.values import BaseValues, identified_base
+from torchid.results.record import Result
 from torchid.robot.inertia import parameter_names, parameter_units
 from torchid.robot.model import JointType
 from torchid.tensors import as_tensor
@@ -128,10 +131,11 @@ _CLOSE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Atlas:
+class Atlas(Result):
     """Ranges of Q physical parameters.
 
     Attributes:
+        problem: target, bounds and conditions.
         names: (Q,) m1, c1x, J1xx (about the link frame), Fv1.
         units: (Q,).
         low, high: (Q,) the range over feasible sets of equal torque; infinite where there is no
@@ -145,6 +149,7 @@ class Atlas:
         widened: whether the confidence ellipsoid holds no feasible set and was grown until it does.
     """
 
+    problem: Problem
     names: tuple[str, ...]
     units: tuple[str, ...]
     low: Float[Tensor, " Q"]
@@ -156,6 +161,27 @@ class Atlas:
     kind: Kind
     radius: float
     widened: bool
+
+    def __repr__(self) -> str:
+        return f"Atlas('{self.problem.robot.name}', {len(self.names)} parameters, {self.kind})"
+
+    @cached_property
+    def record(self) -> AtlasRecord:
+        """As the JSON has it."""
+        columns = (self.low, self.high, self.bounds_low, self.bounds_high, self.narrowed)
+        rows = zip(self.names, self.units, *(x.tolist() for x in columns), self.status, strict=True)
+        return AtlasRecord(
+            **problem_fields(self.problem),
+            kind=self.kind,
+            radius=self.radius,
+            parameters=tuple(
+                AtlasRange(
+                    name=name, unit=unit, low=low, high=high, bounds=(least, most),
+                    share_of_bounds=share, status=status,
+                )
+                for name, unit, low, high, least, most, share, status in rows
+            ),
+        )  # fmt: skip
 
     @property
     def narrowed(self) -> Float[Tensor, " Q"]:
@@ -249,6 +275,7 @@ def atlas(
     values = torch.tensor([[e[0] for e in row] for row in ends], dtype=torch.float64)
     points = np.stack([np.stack([row[0][2], row[1][2]]) for row in ends])
     return Atlas(
+        problem=problem,
         names=tuple(q.name for q in quantities),
         units=tuple(q.unit for q in quantities),
         low=values[:, 0],

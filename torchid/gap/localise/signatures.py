@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.gap.diagnosis import Interval
 from torchid.gap.localise.regimes import BRIEF, CRAWL, RARE, STILL, Pool, masks
 from torchid.gap.localise.resampling import Draws, Look, best_of, flipped, linear, quadratic
+from torchid.gap.record import Interval
 from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
 from torchid.statistics.resampling import LEVEL
 from torchid.typing import Float, Tensor

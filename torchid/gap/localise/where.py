@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import JointGap, NoiseFloor, Regime, RegimeGap, Trace
+from torchid.gap.diagnosis import Trace
 from torchid.gap.localise.regimes import Pool, begins, masked_look, masks, pooled, reversal_look
 from torchid.gap.localise.resampling import Draws, Look, corrected
 from torchid.gap.localise.signatures import (
@@ -16,6 +16,7 @@ from torchid.gap.localise.signatures import (
     remainder,
     transient_look,
 )
+from torchid.gap.record import JointGap, NoiseFloor, Regime, RegimeGap, Window
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, tails
 from torchid.typing import Float, Tensor
@@ -95,7 +96,7 @@ def regime_gaps(
     # Windows of transients on their trajectories' own time.
     times = [
         tuple(
-            (name, start - begin, end - begin)
+            Window(name, start - begin, end - begin)
             for start, end in own
             for name, begin in [max((b for b in starts if b[1] <= start), key=lambda b: b[1])]
         )

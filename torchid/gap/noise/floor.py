@@ -9,18 +9,19 @@ flexible predictor, trained on other stretches of the log, leaves of the residua
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
+from msgspec.structs import replace
 
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats
 from torchid.design.segments import REACH, Samples, Segment, moving_samples, reach_of, when
 from torchid.effects.registry import effect_torque
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import NoiseFloor
 from torchid.gap.noise.flexible import predict_out_of_fold
 from torchid.gap.noise.spectrum import bandwidth, white_level
+from torchid.gap.record import NoiseFloor
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.typing import Bool, Float, Tensor

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.gram import inverse_root
-from torchid.gap.diagnosis import Planted
+from torchid.gap.record import Planted
 from torchid.gap.search.evidence import (
     ODDS,
     Fitted,

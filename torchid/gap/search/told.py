@@ -14,7 +14,8 @@ from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.diagnosis import Finding, NotTestable, Parametric, Planted
+from torchid.gap.diagnosis import Finding
+from torchid.gap.record import Experiment, Informative, NotTestable, Parametric, Planted
 from torchid.gap.search.climb import TRIED, moves
 from torchid.gap.search.evidence import (
     ODDS,
@@ -274,7 +275,7 @@ def _notes(
     return tuple(out)
 
 
-def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) -> dict | None:
+def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) -> Experiment | None:
     """What would separate the largest ambiguity: in words, and where this log comes closest."""
     if not said.open:
         return None
@@ -305,18 +306,18 @@ def next_experiment(found: Explanation, said: Told, block: Int[Tensor, " N"]) ->
     # What to do, from the effects' own descriptions.
     advice = dict.fromkeys(KINDS[n].experiment for n in (term.name, other.name))
     both = "; and ".join(advice)
-    return {
-        "separates": [term.name, other.name],
-        "joint": joints[0] + 1 if joints else None,
-        "do": both[:1].upper() + both[1:] + ".",
-        "most_informative": {
-            "trajectory": name,
-            "from_s": start,
-            "to_s": start + float(t[instants[-1]] - t[instants[0]]),
-            "share": float(left[best]) / max(1e-12, total),
-        },
-        "seconds_of_the_same_motion": seconds if seconds < HOPELESS else None,
-    }
+    return Experiment(
+        separates=(term.name, other.name),
+        joint=joints[0] if joints else None,
+        do=both[:1].upper() + both[1:] + ".",
+        most_informative=Informative(
+            trajectory=name,
+            from_s=start,
+            to_s=start + float(t[instants[-1]] - t[instants[0]]),
+            share=float(left[best]) / max(1e-12, total),
+        ),
+        seconds_of_the_same_motion=seconds if seconds < HOPELESS else None,
+    )
 
 
 def not_testable(found: Explanation, robot: Robot, data: Data) -> list[NotTestable]:

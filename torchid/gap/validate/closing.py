@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.gap.diagnosis import Budget, Interval, NoiseFloor, Trace
+from torchid.gap.diagnosis import Trace
 from torchid.gap.noise.floor import BLOCK_SECONDS, NORMAL
+from torchid.gap.record import Budget, Interval, NoiseFloor
 from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
 

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import default_population
-from torchid.feasibility.sets import joined, to_record
+from torchid.feasibility.sets import joined, sets_record
 from torchid.files import atomic_write
-from torchid.json_data import write_json
 from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts, tables
@@ -62,7 +61,7 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     sets = {"sets.json": [s.best for s in study.scenarios], "all_sets.json": every}
     written = [save_small(d.draw(), folder / d.file) for d in figures]
     for name, parts in sets.items():
-        write_json(to_record(joined(parts), study.robot), folder / name)
+        sets_record(joined(parts), study.robot).save(folder / name)
     # The page comes last: where it is, all that it shows is there too.
     with atomic_write(folder / "study.md") as stream:
         stream.write(page(study, figures, list(sets)))

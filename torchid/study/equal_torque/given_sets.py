@@ -1,6 +1,8 @@
 """Internal wrenches of given sets against a reference: how far, where, and why they might be."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Motion
@@ -10,6 +12,7 @@ from torchid.feasibility.conditions import Conditions, conditions
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.study.equal_torque.setting import (
@@ -21,9 +24,12 @@ from torchid.typing import Float, Tensor
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, alike, wrench_errors
 
+if TYPE_CHECKING:
+    from torchid.study.equal_torque.record import GivenSetsRecord
+
 
 @dataclass(frozen=True, eq=False)
-class GivenSets:
+class GivenSets(Result):
     """K sets against one reference.
 
     Attributes:
@@ -46,6 +52,16 @@ class GivenSets:
     torque_relative: Float[Tensor, "K n"]
     carried: Float[Tensor, "K n"]
     comparison: Comparison
+
+    def __repr__(self) -> str:
+        return f"GivenSets('{self.robot.name}', {len(self.sets)} sets)"
+
+    @cached_property
+    def record(self) -> "GivenSetsRecord":
+        """As the JSON has it."""
+        from torchid.study.equal_torque.record import given_record
+
+        return given_record(self)
 
 
 def compare_wrenches(

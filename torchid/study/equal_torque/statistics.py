@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchid.results.record import Real
 from torchid.wrenches.compare import LEAST_CLUSTERS, LEAST_SETS
 from torchid.wrenches.resampling import (
     NO_ESTIMATE,
@@ -81,8 +82,8 @@ class ThirdSummary:
 
     kind: str
     third: str
-    degree: tuple[float, float]
-    median: float
+    degree: tuple[Real, Real]
+    median: Real
     ratio: Estimate
     delta: Estimate
 
@@ -120,7 +121,7 @@ class Matched:
 
     kind: str
     delta: Estimate
-    share: float
+    share: Real
     unmatched: Estimate
 
 
@@ -140,7 +141,7 @@ class Across:
 
     kind: str
     sets: tuple[int, int]
-    medians: tuple[float, float]
+    medians: tuple[Real, Real]
     ratio: Estimate
     delta: Estimate
 
@@ -281,7 +282,7 @@ def _strata(by_a: Array, by_b: Array) -> tuple[Array, Array]:
     return np.searchsorted(edges, by_a), np.searchsorted(edges, by_b)
 
 
-Range = tuple[float, float, float]
+Range = tuple[Real, Real, Real]
 """Median of several numbers, and the range of 95 % of them."""
 
 

@@ -14,6 +14,8 @@ whether it matters which of the feasible sets is the true arm (`other_truths`).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -30,6 +32,7 @@ from torchid.extraction.equal_torque.sample import (
 from torchid.extraction.equal_torque.space import equal_torque_space
 from torchid.feasibility.margins import LINK_CONDITIONS, Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
+from torchid.results.record import Real, Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.study.equal_torque.force_reach import ForceReach, force_reach, force_squares
@@ -43,6 +46,7 @@ from torchid.study.equal_torque.setting import (
 from torchid.study.equal_torque.statistics import (
     FirmTruths,
     OtherTruths,
+    Range,
     Samples,
     Statistics,
     middle_range,
@@ -53,6 +57,9 @@ from torchid.typing import Float, Tensor
 from torchid.wrenches.classes import class_of, ordered_classes
 from torchid.wrenches.compare import RESAMPLES, Comparison, compare
 from torchid.wrenches.deviation import WrenchErrors, wrench_errors
+
+if TYPE_CHECKING:
+    from torchid.study.equal_torque.record import EqualTorqueRecord
 
 _OTHER_BOUNDS = (
     ("outer bounds a quarter as far", 0.25, True),
@@ -219,14 +226,14 @@ class Variant:
     """
 
     name: str
-    medians: dict[str, float]
-    deltas: dict[str, tuple[float, float, float]]
-    rho: tuple[float, float, float]
+    medians: dict[str, Real]
+    deltas: dict[str, Range]
+    rho: Range
     reach: tuple[ForceReach, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class EqualTorqueStudy(Drawn):
+class EqualTorqueStudy(Drawn, Result):
     """What was found of a family. All errors of forces are against `setting.reference`.
 
     Attributes:
@@ -262,6 +269,17 @@ class EqualTorqueStudy(Drawn):
     variants: tuple[Variant, ...]
     seed: int
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        name = self.setting.robot.name
+        return f"EqualTorqueStudy('{name}', {len(self.z)} sets of {len(self.kinds)} kinds)"
+
+    @cached_property
+    def record(self) -> "EqualTorqueRecord":
+        """As the JSON has it."""
+        from torchid.study.equal_torque.record import study_record
+
+        return study_record(self)
 
 
 def equal_torque_study(

@@ -1,0 +1,130 @@
+"""Sets of any method, judged: loss, penalty, torque and feasibility."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from torchid.extraction.convex.certificate import Certificate
+from torchid.extraction.extract import Extraction
+from torchid.extraction.penalty import gamma
+from torchid.extraction.problem import Problem, torque_error
+from torchid.extraction.record import (
+    ExtractedSet,
+    ExtractionRecord,
+    SearchRecord,
+    certificate_record,
+    problem_fields,
+)
+from torchid.feasibility.margins import Feasibility, feasibility
+from torchid.feasibility.sets import ParameterSets, sets_record
+from torchid.results.record import Result
+from torchid.typing import Float, Tensor
+
+_ON_A_BOUND = 1e-4
+"""Share of a bound's span within which a parameter counts as lying on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found(Result):
+    """Sets of any method, judged.
+
+    Attributes:
+        problem: what was asked for.
+        method: cma-es, log-cholesky or sdp.
+        sets: K of them.
+        phi, gamma: (K,) loss and penalty.
+        torque: (K, n) difference from the asked-for torque, relative (see `torque_error`).
+        verdict: feasibility.
+        search: the course of a population search, or None.
+        seconds: it took.
+        proof: the least loss of any feasible set, where it was asked for.
+        warnings: sentences for the user.
+    """
+
+    problem: Problem
+    method: str
+    sets: ParameterSets
+    phi: Float[Tensor, " K"]
+    gamma: Float[Tensor, " K"]
+    torque: Float[Tensor, "K n"]
+    verdict: Feasibility
+    search: Extraction | None
+    seconds: float
+    proof: Certificate | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        feasible = int(self.verdict.feasible.sum())
+        return (
+            f"Found('{self.problem.robot.name}', {len(self.sets)} sets by {self.method}, "
+            f"{feasible} feasible)"
+        )
+
+    @cached_property
+    def record(self) -> ExtractionRecord:
+        """As the JSON has it."""
+        entries = sets_record(self.sets, self.problem.robot).sets
+        return ExtractionRecord(
+            **problem_fields(self.problem),
+            method=self.method,
+            search=None
+            if self.search is None
+            else SearchRecord.of(self.search.settings, self.search),
+            certificate=certificate_record(self.proof),
+            best=self.sets.ids[self.best],
+            sets=tuple(
+                ExtractedSet.of(
+                    entry,
+                    phi=self.phi[k],
+                    gamma=self.gamma[k],
+                    feasible=self.verdict.feasible[k],
+                    reasons=self.verdict.reasons(k),
+                    degree=self.verdict.degree[k],
+                    torque_error_percent=100 * self.torque[k],
+                )
+                for k, entry in enumerate(entries)
+            ),
+            at_bounds=tuple(at_bounds(self)),
+            seconds=self.seconds,
+            warnings=self.warnings,
+        )
+
+    @property
+    def best(self) -> int:
+        """The set with the lowest final loss."""
+        if self.search is not None:
+            return self.search.best
+        return int(self.phi.nan_to_num(torch.inf).argmin())
+
+
+def judged(
+    problem: Problem, sets: ParameterSets
+) -> tuple[ParameterSets, Tensor, Tensor, Tensor, Feasibility]:
+    """Sets with loss, penalty, torque and feasibility."""
+    return (
+        sets,
+        problem.residual_of_vector(sets.vector).square().sum(-1),
+        gamma(problem, problem.search_vector(sets)),
+        torque_error(problem, sets),
+        feasibility(sets, problem.conditions),
+    )
+
+
+def at_bounds(found: Found) -> list[str]:
+    """Parameters of the best set that lie on their bounds, e.g. m3 (upper)."""
+    problem = found.problem
+    n = problem.n
+    names = [f"m{i + 1}" for i in range(n)]
+    names += [f"c{i + 1}{axis}" for i in range(n) for axis in "xyz"]
+    names += [f"I{i + 1}{e}" for i in range(n) for e in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    names += found.sets.coefficient_names()
+    own = problem.search_vector(found.sets)[found.best]
+    low, high = problem.box.unbind(-1)
+    near = _ON_A_BOUND * (high - low)
+    lower, upper = (own - low < near).tolist(), (high - own < near).tolist()
+    return [
+        f"{name} ({'lower' if below else 'upper'})"
+        for name, below, above in zip(names, lower, upper, strict=True)
+        if below or above
+    ]

@@ -1,0 +1,124 @@
+"""The next motion for a result: what it leaves in doubt, settled by driving."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from torchid.errors import TorchidError
+from torchid.excitation.clearance import Clearance
+from torchid.excitation.design import optimise_trajectory
+from torchid.excitation.fourier import HARMONICS
+from torchid.excitation.informed import Goal, InformedDesign, design_for
+from torchid.excitation.torque import corrected_torque_limits
+from torchid.gap.diagnosis import Diagnosis
+from torchid.gap.record import GapRecord
+from torchid.identification.record import IdentificationRecord
+from torchid.identification.result import Identification
+from torchid.identification.values import prior_of
+from torchid.next_motion.ambiguity import open_questions
+from torchid.next_motion.rivals import rivals
+from torchid.next_motion.separating_motion import Separation, design_separation
+from torchid.results.files import read
+from torchid.robot.model import Robot
+
+EVALUATIONS = 75
+"""Trajectories that the search for a separating motion tries a restart."""
+
+Progress = Callable[[str, int, int], None]
+Asking = GapRecord | IdentificationRecord
+
+
+def read_asking(path: str | Path) -> Asking:
+    """A result that a motion can be designed for.
+
+    Raises:
+        TorchidError: another kind of file, or a fault in it, with its place.
+    """
+    found = read(
+        path,
+        ("torchid.identification/1", "torchid.gap/1"),
+        "a result that a motion can be designed for",
+        "torchid identify or torchid gap ROBOT LOG... --json FILE",
+    )
+    assert isinstance(found, Asking)
+    return found
+
+
+def excite_for(
+    result: str | Path | Diagnosis | Identification | Asking,
+    robot: Robot | None = None,
+    *,
+    goal: Goal | None = None,
+    duration: float = 20.0,
+    harmonics: int = HARMONICS,
+    restarts: int = 8,
+    usage: float = 0.7,
+    seed: int = 0,
+    clearance: Clearance | None = None,
+    progress: Progress | None = None,
+) -> InformedDesign | Separation:
+    """The motion that settles most of what a result leaves in doubt.
+
+    Args:
+        result: an identification, whose least known parameters it fixes, or a diagnosis: what that
+            cannot tell apart it separates, or else it shows what the log could not have shown. Or
+            the file of one.
+        robot: with the limits to keep; the one that the result records if None.
+        goal: of an identification, `a_optimal` for the least known parameters (default) or
+            `d_optimal` for all.
+        duration: [s].
+        harmonics: of the Fourier series.
+        restarts: of the design, and what the search for a separation tries goes with them.
+        usage: share of the limits that may be used.
+        seed: of the random starts.
+        clearance: distances to keep.
+        progress: called with (stage, done, total).
+
+    Returns:
+        The motion, what it does, and a plain one to compare with.
+
+    Raises:
+        RobotError: the limits are incomplete, or no motion keeps them.
+        TorchidError: a result of another robot, or one that leaves nothing to a motion.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.Settings(effects=(), cutoff=10.0)
+    >>> found = torchid.identify(robot, torchid.simulate(robot, motion), settings=settings)
+    >>> made = excite_for(found, duration=6.0, restarts=1)  # the same as found.next_motion(...)
+    >>> made.shrinks(made.after) < 1  # standard deviations, to what they were
+    True
+    """
+    source = str(result) if isinstance(result, str | Path) else "the result"
+    if isinstance(result, str | Path):
+        result = read_asking(result)
+    record = result.record
+    assert isinstance(record, Asking)
+    robot = robot or record.model
+    if robot is None:
+        raise TorchidError(f"'{source}' does not record its robot: `robot=...`.")
+
+    def told(stage: str) -> Callable[[int, int], None] | None:
+        return None if progress is None else lambda done, total: progress(stage, done, total)
+
+    if isinstance(record, IdentificationRecord):
+        prior = prior_of(record, robot, source)
+        return design_for(
+            robot, prior, seed=seed, goal=goal or "a_optimal", restarts=restarts, usage=usage,
+            harmonics=harmonics, duration=duration, clearance=clearance,
+            progress=told("designing"),
+        )  # fmt: skip
+    if goal is not None:
+        raise TorchidError("for a gap diagnosis motions are designed to separate.", got=goal)
+    found = open_questions(record, robot, source)
+    limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
+    plain = optimise_trajectory(
+        robot, seed=seed, restarts=restarts, torque=limits, usage=usage, harmonics=harmonics,
+        duration=duration, clearance=clearance, progress=told("a plain motion to compare with"),
+    ).trajectory  # fmt: skip
+    made = design_separation(
+        found.setting, rivals(found, plain), plain, seed=seed, usage=usage, clearance=clearance,
+        evaluations=EVALUATIONS * restarts, progress=told("separating"),
+    )  # fmt: skip
+    return replace(made, kind=found.kind, notes=found.notes)

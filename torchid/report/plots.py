@@ -1,0 +1,206 @@
+"""The figure of a result by its kind: what `Result.plot` draws."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+
+from torchid.compare.diagnoses import GapComparison
+from torchid.compare.identifications import Comparison
+from torchid.compare.sets import SetComparison
+from torchid.doctor.examine import Examination
+from torchid.errors import TorchidError
+from torchid.extraction.convex.atlas import Atlas
+from torchid.extraction.extract import Extraction
+from torchid.extraction.found import Found
+from torchid.extraction.record import AtlasRecord
+from torchid.gap.diagnosis import Diagnosis, HowFar
+from torchid.gap.record import GapRecord
+from torchid.gap.settings import GapSettings
+from torchid.identification.record import IdentificationRecord
+from torchid.identification.result import Identification
+from torchid.report import compare_figures as compare
+from torchid.report import gap_figures as gap
+from torchid.report import identification, log, withheld_figures
+from torchid.report.extraction import atlas_figure, search_figure
+from torchid.report.panels import Figure
+from torchid.report.study.page import drawings
+from torchid.report.table import joint_unit
+from torchid.report.wrenches import figures as wrenches
+from torchid.report.wrenches import given_sets
+from torchid.results.record import Result
+from torchid.study.equal_torque.given_sets import GivenSets
+from torchid.study.equal_torque.study import EqualTorqueStudy
+from torchid.study.result import Study
+from torchid.withheld.score_record import ScoreRecord
+
+Kinds = dict[str, Callable[..., Figure | None]]
+
+
+def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
+    """A figure of a result, as the commands and their pages draw it.
+
+    Args:
+        result: in memory, or read back: that has no torque over time.
+        kind: which figure; the first of its kinds if None.
+        which: what else it asks for: `joint` (from 0) of a gap's `gap` and `torque`, `trajectory`
+            (from 0) of an identification's `torque`.
+
+    Returns:
+        A matplotlib Figure, which needs no display.
+
+    Raises:
+        TorchidError: there is no such figure of this result, with those that there are.
+
+    >>> import torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.Settings(effects=(), cutoff=10.0)
+    >>> found = torchid.identify(robot, torchid.simulate(robot, motion), settings=settings)
+    >>> len(draw(found, "parameters").axes)  # the same as found.plot("parameters")
+    1
+    """
+    drawn = kinds(result)
+    name = next(iter(drawn), None) if kind is None else kind
+    if name not in drawn:
+        raise TorchidError(
+            f"there is no such figure of {type(result).__name__}.",
+            got=kind,
+            available=list(drawn),
+            hint=None if drawn else "its table: to_frame()",
+        )
+    try:
+        figure = drawn[name](**which)
+    except TypeError as error:
+        if not which:
+            raise
+        raise TorchidError(f"the figure '{name}' takes no {', '.join(which)}.") from error
+    if figure is None:
+        raise TorchidError(f"there is nothing to show in '{name}'.")
+    return figure
+
+
+def kinds(result: Result) -> Kinds:
+    """What can be drawn of a result, by name."""
+    match result:
+        case Diagnosis():
+            return _gap(result)
+        case GapRecord():
+            return _gap(_diagnosis(result))
+        case Identification():
+            return _identification(result)
+        case IdentificationRecord():
+            return {"parameters": partial(identification.parameter_figure, result)}
+        case Atlas():
+            return kinds(result.record)
+        case AtlasRecord():
+            return {"ranges": partial(atlas_figure, result)}
+        case Extraction():
+            return {"search": partial(search_figure, result, None)}
+        case Found():
+            if result.search is None:
+                return {}
+            return {"search": partial(search_figure, result.search, result.proof)}
+        case Examination():
+            return {"torque": partial(log.torque_figure, result)}
+        case EqualTorqueStudy():
+            return {
+                "force_by_degree": partial(wrenches.degree_figure, result),
+                "force_by_kind": partial(wrenches.kind_figure, result),
+                "force_by_mass": partial(wrenches.mass_figure, result),
+                "force_over_time": partial(wrenches.time_figure, result),
+            }
+        case GivenSets():
+            return {
+                "force_errors": partial(given_sets.error_figure, result),
+                "force_by_degree": partial(given_sets.degree_figure, result),
+            }
+        case Study():
+            return {picture.name: picture.draw for picture in drawings(result)}
+        case Comparison() | GapComparison() | SetComparison():
+            return _comparison(result)
+        case ScoreRecord():
+            drawn = withheld_figures.figures(result.plain())
+            return {name: partial(lambda figure: figure, figure) for name, figure in drawn.items()}
+    return {}
+
+
+def _gap(found: Diagnosis) -> Kinds:
+    drawn: Kinds = {
+        "where": partial(gap.map_figure, found),
+        "how_far": partial(gap.bar_figure, found),
+        "budget": partial(gap.budget_figure, found),
+    }
+    if found.traces:
+        worst = gap.worst_joints(found)[0]
+        drawn["gap"] = lambda joint=worst: gap.joint_figure(found, joint)
+        drawn["torque"] = lambda joint=worst: gap.torque_figure(found, joint)
+    if any(f.planted for f in found.findings):
+        drawn["planted"] = partial(gap.planted_figure, found)
+    return drawn
+
+
+def _diagnosis(record: GapRecord) -> Diagnosis:
+    """What of a diagnosis its file holds: no torque over time.
+
+    Raises:
+        TorchidError: the file does not record its models.
+    """
+    if record.model is None or record.corrected is None:
+        raise TorchidError("the diagnosis does not record its models.")
+    rms = [[(j.before, j.after) for j in record.how_far.per_joint]]
+    before, after = torch.tensor(rms, dtype=torch.float64)[0].T
+    return Diagnosis(
+        robot=record.model,
+        corrected=record.corrected,
+        status=record.status,
+        joints=record.where.joints,
+        regimes=record.where.regimes,
+        findings=(),
+        parametric=record.parametric,
+        how_far=HowFar(before, after, record.how_far.closed, record.how_far.closed_ci95),
+        budget=record.budget,
+        floor=record.noise_floor,
+        not_testable=record.not_testable,
+        next_experiment=record.next_experiment,
+        traces=(),
+        band=record.band_hz,
+        cutoff=record.cutoff_hz,
+        settings=GapSettings(),
+        refitted=record.settings.free,
+        warnings=record.warnings,
+    )
+
+
+def _identification(result: Identification) -> Kinds:
+    runs = (*result.held_out_predictions, *result.fit_predictions)
+    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
+
+    def torque(trajectory: int = 0) -> Figure:
+        if not 0 <= trajectory < len(runs):
+            raise TorchidError(
+                "there is no such trajectory.", got=trajectory, expected=f"0..{len(runs) - 1}"
+            )
+        shown = runs[trajectory]
+        held_out = trajectory < len(result.held_out_predictions)
+        title = f"{shown.name} ({'held-out' if held_out else 'fitted'} data)"
+        return identification.torque_figure(shown, units, title, result.settings.rows)
+
+    return {
+        "parameters": partial(identification.parameter_figure, result.record),
+        "torque": torque,
+    }
+
+
+def _comparison(result: Comparison | GapComparison | SetComparison) -> Kinds:
+    drawn: Kinds = {}
+    if isinstance(result, Comparison) and result.having(*compare.ORDER[:4]):
+        drawn["parameters"] = partial(compare.forest_figure, result)
+    if isinstance(result, SetComparison):
+        for name, ranges in (("parameters", result.physical), ("base_parameters", result.base)):
+            drawn[name] = partial(compare.range_figure, ranges, result.labels, result.robot)
+    if result.torque is not None:
+        spread = result.torque
+        drawn["torque"] = partial(compare.torque_figure, spread, result.labels, result.robot)
+    return drawn

@@ -1,0 +1,138 @@
+"""Results read back from their files, whatever their kind."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from torchid.errors import TorchidError
+from torchid.results.record import Record, decode
+
+_R = TypeVar("_R", bound=Record)
+
+RECORDS = {
+    "torchid.identification/1": "torchid.identification.record:IdentificationRecord",
+    "torchid.parameter_sets/1": "torchid.feasibility.sets:SetsRecord",
+    "torchid.extraction/1": "torchid.extraction.record:ExtractionRecord",
+    "torchid.atlas/1": "torchid.extraction.record:AtlasRecord",
+    "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
+    "torchid.wrenches/1 equal_torque": "torchid.study.equal_torque.record:EqualTorqueRecord",
+    "torchid.wrenches/1 sets": "torchid.study.equal_torque.record:GivenSetsRecord",
+    "torchid.payload/1": "torchid.identification.payload:PayloadRecord",
+    "torchid.gap/1": "torchid.gap.record:GapRecord",
+    "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
+    "torchid.compare/1 identifications": "torchid.compare.record:ComparisonRecord",
+    "torchid.compare/1 gap diagnoses": "torchid.compare.record:GapComparisonRecord",
+    "torchid.compare/1 parameter sets": "torchid.compare.record:SetComparisonRecord",
+    "torchid.study/1": "torchid.study.record:StudyRecord",
+    "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
+    "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",
+}
+"""Where the record of each schema stands; of several of one schema, with what tells them apart."""
+
+
+class _Head(msgspec.Struct):
+    """What says of which kind a file is."""
+
+    schema: str
+    mode: str | None = None
+    compared: str | None = None
+
+    @property
+    def kind(self) -> str:
+        return " ".join(filter(None, (self.schema, self.mode, self.compared)))
+
+
+def load(path: str | Path) -> Record:
+    """A result that a command or `save` has written.
+
+    Args:
+        path: a JSON file, e.g. gap.json.
+
+    Returns:
+        Its record: what the file holds, by the names of its keys; joints count from 0 in it.
+
+    Raises:
+        TorchidError: no such file, no result, or a fault in it, with its place.
+
+    >>> import torchid
+    >>> from tempfile import TemporaryDirectory
+    >>> found = torchid.check(torchid.load_robot("3r"))
+    >>> with TemporaryDirectory() as folder:
+    ...     found.save(Path(folder) / "check.json")
+    ...     load(Path(folder) / "check.json").sets[0].feasible
+    True
+    """
+    return read(path, tuple(RECORDS))
+
+
+def read(
+    path: str | Path, kinds: Sequence[str], what: str = "a result", hint: str | None = None
+) -> Record:
+    """A result of one of several kinds.
+
+    Args:
+        path: of the file.
+        kinds: keys of `RECORDS`.
+        what: it should be, for the errors.
+        hint: how such a file is made.
+
+    Raises:
+        TorchidError: no such file, none of these kinds, or a fault in it, with its place.
+    """
+    path = Path(path)
+    content = contents(path, what, hint)
+    kind = parsed(content, _Head, path, what, hint).kind
+    if kind not in kinds:
+        schemas = dict.fromkeys(name.partition(" ")[0] for name in kinds)
+        other = any(s.partition("/")[0] == kind.partition("/")[0] for s in schemas)
+        raise TorchidError(
+            f"'{path}' is not {what}.",
+            got=f"schema {kind}{', of another version' if other else ''}",
+            available=list(schemas),
+            hint=hint,
+        )
+    module, _, name = RECORDS[kind].partition(":")
+    record: type[Record] = getattr(import_module(module), name)
+    return parsed(content, record, path, what, hint)
+
+
+def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = None) -> _R:
+    """A result of one kind of record; see `read`."""
+    found = read(path, [str(record.__struct_config__.tag)], what, hint)
+    assert isinstance(found, record)
+    return found
+
+
+def contents(path: Path, what: str, hint: str | None = None) -> bytes:
+    """What a file holds.
+
+    Raises:
+        TorchidError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise TorchidError(
+            f"'{path}' cannot be read: {error.strerror or error}.", expected=what, hint=hint
+        ) from error
+
+
+def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | None = None) -> Any:
+    """The content of a file as a record.
+
+    Raises:
+        TorchidError: no JSON, or a fault in it, with its place.
+    """
+    try:
+        return decode(content, kind, str(path))
+    except msgspec.ValidationError as error:
+        raise TorchidError(
+            f"'{path}' is not {what} as torchid writes it.", got=str(error), hint=hint
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise TorchidError(
+            f"'{path}' is not JSON.", got=str(error), expected=what, hint=hint
+        ) from error
