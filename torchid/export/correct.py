@@ -350,7 +350,9 @@ def _forward(
             apart = (positions[use, step] - windows.q[use, step]).abs()
             lost = torch.where(apart < DIVERGED, apart, DIVERGED)
             error = lost.square().mean(0).sqrt()
-        nominal, after = row.rms_before.double(), row.rms_after.double()
+        nominal, after = (
+            None if x is None else x.double() for x in (row.rms_before, row.rms_after)
+        )
         out.append(Forward(row.horizon_s, int(use.sum()), nominal, after, error))
     return tuple(out)
 
