@@ -30,10 +30,10 @@ def check_command(
     shapes: Switch = False,
     total_mass: Annotated[str | None, typer.Option(metavar="LO,HI|none")] = None,
     bounds: opt.Bounds = None,
-    nearest: opt.File = None,
+    nearest: opt.Written = None,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Check whether parameters can belong to a real arm: by how much, and why not.
 
@@ -53,9 +53,6 @@ def check_command(
         bounds: Also tell which parameters lie on these bounds.
         nearest: Write the feasible set nearest in torque to each infeasible one.
     """
-    output = results.open()
-    if nearest is not None and not nearest.parent.is_dir():
-        raise TorchidError(f"the folder of '{nearest}' does not exist.")
     from rich.markup import escape
 
     from torchid.feasibility.bounds import read_total_mass
@@ -75,7 +72,7 @@ def check_command(
     if total_mass is None:
         total = read_total_mass(found)
     elif total_mass != "none":
-        total = opt.interval("--total-mass", total_mass)
+        total = opt.total_mass(total_mass)
     check = check_sets(
         found,
         sets,
@@ -88,7 +85,13 @@ def check_command(
     )
     data = {**record(check), "seed": seed}
     data["warnings"] = [*noticed, *data["warnings"]]
-    repaired = None if nearest is None else _nearest(check, others, nearest, data, seed)
+    repaired = None
+    if nearest is not None:
+        with output.progress("the nearest feasible sets"):
+            repaired = _nearest(check, others, nearest, data, seed)
+    if repaired is not None and nearest is not None and bool(repaired.feasible.any()):
+        output.written.append(nearest)
+    output.write_json(data, "feasibility.json")
     output.verdict(headline(check))
     output.say(escape(conditions_line(check)), *tables(check))
     if repaired is not None:
@@ -100,8 +103,7 @@ def check_command(
         output.say("\nnot plausible, though not forbidden:")
         output.warn(findings)
     if repaired is None and nearest is not None:
-        output.say(f"all sets are feasible: {nearest} was not written")
-    output.write_json(data, "feasibility.json")
+        output.say(f"all sets are feasible: {escape(str(nearest))} was not written")
 
 
 def _read(

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from torchid.app import options as opt
-from torchid.app.output import Output, Results, progress_bar, stage
+from torchid.app.output import Output, stage
 from torchid.app.signature import Fields, command
 
 
@@ -12,7 +12,7 @@ from torchid.app.signature import Fields, command
 def demo_command(
     *,
     seed: opt.Seed = 0,
-    results: Annotated[Results, Fields("json_file", "quiet", "threads", out=Path("demo"))],
+    output: Annotated[Output, Fields("json_file", "quiet", "threads", out=Path("demo"))],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Identify the report's 3R and KUKA LWR IV+ from synthetic logs, and compare with the truth.
@@ -22,14 +22,13 @@ def demo_command(
     Args:
         out: Folder for results.
     """
-    output = results.open()
-    report = _paper(output)
-    kuka = _kuka(output, seed, opt.device(device_name))
+    report, report_told = _paper()
+    kuka, kuka_told = _kuka(output, seed, opt.device(device_name))
     output.write_json({"schema": "torchid.demo/1", "paper_3r": report, "kuka": kuka}, "demo.json")
-    output.say(f"\nfigures and JSON are in {results.out}")
+    output.say(*report_told, *kuka_told)
 
 
-def _paper(output: Output) -> dict[str, Any]:
+def _paper() -> tuple[dict[str, Any], list[Any]]:
     """The report's 3R: table 5.1's trajectories, 30 dB noise on them, table A.1."""
     from torchid.excitation.synthetic import PaperNoise, synthetic_log
     from torchid.excitation.trajectories import paper_trajectories_3r, trajectory_log
@@ -44,24 +43,24 @@ def _paper(output: Output) -> dict[str, Any]:
     result = identify(robot, log, settings=Settings(effects=(), cutoff=None, method="ols"))
     truth = nominal_values(robot, result.base)
     found = list(zip(result.base.names, result.values.tolist(), truth.tolist(), strict=True))
-    output.say(
-        Table(
-            "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the torque "
-            "is\ncomputed from it, so least squares recovers the parameters to rounding",
-            ("base parameter", "identified", "true", "error"),
-            [(name, f"{v:.6g}", f"{true:.6g}", f"{v - true:.0e}") for name, v, true in found],
-            words=("base parameter",),
-        )
+    table = Table(
+        "The report's 3R (table A.1). Its noise of 30 dB is on the trajectory, and the torque "
+        "is\ncomputed from it, so least squares recovers the parameters to rounding",
+        ("base parameter", "identified", "true", "error"),
+        [(name, f"{v:.6g}", f"{true:.6g}", f"{v - true:.0e}") for name, v, true in found],
+        words=("base parameter",),
     )
-    return {
+    record = {
         "parameters": [{"name": name, "value": v, "true": true} for name, v, true in found],
         "largest_error": float((result.values - truth).abs().max()),
     }
+    return record, [table]
 
 
-def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
+def _kuka(output: Output, seed: int, device: str) -> tuple[dict[str, Any], list[Any]]:
     """The KUKA with friction: a designed trajectory, honest noise, validation on new motion."""
     import torch
+    from rich.markup import escape
 
     from torchid.effects.registry import on_every_joint
     from torchid.excitation.design import optimise_trajectory
@@ -83,7 +82,7 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
 
     robot = load_robot("kuka_lwr4_friction")
     names = ("viscous_friction", "coulomb_friction", "torque_offset")
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         design = optimise_trajectory(
             robot,
             on_every_joint(names, robot.n),
@@ -103,18 +102,17 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
     truth = nominal_values(robot, result.base)
     interval = result.interval()
     inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
-    output.say(
+    told = [
         f"KUKA LWR IV+ with friction: designed trajectory, condition number "
         f"{design.start_condition:.0f} -> {design.condition_after:.0f}; encoder of 18 bits, torque "
-        "noise of 1 %\n"
-    )
-    output.say(*effect_tables(result), error_table(result))
-    output.warn(result.warnings)
-    output.say(f"\n{headline(result)}")
-    output.say(
+        "noise of 1 %\n",
+        *effect_tables(result),
+        error_table(result),
+        *(f"! {escape(warning)}" for warning in result.warnings),
+        f"\n{headline(result)}",
         f"{int(inside.sum())} of {len(inside)} true values lie inside their 95 % intervals "
-        "(the report's own f_v6 is negative, so signs are left free here)."
-    )
+        "(the report's own f_v6 is negative, so signs are left free here).",
+    ]
     shown = result.held_out_predictions[0]
     title = "torque on a motion never used for the fit"
     output.draw(
@@ -124,9 +122,10 @@ def _kuka(output: Output, seed: int, device: str) -> dict[str, Any]:
             "parameters": truth_figure(result, truth),
         }
     )
-    return {
+    data = {
         **record(result),
         "true": truth.tolist(),
         "inside_95": int(torch.count_nonzero(inside)),
         "condition_number_of_motion": [design.start_condition, design.condition_after],
     }
+    return data, told

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.output import Computed, Output, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
@@ -21,11 +21,20 @@ if TYPE_CHECKING:
     from torchid.excitation.trajectories import Sinusoid
     from torchid.robot.model import Robot
 
-    Designed = tuple[Sequence[FourierTrajectory | Sinusoid], dict[str, Any], TorqueLimits | None]
-    """Motions, their record and the torque limits that were kept."""
-
 EVALUATIONS = 75
 """Trajectories that the search for a separating motion tries a restart."""
+
+
+@dataclass(frozen=True)
+class Designed:
+    """Motions, their record, the torque limits that were kept, and what there is to say."""
+
+    made: "Sequence[FourierTrajectory | Sinusoid]"
+    record: dict[str, Any]
+    torque: "TorqueLimits | None"
+    told: Sequence[Any] = ()
+    warnings: Sequence[str] = ()
+    verdict: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,12 +115,12 @@ def excite_command(
     robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]")] = None,
     motion: Motion,
     room: Room,
-    to: opt.File = None,
+    to: opt.Written = None,
     files: Controllers,
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
     tip: opt.Tip = None,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -130,7 +139,6 @@ def excite_command(
         to: Trajectory file (.csv, .parquet, .npz).
         max_velocity: Velocity limits, in place of the robot's.
     """
-    output = results.open()
     from torchid.excitation.fourier import FourierTrajectory
     from torchid.excitation.restriction import restricted
     from torchid.excitation.trajectories import trajectory_log
@@ -145,16 +153,15 @@ def excite_command(
         torque_record,
         torque_table,
     )
-    from torchid.robot.library import load_robot
     from torchid.robot.record import recorded_robot
 
-    target = to or (output.folder and output.folder / "trajectory.csv")
+    target = to or (output.out and output.out / "trajectory.csv")
     if not (target or output.json_file or files.ros2 or files.urscript):
         raise TorchidError(
             "nowhere to write the trajectory.",
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
-    found = None if robot is None else load_robot(robot, tip=tip)
+    found = None if robot is None else opt.load(robot, tip)
     data = None if motion.result is None else _read_result(motion.result)
     if data is not None:
         found = found or recorded_robot(data, str(motion.result))
@@ -170,11 +177,12 @@ def excite_command(
     kind: str = motion.kind
     if data is not None:
         kind = "next"
-        made, record, torque = _next(arm, motion, clearance, data, output)
+        designed = _next(arm, motion, clearance, data, output)
     elif kind == "optimised":
-        made, record, torque = _optimised(arm, motion, clearance, output)
+        designed = _optimised(arm, motion, clearance, output)
     else:
-        made, record, torque = _given(arm, motion, clearance)
+        designed = _given(arm, motion, clearance)
+    made, record, torque = designed.made, designed.record, designed.torque
     if motion.speed != 1:
         made = [x.at_speed(motion.speed) for x in made]
         # Gravity needs its torque at any speed, and the designed motion may have helped it.
@@ -185,32 +193,13 @@ def excite_command(
 
     # What the motions ask of the drives, or that it is not known, and how near they come.
     use = None if torque is None else torque.use(made)
-    if use is not None:
-        output.say(torque_table(arm, use))
-        output.warn(frictionless(use))
-    elif reason := not_checked(arm):
-        output.warn((reason,))
     nearest = None if clearance is None else clearance.nearest(made)
-    if clearance is not None and nearest is not None:
-        output.say(nearest_words(clearance, nearest), *clearance.notes)
-    output.warn(unknown)
-
     logs = [trajectory_log(x, motion.rate) for x in made]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
-    output.warn(log.warnings)
-    written = []
     if target is not None:
         write_log(log, target)
-        written.append(target)
-    written += files.write(arm, made, motion.rate)
-    title = f"{arm.name}: {kind} trajectory"
-    drawn = output.draw(
-        lambda: {
-            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
-            for k, part in enumerate(log.trajectories(), start=1)
-        }
-    )
-    written += [output.folder / name for name in drawn if output.folder is not None]
+        output.written.append(target)
+    output.written.extend(files.write(arm, made, motion.rate))
     output.write_json(
         {
             "schema": "torchid.excitation/1",
@@ -225,8 +214,26 @@ def excite_command(
         },
         "excitation.json",
     )
-    if written:
-        output.say("written: " + ", ".join(str(path) for path in written))
+    title = f"{arm.name}: {kind} trajectory"
+    output.draw(
+        lambda: {
+            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
+            for k, part in enumerate(log.trajectories(), start=1)
+        }
+    )
+
+    if designed.verdict is not None:
+        output.verdict(designed.verdict)
+    output.say(*designed.told)
+    output.warn(designed.warnings)
+    if use is not None:
+        output.say(torque_table(arm, use))
+        output.warn(frictionless(use))
+    elif reason := not_checked(arm):
+        output.warn((reason,))
+    if clearance is not None and nearest is not None:
+        output.say(nearest_words(clearance, nearest), *clearance.notes)
+    output.warn((*unknown, *log.warnings))
 
 
 def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]:
@@ -234,7 +241,7 @@ def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]
     return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> "Designed":
+def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> Designed:
     from torchid.excitation.restriction import restricted
     from torchid.excitation.torque import nominal_torque_limits
     from torchid.excitation.trajectories import (
@@ -256,7 +263,7 @@ def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> "De
                 "the motions of table 5.1 leave the room there is; they are not changed.",
                 available=["--kind optimised", "--kind random", "--kind sinusoid"],
             )
-        return [printed.select(k) for k in range(3)], {}, torque
+        return Designed([printed.select(k) for k in range(3)], {}, torque)
     made: Sequence[FourierTrajectory | Sinusoid]
     if motion.kind == "sinusoid":
         length, usage = motion.duration, motion.usage
@@ -264,12 +271,12 @@ def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> "De
     else:
         made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
     kept = restricted(torque, clearance)
-    return made if kept is None else [kept.within(x) for x in made], {}, torque
+    return Designed(made if kept is None else [kept.within(x) for x in made], {}, torque)
 
 
 def _optimised(
     robot: "Robot", motion: Motion, clearance: "Clearance | None", output: Output
-) -> "Designed":
+) -> Designed:
     from torchid.excitation.design import excite
     from torchid.report.motion import HARDLY_BETTER
 
@@ -282,17 +289,16 @@ def _optimised(
         "clearance": clearance,
     }
     found = []
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         for k in range(motion.count):
             told = stage(progress, f"trajectory {k + 1} of {motion.count}")
             found.append(excite(robot, seed=motion.seed + k, progress=told, **settings))
-    for k, design in enumerate(found, start=1):
-        output.say(
-            f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
-            f"-> {design.condition_after:.0f}"
-        )
-    if any(design.hardly for design in found):
-        output.warn((HARDLY_BETTER,))
+    said = [
+        f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
+        f"-> {design.condition_after:.0f}"
+        for k, design in enumerate(found, start=1)
+    ]
+    hardly = (HARDLY_BETTER,) if any(design.hardly for design in found) else ()
     record = {
         "criterion": settings["criterion"],
         "basis": found[0].base.basis,
@@ -300,7 +306,7 @@ def _optimised(
         "condition_number_after": [f.condition_after for f in found],
         "hardly_better": [f.hardly for f in found],
     }
-    return [f.trajectory for f in found], record, found[0].torque
+    return Designed([f.trajectory for f in found], record, found[0].torque, said, hardly)
 
 
 def _read_result(path: Path) -> Mapping[str, Any]:
@@ -333,7 +339,7 @@ def _next(
     clearance: "Clearance | None",
     data: Mapping[str, Any],
     output: Output,
-) -> "Designed":
+) -> Designed:
     """The motion for a result, by its kind.
 
     Raises:
@@ -360,15 +366,14 @@ def _next(
                 available=["a_optimal", "d_optimal"],
             )
         prior = read_prior(motion.result, robot)
-        with progress_bar(output) as progress:
+        with output.progress() as progress:
             best = design_for(
                 robot, prior, seed=seed, goal=goal, restarts=restarts, **motion.series,
                 clearance=clearance, progress=stage(progress, "designing"),
             )  # fmt: skip
-        output.verdict(words.informed_verdict(best))
-        output.say(words.informed_table(best))
+        verdict, table = words.informed_verdict(best), words.informed_table(best)
         trajectory, torque, record = best.trajectory, best.torque, words.informed_record(best)
-        hardly = best.hardly
+        hardly, notes = best.hardly, list[str]()
     else:
         if motion.criterion is not None:
             raise TorchidError(
@@ -376,7 +381,7 @@ def _next(
             )
         found = read_open(motion.result, data, robot)
         limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
-        with progress_bar(output) as progress:
+        with output.progress() as progress:
             ordinary = optimise_trajectory(
                 robot, seed=seed, restarts=restarts, torque=limits, **motion.series,
                 clearance=clearance, progress=stage(progress, "a plain motion to compare with"),
@@ -386,12 +391,11 @@ def _next(
                 clearance=clearance, evaluations=EVALUATIONS * restarts,
                 progress=stage(progress, "separating"),
             )  # fmt: skip
-        output.verdict(words.separation_verdict(made, found.kind))
-        output.say(words.separation_table(made, found.kind))
-        output.warn(found.notes)
+        verdict = words.separation_verdict(made, found.kind)
+        table = words.separation_table(made, found.kind)
+        notes = list(found.notes)
         record = {**words.separation_record(made, found.kind), "notes": list(found.notes)}
         trajectory, torque, hardly = made.trajectory, made.torque, made.hardly
-    if hardly:
-        output.warn((words.HARDLY_BETTER,))
     record |= {"result": motion.result.name, "hardly_better": hardly}
-    return [trajectory], record, torque
+    warnings = [*notes, *([words.HARDLY_BETTER] if hardly else [])]
+    return Designed([trajectory], record, torque, [table], warnings, verdict)

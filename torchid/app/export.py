@@ -22,7 +22,7 @@ def export_command(
     geometry: opt.Group = None,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -43,7 +43,6 @@ def export_command(
         force: Write infeasible parameters, too.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-    output = results.open()
     from rich.markup import escape
 
     from torchid.export.export import export_dynamics
@@ -72,7 +71,7 @@ def export_command(
     done = export_dynamics(
         dynamics,
         to,
-        output.folder or Path(),
+        output.out or Path(),
         name,
         nominal=nominal,
         original=original,
@@ -81,7 +80,7 @@ def export_command(
         seed=seed,
         keep=[Path(file) for file in (result, robot) if file is not None],
     )
+    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
     output.warn(export_warnings(done))
     output.say(f"\nwritten: {escape(export_headline(done))}")
-    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")

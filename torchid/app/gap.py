@@ -1,12 +1,9 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import replace
 from typing import Annotated, Literal
 
-import typer
-
 from torchid.app import options as opt
-from torchid.app.output import Results, progress_bar, write_report
+from torchid.app.output import Reported
 from torchid.app.signature import Fields, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -16,13 +13,13 @@ from torchid.gap.settings import GapSettings
 def gap_command(
     *,
     trials: opt.Trials,
-    effects: str = "all",
-    background: opt.Names = "none",
-    cutoff: Annotated[str, typer.Option(metavar="HZ|auto")] = "auto",
     settings: Annotated[
         GapSettings,
         Fields(
             "rollout",
+            effects=opt.Searched,
+            background=opt.Names,
+            cutoff=opt.FitCutoff,
             parameters=Literal["trusted", "free", "auto"],
             held_out_fraction=opt.HeldOutFraction,
             worthwhile=opt.LessThanOne,
@@ -32,8 +29,8 @@ def gap_command(
             seed=opt.Seed,
         ),
     ],
-    save_model: opt.File = None,
-    results: Results,
+    save_model: opt.Written = None,
+    output: Reported,
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -56,19 +53,6 @@ def gap_command(
         rollout: Simulate short motions with the model before and after.
         save_model: Write the corrected robot, with its effects, as a .yaml.
     """
-    output = results.open()
-    if save_model is not None and (save_model.is_dir() or not save_model.parent.is_dir()):
-        raise TorchidError(
-            "--save-model needs a file in a folder that exists.",
-            got=save_model,
-            expected="FILE.yaml",
-        )
-    settings = replace(
-        settings,
-        effects=opt.searched(effects),
-        background=opt.names(background),
-        cutoff=opt.auto_hz(cutoff),
-    )
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     found, log, apart, files = trials.open(output)
@@ -81,24 +65,23 @@ def gap_command(
     from torchid.report.gap_words import verdict
     from torchid.robot.writer import write_robot
 
-    with progress_bar(output, lines=True) as progress:
+    with output.progress("reading") as progress:
         result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    output.verdict(verdict(result))
-    output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
-    output.warn(result.warnings)
     output.write_json({**record(result), "seed": settings.seed}, "gap.json")
     if save_model is not None:
         write_robot(result.corrected, save_model)
-        output.say(f"corrected robot written to {save_model}")
+        output.written.append(save_model)
     # The worst joints of an earlier run may have been others.
-    output.draw(lambda: figures(result), "gap.json", old=["gap_joint_*.png"])
+    output.draw(lambda: figures(result), old=["gap_joint_*.png"])
     asked = {k: v for k, v in result.settings.items() if k not in ("seed", "only")}
     asked["effects"] = asked["effects"] or "all"
     asked |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
-    write_report(
-        output,
+    output.write_page(
         lambda origin: gap_page(result, origin),
         files=files,
         seeds={"seed": settings.seed},
         settings=asked,
     )
+    output.verdict(verdict(result))
+    output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
+    output.warn(result.warnings)

@@ -71,8 +71,8 @@ class Controllers:
             e-Series).
     """
 
-    ros2: opt.File = None
-    urscript: opt.File = None
+    ros2: opt.Written = None
+    urscript: opt.Written = None
 
     def check(self, robot: "Robot", count: int) -> None:
         """That the files can hold what is asked for.

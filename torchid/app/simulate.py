@@ -23,7 +23,7 @@ def simulate_command(
     *,
     arm: opt.Arm,
     trajectory: Annotated[Path, typer.Argument(metavar="TRAJECTORY")],
-    to: opt.File = None,
+    to: opt.Written = None,
     noise: Literal["none", "paper", "honest"] = "honest",
     snr: float = 30.0,
     torque_noise: float = 0.01,
@@ -35,7 +35,7 @@ def simulate_command(
     rate: opt.Hertz = None,
     control_frequency: Annotated[float, typer.Option(metavar="HZ")] = 5.0,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Write the log that the robot would give along a trajectory.
@@ -65,13 +65,12 @@ def simulate_command(
         rate: under control: samples per second; the trajectory's if absent.
         control_frequency: under control: natural frequency of the PD.
     """
-    output = results.open()
     from torchid.excitation.synthetic import HonestNoise, PaperNoise
     from torchid.excitation.synthetic import simulate as simulated
     from torchid.log.readers import read_log, write_log
     from torchid.simulation.controller import Controller
 
-    target = to or (output.folder and output.folder / "log.parquet")
+    target = to or (output.out and output.out / "log.parquet")
     if target is None:
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model: "NoiseModel" = None
@@ -98,20 +97,21 @@ def simulate_command(
         )
     if rate is not None and not moves:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
-    log = simulated(
-        found,
-        read_log(trajectory),
-        effects=effects,
-        noise=model,
-        closed_loop=moves,
-        rate=rate,
-        controller=Controller(control_frequency) if moves else None,
-        seed=seed,
-        device="cpu" if moves else opt.device(device_name),
-    )
+    motion = read_log(trajectory)
+    with output.progress("simulating"):
+        log = simulated(
+            found,
+            motion,
+            effects=effects,
+            noise=model,
+            closed_loop=moves,
+            rate=rate,
+            controller=Controller(control_frequency) if moves else None,
+            seed=seed,
+            device="cpu" if moves else opt.device(device_name),
+        )
     write_log(log, target)
-    output.warn(log.warnings)
-    output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")
+    output.written.append(target)
     assert log.tau is not None
     output.write_json(
         {
@@ -128,6 +128,8 @@ def simulate_command(
         },
         "simulation.json",
     )
+    output.warn(log.warnings)
+    output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
 
 
 def _effect(text: str, robot: "Robot") -> "Valued":

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from torchid.errors import LogError
 from torchid.files import atomic_write
-from torchid.log.assemble import log_from_table, one_for_all, with_hint
+from torchid.log.assemble import fitting, log_from_table, one_for_all, with_hint
 from torchid.log.columns import Columns, columns_of, log_from_columns, some
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
@@ -100,10 +100,11 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
     found = _find(path)
     try:
         if isinstance(found, str):
-            if request.columns is not None:
+            if request.columns is not None and not request.spare:
                 raise LogError(f"{found} files take no column mapping.", got=str(path))
             return None, _READERS[found](path)
         table = found(path, request)
+        request = fitting(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from torchid.errors import RobotError, TorchidError
+from torchid.files import add_input
 from torchid.robot.config_files import config_folder
 from torchid.robot.model import Robot
-from torchid.robot.sidecar import with_sidecar
+from torchid.robot.sidecar import sidecar_path, with_sidecar
 from torchid.robot.yaml_file import read_yaml
 
 _SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
@@ -60,6 +61,8 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
         )
     if not path.is_file():
         raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
+    for read in (path, sidecar_path(path)):
+        add_input(read)
     if suffix in (".yaml", ".yml"):
         if tip is not None:
             raise RobotError(
