@@ -15,6 +15,7 @@ from torchid.app.extract import atlas_command, extract_command
 from torchid.app.faults import flush, print_plainly, report
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
+from torchid.app.init import init_command
 from torchid.app.log import log_app
 from torchid.app.output import in_options
 from torchid.app.payload import payload_command
@@ -32,14 +33,15 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 for _one in (
-    robot_command, excite_command, simulate_command, log_app, identify_command, extract_command,
-    check_command, atlas_command, wrenches_command, payload_command, gap_command, effects_command,
-    export_command, compare_command, study_command, withheld_app, demo_command,
+    init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
+    extract_command, check_command, atlas_command, wrenches_command, payload_command, gap_command,
+    effects_command, export_command, compare_command, study_command, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)
     else:
-        app.command(_one.__name__.removesuffix("_command"), cls=ProjectCommand)(_one)
+        name = _one.__name__.removesuffix("_command")
+        app.command(name, cls=ProjectCommand)(_one)
 
 
 def _version(asked: bool) -> bool:

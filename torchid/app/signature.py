@@ -101,7 +101,7 @@ class Option:
         return given if parsed is None or given is None else parsed.read(given)
 
 
-def command(function: Callable[..., None]) -> Callable[..., None]:
+def command(function: Callable[..., None], *, project: bool = True) -> Callable[..., None]:
     """The function as typer takes it: all options in its signature, the help in its docstring.
 
     When it runs, nothing is written over an input, and a parameter that is a context manager, as
@@ -122,7 +122,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         made = list(_options(kind, chosen.changed if isinstance(chosen, Fields) else None, own))
         groups[parameter.name] = kind, [option.name for option in made]
         options += made
-    if any(option.name == "tip" for option in options):
+    if project and any(option.name == "tip" for option in options):
         options.append(_option("project_file", _Project, None, {}))
     options.append(_option("debug", _Debug, False, {}))
 

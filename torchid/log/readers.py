@@ -21,6 +21,7 @@ from torchid.log.formats import (
     write_npz,
     write_parquet,
 )
+from torchid.log.guess import proposal
 from torchid.log.hdf5 import hdf5_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
@@ -116,6 +117,23 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
 
 
+def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
+    """A mapping that may be meant, for a file that cannot be read without one, and what in it is
+    guessed from more than names; None where none is needed, or none can be guessed.
+
+    Raises:
+        LogError: no log.
+    """
+    found = _find(path)
+    if isinstance(found, str):
+        return None
+    try:
+        log_from_table(found(path, request), None, request.joints)
+    except LogError:
+        return proposal(found(path, request), request.joints)
+    return None
+
+
 def register_reader(suffix: str, function: Reader) -> None:
     """Let `function` read files that end in `suffix`, such as ".mcap"; replaces an earlier one.
 
@@ -195,14 +213,14 @@ def _suffixes() -> list[str]:
 def _inside(folder: Path) -> list[str] | None:
     """The logs in a folder, at most ten, for an error message."""
     try:
-        found = sorted(p.name for p in folder.iterdir() if _is_log(p))
+        found = sorted(p.name for p in folder.iterdir() if is_log(p))
     except OSError:
         return None
     return some(found, 10) or None
 
 
-def _is_log(path: Path) -> bool:
-    """Whether it looks like a log; most texts are none."""
+def is_log(path: Path) -> bool:
+    """Whether it looks like a log by its name; most texts are none."""
     if path.is_dir():
         return any(fits(path) for fits, _ in _FOLDERS)
     return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}
