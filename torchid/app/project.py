@@ -125,7 +125,9 @@ class ProjectCommand(TyperCommand):
             own = value is not None if first.name == "params" else _is_robot(value)
             own = own or (not first.required and given.get("result") is not None)
             whole = not own
-            args = args if own else [project.robot, *args]
+            if not own:  # what came first is a log, or another argument
+                args = [project.robot, *args]
+                given = self.make_parser(ctx).parse_args(args=list(args))[0]
         elif self.name == "show" and project.robot:
             whole = given.get("robot") is None
         defaults: dict[str, Any] = dict(project.options.get(_path(ctx), {}))
@@ -223,7 +225,9 @@ def read_project(file: Path) -> Project:
     for name, keys in (("payload", ("mass", "com", "inertia")), ("limits", LIMITS)):
         if name in data:
             page.require(data[name], keys, name)
-            found[name] = data[name]
+            found[name] = page.numbers(data[name], name)
+    if "mass" not in found.get("payload", {"mass": 0}):
+        raise page.wrong("payload", "", "[payload] has no mass.", got=found["payload"])
     options: dict[str, dict[str, Any]] = {}
     for group in (group for group in groups if group in data):
         inside = [name.partition(" ")[2] for name in commands if name.startswith(f"{group} ")]
@@ -299,6 +303,18 @@ class _Page:
         if not parts or any(isinstance(v, bool | dict | list) for v in parts):
             raise self.wrong(key, header, f"{key} cannot be this.", got=value, expected="text")
         return ",".join(str(part) for part in parts)
+
+    def numbers(self, table: Mapping[str, Any], header: str) -> Mapping[str, Any]:
+        """A table of numbers, and lists of them; as it is."""
+        for key, value in table.items():
+            rest = [value]
+            while rest:
+                one = rest.pop()
+                if isinstance(one, list):
+                    rest += one
+                elif isinstance(one, bool) or not isinstance(one, int | float):
+                    raise self.wrong(key, header, f"{key} is a number, or a list.", got=value)
+        return table
 
     def paths(self, table: Mapping[str, Any], key: str, header: str = "") -> tuple[str, ...]:
         """Files, from the working directory."""
