@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from tests.app.test_project import GAINS
-from torchid.app import init as room
-from torchid.app.project import read_project
+from torchid.app.project import read as read_project
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.readers import write_log
+from torchid.project.guess import APART
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -173,4 +173,4 @@ def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(comma
 
 def test_the_pattern_of_held_out_logs() -> None:
     assert [n for n in ("test", "run_val1", "latest", "run-check", "contest", "eval2", "run1")
-            if room._APART.search(n)] == ["test", "run_val1", "run-check", "eval2"]  # fmt: skip
+            if APART.search(n)] == ["test", "run_val1", "run-check", "eval2"]  # fmt: skip

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchid.app.project import Project, read_project
+from torchid.app.project import read as read_project
 from torchid.errors import TorchidError
 from torchid.log.readers import read_log, write_log
+from torchid.project.file import Project
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 

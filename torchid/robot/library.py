@@ -7,12 +7,10 @@ from typing import Any
 
 from torchid.errors import RobotError, TorchidError
 from torchid.files import add_input
-from torchid.robot.config_files import config_folder
+from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
 from torchid.robot.model import Robot
 from torchid.robot.sidecar import sidecar_path, with_sidecar
 from torchid.robot.yaml_file import read_yaml
-
-_SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
 
 
 def _folder() -> Path:
@@ -26,7 +24,7 @@ def built_in_robots() -> list[str]:
 
 def is_robot(name: str) -> bool:
     """Whether this names a robot: a built-in one, or a file by its suffix."""
-    return name in built_in_robots() or Path(name).suffix.lower() in _SUFFIXES
+    return names_robot(name)
 
 
 def robot_file(name: str | Path) -> Path:
@@ -50,10 +48,10 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     """
     text, path = str(name), robot_file(name)
     suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
+    if suffix not in ROBOT_FILES:
         raise RobotError(
             f"unknown robot '{text}'.",
-            expected=f"a built-in name or a file ({', '.join(_SUFFIXES)})",
+            expected=f"a built-in name or a file ({', '.join(ROBOT_FILES)})",
             available=built_in_robots(),
             hint=f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
             if suffix == ".json"
