@@ -57,6 +57,42 @@ def require_no_input(path: str | Path, what: str = "") -> None:
             )
 
 
+def require_writable(path: Path, what: str) -> None:
+    """That a result can be written, before any work is done for it: `-` and devices always.
+
+    Args:
+        path: to be written.
+        what: would be written there, for the error: `--json`.
+
+    Raises:
+        TorchidError: it is an input or a folder, or its folder does not exist or takes no file.
+    """
+    if str(path) == "-" or _is_device(path):
+        return
+    if path.is_dir():
+        raise TorchidError(f"{what} needs a file, and '{path}' is a folder.")
+    if not path.parent.is_dir():
+        raise TorchidError(f"{what}: the folder of '{path}' does not exist.")
+    require_no_input(path, what)
+    probe(path.parent)
+
+
+def probe(folder: Path) -> None:
+    """A file really written and removed: permission bits say nothing to root or of a full disk.
+
+    Raises:
+        TorchidError: it cannot be.
+    """
+    file = folder / ".torchid-write-test"
+    try:
+        file.touch()
+        file.unlink()
+    except OSError as error:
+        raise TorchidError(
+            f"the folder '{folder}' cannot be written: {error.strerror or error}."
+        ) from error
+
+
 @contextmanager
 def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     """Open a file for writing that takes the place of `path` only when all went well.

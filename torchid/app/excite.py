@@ -12,7 +12,7 @@ from torchid.app.output import Computed, Output, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
-from torchid.json_data import plain, read_json
+from torchid.json_data import plain
 
 if TYPE_CHECKING:
     from torchid.excitation.clearance import Clearance
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from torchid.excitation.torque import TorqueLimits
     from torchid.excitation.trajectories import Sinusoid
     from torchid.robot.model import Robot
-
-EVALUATIONS = 75
-"""Trajectories that the search for a separating motion tries a restart."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +137,12 @@ def excite_command(
         max_velocity: Velocity limits, in place of the robot's.
     """
     from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.given import given_motions
     from torchid.excitation.restriction import restricted
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
     from torchid.log.readers import write_log
+    from torchid.next_motion.results import read_result
     from torchid.report.log import trajectory_figure
     from torchid.report.motion import (
         clearance_record,
@@ -162,7 +161,7 @@ def excite_command(
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
     found = None if robot is None else opt.load(robot, tip)
-    data = None if motion.result is None else _read_result(motion.result)
+    data = None if motion.result is None else read_result(motion.result)
     if data is not None:
         found = found or recorded_robot(data, str(motion.result))
     if found is None:
@@ -174,15 +173,16 @@ def excite_command(
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     clearance, unknown = room.of(arm, motion.usage)
-    kind: str = motion.kind
     if data is not None:
-        kind = "next"
         designed = _next(arm, motion, clearance, data, output)
-    elif kind == "optimised":
+    elif motion.kind == "optimised":
         designed = _optimised(arm, motion, clearance, output)
     else:
-        designed = _given(arm, motion, clearance)
+        seeds = range(motion.seed, motion.seed + motion.count)
+        made, torque = given_motions(arm, motion.kind, seeds, clearance, **motion.series)
+        designed = Designed(made, {}, torque)
     made, record, torque = designed.made, designed.record, designed.torque
+    kind = motion.kind if data is None else "next"
     if motion.speed != 1:
         made = [x.at_speed(motion.speed) for x in made]
         # Gravity needs its torque at any speed, and the designed motion may have helped it.
@@ -241,39 +241,6 @@ def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]
     return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> Designed:
-    from torchid.excitation.restriction import restricted
-    from torchid.excitation.torque import nominal_torque_limits
-    from torchid.excitation.trajectories import (
-        paper_trajectories_3r,
-        random_trajectory,
-        sinusoid,
-    )
-
-    seeds = range(motion.seed, motion.seed + motion.count)
-    torque = nominal_torque_limits(robot, usage=motion.usage)
-    if motion.kind == "paper":
-        if not robot.name.startswith("3r"):
-            raise TorchidError(
-                "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
-            )
-        printed = paper_trajectories_3r()
-        if clearance is not None and not bool(clearance.fits(printed).all()):
-            raise TorchidError(
-                "the motions of table 5.1 leave the room there is; they are not changed.",
-                available=["--kind optimised", "--kind random", "--kind sinusoid"],
-            )
-        return Designed([printed.select(k) for k in range(3)], {}, torque)
-    made: Sequence[FourierTrajectory | Sinusoid]
-    if motion.kind == "sinusoid":
-        length, usage = motion.duration, motion.usage
-        made = [sinusoid(robot, seed, duration=length, usage=usage) for seed in seeds]
-    else:
-        made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
-    kept = restricted(torque, clearance)
-    return Designed(made if kept is None else [kept.within(x) for x in made], {}, torque)
-
-
 def _optimised(
     robot: "Robot", motion: Motion, clearance: "Clearance | None", output: Output
 ) -> Designed:
@@ -309,30 +276,6 @@ def _optimised(
     return Designed([f.trajectory for f in found], record, found[0].torque, said, hardly)
 
 
-def _read_result(path: Path) -> Mapping[str, Any]:
-    """What a motion can be designed for.
-
-    Raises:
-        TorchidError: another kind of file, or of another version.
-    """
-    from torchid.identification.record import SCHEMA as IDENTIFICATION
-    from torchid.next_motion.ambiguity import SCHEMA as GAP
-
-    data = read_json(path, "a result")
-    schema = data.get("schema")
-    if schema in (IDENTIFICATION, GAP):
-        return data
-    kind = str(schema).partition("/")[0]
-    commands = {GAP.partition("/")[0]: "gap", IDENTIFICATION.partition("/")[0]: "identify"}
-    again = f"it is of another version: torchid {commands.get(kind)} ROBOT LOG... --json FILE"
-    raise TorchidError(
-        f"'{path}' is not a result that a motion can be designed for.",
-        got=f"schema {schema}",
-        available=[IDENTIFICATION, GAP],
-        hint=again if kind in commands else None,
-    )
-
-
 def _next(
     robot: "Robot",
     motion: Motion,
@@ -340,62 +283,27 @@ def _next(
     data: Mapping[str, Any],
     output: Output,
 ) -> Designed:
-    """The motion for a result, by its kind.
-
-    Raises:
-        TorchidError: a result that asks for no motion.
-    """
-    from torchid.excitation.design import optimise_trajectory
-    from torchid.excitation.informed import design_for
-    from torchid.excitation.torque import corrected_torque_limits
-    from torchid.identification.values import read_prior
-    from torchid.next_motion.ambiguity import SCHEMA as GAP
-    from torchid.next_motion.ambiguity import read_open
-    from torchid.next_motion.rivals import rivals
-    from torchid.next_motion.separating_motion import design_separation
+    """The motion for a result, by its kind."""
+    from torchid.excitation.informed import InformedDesign
+    from torchid.next_motion.results import next_motion
     from torchid.report import motion as words
 
     assert motion.result is not None
-    seed, restarts, usage = motion.seed, motion.restarts, motion.usage
-    if data["schema"] != GAP:
-        goal = motion.criterion or "a_optimal"
-        if goal == "condition":
-            raise TorchidError(
-                "--for an identification has other criteria.",
-                got=goal,
-                available=["a_optimal", "d_optimal"],
-            )
-        prior = read_prior(motion.result, robot)
-        with output.progress() as progress:
-            best = design_for(
-                robot, prior, seed=seed, goal=goal, restarts=restarts, **motion.series,
-                clearance=clearance, progress=stage(progress, "designing"),
-            )  # fmt: skip
-        verdict, table = words.informed_verdict(best), words.informed_table(best)
-        trajectory, torque, record = best.trajectory, best.torque, words.informed_record(best)
-        hardly, notes = best.hardly, list[str]()
+    with output.progress() as progress:
+        found = next_motion(
+            motion.result, data, robot, criterion=motion.criterion, seed=motion.seed,
+            restarts=motion.restarts, clearance=clearance, progress=progress, **motion.series,
+        )  # fmt: skip
+    design, kind = found.design, found.kind
+    if isinstance(design, InformedDesign):
+        verdict, table = words.informed_verdict(design), words.informed_table(design)
+        record = words.informed_record(design)
     else:
-        if motion.criterion is not None:
-            raise TorchidError(
-                "for a gap diagnosis motions are designed to separate.", got=motion.criterion
-            )
-        found = read_open(motion.result, data, robot)
-        limits = corrected_torque_limits(found.setting.robot, found.setting.given, usage=usage)
-        with output.progress() as progress:
-            ordinary = optimise_trajectory(
-                robot, seed=seed, restarts=restarts, torque=limits, **motion.series,
-                clearance=clearance, progress=stage(progress, "a plain motion to compare with"),
-            ).trajectory  # fmt: skip
-            made = design_separation(
-                found.setting, rivals(found, ordinary), ordinary, seed=seed, usage=usage,
-                clearance=clearance, evaluations=EVALUATIONS * restarts,
-                progress=stage(progress, "separating"),
-            )  # fmt: skip
-        verdict = words.separation_verdict(made, found.kind)
-        table = words.separation_table(made, found.kind)
-        notes = list(found.notes)
-        record = {**words.separation_record(made, found.kind), "notes": list(found.notes)}
-        trajectory, torque, hardly = made.trajectory, made.torque, made.hardly
-    record |= {"result": motion.result.name, "hardly_better": hardly}
-    warnings = [*notes, *([words.HARDLY_BETTER] if hardly else [])]
-    return Designed([trajectory], record, torque, [table], warnings, verdict)
+        verdict, table = (
+            words.separation_verdict(design, kind),
+            words.separation_table(design, kind),
+        )
+        record = {**words.separation_record(design, kind), "notes": list(found.notes)}
+    record |= {"result": motion.result.name, "hardly_better": design.hardly}
+    warnings = [*found.notes, *([words.HARDLY_BETTER] if design.hardly else [])]
+    return Designed([design.trajectory], record, design.torque, [table], warnings, verdict)

@@ -54,10 +54,10 @@ def export_command(
         export_record,
         export_warnings,
     )
-    from torchid.robot.library import is_robot, load_robot, named_robot
+    from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 
     if is_robot(result):
-        nominal, original = opt.load_both(result, robot, tip)
+        nominal, original = load_both(result, robot, tip)
         dynamics = robot_dynamics(nominal)
     else:
         path = Path(result)

@@ -1,6 +1,6 @@
 """`torchid identify`: base parameters from logs."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -9,11 +9,6 @@ from torchid.app.output import Reported
 from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.identification.settings import Settings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from torchid.identification.identify import Identification
 
 
 def _effects(text: str) -> tuple[str, ...]:
@@ -89,7 +84,7 @@ def identify_command(
     """
     from torchid.identification.identify import identify
     from torchid.identification.record import record
-    from torchid.report.identification import headline, identification_page, tables
+    from torchid.report.identification import figures, headline, identification_page, tables
 
     found, log, apart, files = trials.open(output)
     with output.progress("reading") as progress:
@@ -105,7 +100,7 @@ def identify_command(
     output.write_json(data, "identification.json")
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
-    output.draw(lambda: _figures(result), old=old)
+    output.draw(lambda: figures(result), old=old)
     output.write_page(
         lambda origin: identification_page(result, origin),
         files=files,
@@ -115,21 +110,3 @@ def identify_command(
     output.say(*tables(result))
     output.warn(result.warnings)
     output.say(f"\n{headline(result)}")
-
-
-def _figures(result: "Identification") -> "dict[str, Figure]":
-    """How well each parameter is known, and torques of every trajectory."""
-    from torchid.report.identification import parameter_figure, torque_figure
-    from torchid.report.table import joint_unit
-
-    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result)}
-    for kind, words, predictions in (
-        ("fit", "fitted data", result.fit_predictions),
-        ("held_out", "held-out data", result.held_out_predictions),
-    ):
-        for prediction in predictions:
-            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
-            title = f"{prediction.name} ({words})"
-            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
-    return drawn

@@ -258,17 +258,6 @@ def load(name: str, tip: str | None) -> "Robot":
     return current().on(load_robot(name, tip=tip))
 
 
-def load_both(params: str, robot: str | None, tip: str | None) -> "tuple[Robot, Robot]":
-    """The robot whose parameters are asked about, and --robot, or the same one without it."""
-    from torchid.robot.library import load_robot
-
-    both = [params] if robot is None else [params, robot]
-    # A tip is for the files that can branch; where none can, the reader refuses it.
-    trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
-    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
-    return found[0], found[-1]
-
-
 def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
     """The robot with velocity or acceleration limits from the command line."""
     changed = {}

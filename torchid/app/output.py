@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchid.app import begun
-from torchid.app.signature import PLACE, WRITTEN, Fields, probe
+from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError
+from torchid.files import probe
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ import typer
 
 from torchid.app.faults import report
 from torchid.errors import TorchidError
-from torchid.files import inputs_kept, require_no_input
+from torchid.files import inputs_kept, require_writable
 
 Switch = Annotated[bool, "an option --name without its --no-name"]
 WRITTEN, PLACE = "a file that is written", "a folder to work in"
@@ -152,38 +152,6 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.options = options  # type: ignore[attr-defined]
     return run
-
-
-def require_writable(path: Path, option: str) -> None:
-    """That a result can be written, before any work is done for it: `-` and devices always.
-
-    Raises:
-        TorchidError: it is an input or a folder, or its folder does not exist or takes no file.
-    """
-    if str(path) == "-" or (path.is_absolute() and path.parts[1:2] == ("dev",)):
-        return
-    if path.is_dir():
-        raise TorchidError(f"{option} needs a file, and '{path}' is a folder.")
-    if not path.parent.is_dir():
-        raise TorchidError(f"{option}: the folder of '{path}' does not exist.")
-    require_no_input(path, option)
-    probe(path.parent)
-
-
-def probe(folder: Path) -> None:
-    """A file really written and removed: permission bits say nothing to root or of a full disk.
-
-    Raises:
-        TorchidError: it cannot be.
-    """
-    file = folder / ".torchid-write-test"
-    try:
-        file.touch()
-        file.unlink()
-    except OSError as error:
-        raise TorchidError(
-            f"the folder '{folder}' cannot be written: {error.strerror or error}."
-        ) from error
 
 
 def _inputs(options: list[Option], given: Mapping[str, Any]) -> list[Path]:

@@ -13,7 +13,6 @@ from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
-    from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
 
 _MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
@@ -101,12 +100,12 @@ def _given(
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.feasibility.sets import other_robot
+    from torchid.feasibility.sets import other_robot, read_all_sets
     from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
     from torchid.study.equal_torque.given_sets import compare_wrenches
     from torchid.study.equal_torque.record import given_record
 
-    sets = _read_sets(files, robot)
+    sets = read_all_sets(files, robot)
     if reference is not None and reference not in sets.ids:
         raise TorchidError(
             "--reference names none of the sets.", got=reference, available=sets.ids[:20]
@@ -128,26 +127,3 @@ def _given(
     output.say(*tables(found))
     output.warn(told)
     output.say(f"\n{escape(headline(found))}")
-
-
-def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
-    """All sets; the files' names go before the ids where two files have the same id."""
-    from dataclasses import replace
-
-    from torchid.feasibility.sets import joined, read_sets
-
-    parts = [read_sets(file, robot) for file in files]
-    for file, part in zip(files, parts, strict=True):
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"'{file}' has other effects than '{files[0]}'.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
-    every = [name for part in parts for name in part.ids]
-    if len(set(every)) < len(every):
-        parts = [
-            replace(part, ids=tuple(f"{file.stem}:{name}" for name in part.ids))
-            for file, part in zip(files, parts, strict=True)
-        ]
-    return joined(parts)

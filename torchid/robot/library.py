@@ -78,6 +78,21 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     return replace(with_sidecar(robot, path), tip=tip)
 
 
+def load_both(params: str, robot: str | None, tip: str | None) -> tuple[Robot, Robot]:
+    """The robot whose parameters are asked about, and another one, or the same one without it.
+
+    Args:
+        params: name or file of the first.
+        robot: of the second, if it is another.
+        tip: of those of the two that can branch.
+    """
+    both = [params] if robot is None else [params, robot]
+    # A tip is for the files that can branch; where none can, the reader refuses it.
+    trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
+    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
+    return found[0], found[-1]
+
+
 def named_record(robot: Robot) -> dict[str, str]:
     """A robot's name, and what `load_robot` finds it again by: its built-in name or its file, and
     the tip that its chain was chosen by."""
