@@ -12,6 +12,7 @@ from torchid.app.output import Computed, Output, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
+from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
 from torchid.json_data import plain
 
 if TYPE_CHECKING:
@@ -62,13 +63,13 @@ class Motion:
     kind: Literal["optimised", "random", "sinusoid", "paper"] = "optimised"
     count: opt.Count = 1
     criterion: Literal["condition", "d_optimal", "a_optimal"] | None = None
-    effects: str = "viscous_friction,coulomb_friction,torque_offset"
+    effects: opt.Excited = EXCITED_EFFECTS
     basis: Literal["report", "conditioned"] | None = None
-    duration: float = 20.0
+    duration: float = DURATION
     rate: float = 100.0
-    harmonics: opt.Count = 5
-    restarts: opt.Count = 8
-    usage: float = 0.7
+    harmonics: opt.Count = HARMONICS
+    restarts: opt.Count = RESTARTS
+    usage: float = USAGE
     speed: float = 1.0
     seed: opt.Seed = 0
     device_name: opt.Device = "cpu"
@@ -248,7 +249,7 @@ def _optimised(
     from torchid.report.motion import HARDLY_BETTER
 
     settings = motion.series | {
-        "effects": opt.effect_names(motion.effects),
+        "effects": motion.effects,
         "restarts": motion.restarts,
         "criterion": motion.criterion or "condition",
         "basis": motion.basis,

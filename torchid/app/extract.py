@@ -77,11 +77,11 @@ def extract_command(
         Fields(
             "runs",
             "stages",
+            "generations",
             "population",
             "penalty",
             "schedule",
             "polish",
-            generations=100,
             engine=EngineName,
             seed=opt.Seed,
         ),

@@ -131,6 +131,7 @@ Searched = Annotated[tuple[str, ...] | None, typer.Option(), Parsed(searched, "a
 Count = Annotated[int, typer.Option(min=1)]
 LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
 Share = Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)]
+Excited = Annotated[tuple[str, ...], typer.Option(), Parsed(effect_names, "none")]
 FittedEffects = Annotated[
     tuple[str, ...],
     typer.Option(help="Effects on every joint, comma-separated; `none` for the rigid body."),

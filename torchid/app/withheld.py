@@ -13,9 +13,7 @@ from torchid.app.project import ProjectCommand
 from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-
-PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
-"""Effects that are planted by default: a step, one that scales with load, a periodic one."""
+from torchid.withheld.settings import PLANTED
 
 withheld_app = typer.Typer(
     name="withheld",

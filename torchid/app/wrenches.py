@@ -10,12 +10,11 @@ from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import command
 from torchid.errors import TorchidError
+from torchid.study.equal_torque.settings import MARGIN
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
     from torchid.robot.model import Robot
-
-_MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
 
 
 @command
@@ -29,7 +28,7 @@ def wrenches_command(
     max_acceleration: opt.Accelerations = None,
     geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
     total_mass: opt.TotalMass = None,
-    margin: float = _MARGIN,
+    margin: float = MARGIN,
     variants: bool = True,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,

@@ -7,7 +7,8 @@ from functools import partial
 import torch
 
 from torchid.effects.registry import on_every_joint
-from torchid.excitation.design import EXCITED_EFFECTS, Excitation, optimise_trajectory
+from torchid.excitation.design import Excitation, optimise_trajectory
+from torchid.excitation.settings import EXCITED_EFFECTS
 from torchid.excitation.synthetic import HonestNoise, PaperNoise, synthetic_log
 from torchid.excitation.trajectories import paper_trajectories_3r, sinusoid, trajectory_log
 from torchid.identification.base_parameters import nominal_values
