@@ -50,7 +50,8 @@ def init(
 
     if to.exists() and not force:
         raise TorchidError(f"'{to}' is there already.", hint="--force replaces it; or edit it")
-    asking = ask and not output.silent and sys.stdin.isatty() and sys.stdout.isatty()
+    people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
+    asking = ask and people and not output.silent
     choose = _choose if asking else None
     found = guess(robot, tip, logs or (), held_out or (), reading.request(()), choose)
     said, given, n = "the logs hold currents and no torque", reading.gain, found.robot.n

@@ -85,7 +85,7 @@ def simulate_command(
             velocity_relative=velocity_noise or 0.0,
         )
     found = arm.load()
-    effects = [effect_written(text, found) for text in effect or []]
+    effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
     if moves and noise == "paper":
         raise TorchidError(

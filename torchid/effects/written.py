@@ -56,11 +56,16 @@ def name_and_pairs(text: str, what: str) -> tuple[str, dict[str, Any]]:
     return name.strip(), pairs
 
 
-def effect_written(text: str, robot: "Robot") -> "Valued":
+def effect_written(text: str, robot: "Robot", what: str) -> "Valued":
     """An effect and its coefficients, e.g. of `coulomb_friction:joint=2,Fc=0.6`.
 
     Joints count from 1. Shape parameters and other settings may be left out where they have a
     default.
+
+    Args:
+        text: as it is written.
+        robot: whose joints are meant.
+        what: what to call the text in errors, e.g. the option.
 
     Raises:
         TorchidError: an unknown effect or key, a value that is no number, a missing coefficient.
@@ -70,7 +75,7 @@ def effect_written(text: str, robot: "Robot") -> "Valued":
     from torchid.effects.registry import effect_from_record, effect_kind
     from torchid.robot.model import JointType
 
-    name, given = name_and_pairs(text, "--effect")
+    name, given = name_and_pairs(text, what)
     kind = effect_kind(name)
     # Where it is, what its coefficients are, then shapes and other settings.
     own = [f for f in fields(kind) if f.name not in PLACES]
@@ -81,7 +86,7 @@ def effect_written(text: str, robot: "Robot") -> "Valued":
     unknown = [key for key in given if key not in keys]
     if unknown:
         raise TorchidError(
-            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
+            f"{what} {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
         )
     missing = [key for key in needed if key not in given]
     if missing:
@@ -96,7 +101,7 @@ def effect_written(text: str, robot: "Robot") -> "Valued":
             unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
             what = f"{key} [{unit}] ({entry.meaning})"
         raise TorchidError(
-            f"--effect {text}: {what} is missing.",
+            f"{what} {text}: {what} is missing.",
             expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
         )
     return effect_from_record({"effect": kind.name, **given}, robot)

@@ -67,7 +67,7 @@ def asked_about(params: str, robot: str | None, tip: str | None) -> Asked:
     own, found = load_both(params, robot, tip)
     if own.n != found.n:
         raise TorchidError(
-            f"'{own.name}' and --robot '{found.name}' have different numbers of links.",
+            f"'{own.name}' and the robot '{found.name}' have different numbers of links.",
             got=own.n,
             expected=found.n,
         )

@@ -101,7 +101,7 @@ def next_motion(
         goal: Any = criterion or "a_optimal"
         if goal == "condition":
             raise TorchidError(
-                "--for an identification has other criteria.",
+                "for an identification motions have other criteria.",
                 got=goal,
                 available=["a_optimal", "d_optimal"],
             )

@@ -178,7 +178,7 @@ def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[s
     if asked is None and (not fit or (len(fit) > 1 and choose is None)):
         raise TorchidError(
             "which robot? There are several here." if fit else "there is no robot here.",
-            expected="--robot ROBOT",
+            expected="`robot=...`",
             available=fit or built_in_robots(),
         )
     name = asked or (choose("robots", fit) if choose and len(fit) > 1 else fit[0])
