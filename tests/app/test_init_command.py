@@ -143,6 +143,14 @@ def test_what_cannot_be_guessed_is_refused(command, place, prepare, arguments, w
     assert {p.name: p.read_bytes() for p in place.iterdir()} == before
 
 
+def test_many_logs_stand_on_lines_of_their_own(command, place) -> None:
+    for k in range(8):
+        Path(f"a_long_name_of_a_run_{k}.csv").write_bytes(Path("run1.csv").read_bytes())
+    assert command("init").code == 0
+    assert max(map(len, Path("torchid.toml").read_text().splitlines())) <= 100
+    assert len(read_project(Path("torchid.toml")).logs) == 10
+
+
 def test_names_that_are_hard_to_write(command, place) -> None:
     """Quotes, backslashes and other letters in the names of files."""
     name = 'r\u00f6b "o" \\1.yaml'
@@ -172,5 +180,5 @@ def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(comma
 
 
 def test_the_pattern_of_held_out_logs() -> None:
-    assert [n for n in ("test", "run_val1", "latest", "run-check", "contest", "eval2", "run1")
+    assert [n for n in ("test", "run_val1", "latest", "run-check", "contest", "eval2", "run1", "static_holding")
             if APART.search(n)] == ["test", "run_val1", "run-check", "eval2"]  # fmt: skip

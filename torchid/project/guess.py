@@ -19,7 +19,7 @@ from torchid.robot.model import Robot
 Choose = Callable[[str, Sequence[str]], str]
 """Asks which one of several things is meant."""
 
-APART = re.compile(r"(?:^|[^a-z])(?:held|hold|test|val|check|eval)", re.IGNORECASE)
+APART = re.compile(r"(?:^|[^a-z])(?:held|hold.?out|test|val|check|eval)", re.IGNORECASE)
 """Names of logs that are meant to be held out."""
 
 _TEXT = """\
@@ -91,7 +91,12 @@ class Guess:
             return _quoted(Path(os.path.relpath(given, to.parent)).as_posix())
 
         def paths(given: Sequence[Path]) -> str:
-            return f"[{', '.join(map(path, given))}]"
+            line = ", ".join(map(path, given))
+            return (
+                f"[{line}]"
+                if len(line) < 80
+                else "[\n    " + ",\n    ".join(map(path, given)) + "\n]"
+            )
 
         limits = self.robot.limits
         unknown = [k for k in ("velocity", "acceleration") if getattr(limits, k) is None]
