@@ -48,6 +48,7 @@ rows = "all"
 
 [log.show]
 json = "seen.json"
+out = "converted.npz"
 """
     )
     (tmp_path / "inside").mkdir()
@@ -128,6 +129,8 @@ def test_currents_become_torque_in_what_is_written(command, bench) -> None:
     assert own.current is not None
     torch.testing.assert_close(own.tau, own.current * GAINS)
     assert json.loads((bench / "seen.json").read_text())["schema"] == "torchid.log/1"
+    assert command("log", "show", "-q").code == 0
+    torch.testing.assert_close(read_log(bench / "converted.npz").tau, own.tau)
     done = command("log", "show", "../run1.csv", "--gain", "3", "--out", "three.csv")
     three = read_log("three.csv")
     torch.testing.assert_close(three.tau, three.current * 3)

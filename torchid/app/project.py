@@ -42,7 +42,7 @@ class ProjectCommand(TyperCommand):
             asked = "none" if given.get("help") else given.get("project_file")
             project = find_project(asked, _commands())
             if project is not None:
-                if not (given.get("quiet") or "-q" in args):
+                if not given.get("quiet"):
                     with suppress(OSError):
                         sys.stderr.write(f"project: {project.file}\n")
                 args = self._completed(project, ctx, given, args)
@@ -72,7 +72,8 @@ class ProjectCommand(TyperCommand):
         if self.name in _FITTED:
             defaults.setdefault("effects", project.effects)
         defaults.setdefault("background", project.background)
-        if project.out is not None:
+        # What `log show --out` writes is a file, not the folder of results.
+        if project.out is not None and getattr(named.get("out"), "metavar", None) == "DIR":
             defaults.setdefault("out", os.path.join(project.out, str(self.name)))
         if "logs" in named:
             defaults.setdefault("logs", list(project.logs) or None)
@@ -80,9 +81,6 @@ class ProjectCommand(TyperCommand):
             taken = {os.path.realpath(log) for log in given.get("logs") or ()}
             apart = [log for log in project.held_out if os.path.realpath(log) not in taken]
             defaults.setdefault("held_out", apart or None)
-        # A file that `log show` writes is not the folder of results.
-        if "out" in named and named["out"].metavar != "DIR":
-            defaults.pop("out", None)
         ctx.default_map = {k: v for k, v in defaults.items() if k in named and v is not None}
         _CURRENT.set(project if whole else replace(project, limits={}, payload=None))
         return args
