@@ -23,6 +23,8 @@ SMALLER = {
     " --runs 10": " --runs 2 --stages 2",
     "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 8",
     "torchid withheld leave-out": "true leave-out",  # long, and tested elsewhere
+    # In a folder of its own: a project file holds for every command below it.
+    "torchid init  ": "mkdir short; cp my_arm.urdf run[234].csv short; cd short; torchid init  ",
     # What this arm's diagnosis leaves open, its vertical first joint, no motion can show.
     "torchid excite --for gap/gap.json": "true excite --for gap/gap.json",
 }

@@ -1,15 +1,96 @@
-"""Writing files so that a reader never sees half of one."""
+"""Writing files so that a reader never sees half of one, and so that no input is lost."""
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any
 
 from torchid.errors import TorchidError
 
 _MODES = ("w", "wb")
+_INPUTS: ContextVar[list[Path] | None] = ContextVar("inputs", default=None)
+
+
+@contextmanager
+def inputs_kept(paths: Iterable[Path]) -> Iterator[None]:
+    """While it lasts, `require_no_input` and `atomic_write` refuse to write over these files, or
+    over a file in one of these folders."""
+    token = _INPUTS.set(list(paths))
+    try:
+        yield
+    finally:
+        _INPUTS.reset(token)
+
+
+def add_input(path: Path) -> None:
+    """One more file for `inputs_kept`, if it lasts: what a command reads may name others."""
+    kept = _INPUTS.get()
+    if kept is not None:
+        kept.append(path)
+
+
+def require_no_input(path: str | Path, what: str = "") -> None:
+    """That writing a file takes the place of no input.
+
+    Links are resolved, and files are told by their inodes, so that no other name hides one.
+
+    Args:
+        path: to be written.
+        what: would be written there, for the error: `--json`.
+
+    Raises:
+        TorchidError: it is an input.
+    """
+    target = Path(os.path.realpath(path))
+    if not os.path.lexists(target) or _is_device(target):
+        return
+    for given in filter(os.path.exists, _INPUTS.get() or ()):
+        inside = given.is_dir() and Path(os.path.realpath(given)) in target.parents
+        if inside or os.path.samefile(given, target):
+            raise TorchidError(
+                f"{what or 'a result'} would overwrite the input '{given}'.",
+                got=path,
+                expected="the name of another file",
+            )
+
+
+def require_writable(path: Path, what: str) -> None:
+    """That a result can be written, before any work is done for it: `-` and devices always.
+
+    Args:
+        path: to be written.
+        what: would be written there, for the error: `--json`.
+
+    Raises:
+        TorchidError: it is an input or a folder, or its folder does not exist or takes no file.
+    """
+    if str(path) == "-" or _is_device(path):
+        return
+    if path.is_dir():
+        raise TorchidError(f"{what} needs a file, and '{path}' is a folder.")
+    if not path.parent.is_dir():
+        raise TorchidError(f"{what}: the folder of '{path}' does not exist.")
+    require_no_input(path, what)
+    probe(path.parent)
+
+
+def probe(folder: Path) -> None:
+    """A file really written and removed: permission bits say nothing to root or of a full disk.
+
+    Raises:
+        TorchidError: it cannot be.
+    """
+    file = folder / ".torchid-write-test"
+    try:
+        file.touch()
+        file.unlink()
+    except OSError as error:
+        raise TorchidError(
+            f"the folder '{folder}' cannot be written: {error.strerror or error}."
+        ) from error
 
 
 @contextmanager
@@ -25,11 +106,13 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         mode: "w" (text, UTF-8) or "wb".
 
     Raises:
-        TorchidError: the folder does not exist, or the file cannot be written.
+        TorchidError: the folder does not exist, the file cannot be written, or it is an input
+            (`inputs_kept`).
     """
     if mode not in _MODES:
         raise ValueError(f"mode must be one of {_MODES}, got {mode!r}")
     path = Path(path)
+    require_no_input(path)
     try:
         if _is_device(path):
             with _open(path, mode) as file:

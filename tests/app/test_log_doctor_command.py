@@ -50,7 +50,7 @@ def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_
 
 
 def test_the_log_itself_is_never_written_over(bad: Path) -> None:
-    with pytest.raises(TorchidError, match="write over"):
+    with pytest.raises(TorchidError, match="overwrite the input"):
         run("log", "doctor", "3r", bad, "--apply", bad)
 
 

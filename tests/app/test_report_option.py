@@ -99,9 +99,10 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
 
     asked = []
     monkeypatch.setattr("torchid.study.study.run_study", lambda settings, **_: settings)
-    monkeypatch.setattr(room, "_finish", lambda *_: {})
+    monkeypatch.setattr(room, "_keep", lambda *_: {})
+    monkeypatch.setattr(room, "_say", lambda *_: None)
     monkeypatch.setattr(room, "_report", lambda found, output, files: asked.append(
-        (found.name, output.page_file.name, files[0].sha256)
+        (found.name, output.report.name, files[0].sha256)
     ))  # fmt: skip
     done = command("study", "all", "--report", tmp_path / "page.html")
     assert done.code == 0, done.err
@@ -141,7 +142,7 @@ def test_inputs_are_not_overwritten(command, folder, tmp_path):
     before = sha256(log)
     done = command("identify", "3r", log, "--report", tmp_path / "." / "log.html")
     assert done.code == 1
-    assert "overwrite the log" in done.err
+    assert "overwrite the input" in done.err
     assert sha256(log) == before
 
 

@@ -26,7 +26,7 @@ def samples() -> Samples:
     out = []
     for s in measured(FRICTION).segments:
         age = 0.004 * (s.motion.t[:, None] % 0.1 > 0.05).double().expand(-1, 3)
-        out.append(replace(s, motion=s.motion._replace(age=age, sensed=s.tau)))
+        out.append(replace(s, motion=s.motion._replace(age=age)))
     return data_of(out).samples
 
 

@@ -8,11 +8,22 @@ import pytest
 from tests.golden.documents import DOCUMENTS, SLOW, Bench
 from tests.golden.shapes import losses, shape
 from tests.withheld.fakes import plant
+from torchid.app.output import Output
 
 __all__ = ["plant"]
 
 STORED = Path(__file__).parent / "schemas"
 AGAIN = "meant so? python -m tests.golden.write schemas"
+
+
+@pytest.fixture(autouse=True)
+def files_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command has written its JSON before it says anything: printing can fail."""
+
+    def say(self: Output, *objects: object) -> None:
+        assert self.json_file is None or self.json_file.exists(), objects
+
+    monkeypatch.setattr(Output, "say", say)
 
 
 @pytest.fixture(scope="module")

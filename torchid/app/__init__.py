@@ -5,8 +5,10 @@ threads can be many times slower than one on a small or shared machine.
 """
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 _ONE_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -31,8 +33,24 @@ def set_threads(arguments: Sequence[str]) -> None:
             os.environ.setdefault(name, "1")
 
 
+def leave(*_: object) -> None:
+    """End the program, for Ctrl-C while modules load, which would turn it into errors of their own.
+    Nothing has been begun."""
+    with suppress(OSError):
+        os.write(2, b"interrupted\n")
+    os._exit(130)
+
+
+def begun() -> None:
+    """From now on Ctrl-C is a KeyboardInterrupt, so that what was begun ends in good order."""
+    if signal.getsignal(signal.SIGINT) is leave:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Entry point of `torchid` and of cli.py."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, leave)
     set_threads(sys.argv[1:])
     from torchid.app.commands import run
 

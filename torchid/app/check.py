@@ -1,24 +1,15 @@
 """`torchid check`: whether parameters can belong to a real arm."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
-from torchid.errors import TorchidError
-from torchid.json_data import plain, read_json
 
 if TYPE_CHECKING:
-    from torchid.effects.registry import Valued
-    from torchid.extraction.convex.nearest import NearestSets
-    from torchid.feasibility.findings import Finding
-    from torchid.feasibility.record import Check
-    from torchid.feasibility.sets import ParameterSets
-    from torchid.robot.model import Robot
+    pass
 
 
 @command
@@ -30,10 +21,10 @@ def check_command(
     shapes: Switch = False,
     total_mass: Annotated[str | None, typer.Option(metavar="LO,HI|none")] = None,
     bounds: opt.Bounds = None,
-    nearest: opt.File = None,
+    nearest: opt.Written = None,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Check whether parameters can belong to a real arm: by how much, and why not.
 
@@ -53,11 +44,10 @@ def check_command(
         bounds: Also tell which parameters lie on these bounds.
         nearest: Write the feasible set nearest in torque to each infeasible one.
     """
-    output = results.open()
-    if nearest is not None and not nearest.parent.is_dir():
-        raise TorchidError(f"the folder of '{nearest}' does not exist.")
     from rich.markup import escape
 
+    from torchid.export.nearest import nearest_sets
+    from torchid.feasibility.asked import asked_about
     from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets
@@ -70,25 +60,32 @@ def check_command(
         tables,
     )
 
-    found, sets, others, also, noticed = _read(params, robot, tip)
+    asked = asked_about(params, robot, tip)
+    found = asked.robot
     total = None
     if total_mass is None:
         total = read_total_mass(found)
     elif total_mass != "none":
-        total = opt.interval("--total-mass", total_mass)
+        total = opt.total_mass(total_mass)
     check = check_sets(
         found,
-        sets,
+        asked.sets,
         geometry=geometry,
         round_shapes=shapes,
         total_mass=total,
         bounds=None if bounds is None else named_bounds(found, bounds),
-        also=also,
+        also=asked.findings,
         seed=seed,
     )
     data = {**check.plain(), "seed": seed}
-    data["warnings"] = [*noticed, *data["warnings"]]
-    repaired = None if nearest is None else _nearest(check, others, nearest, data, seed)
+    data["warnings"] = [*asked.warnings, *data["warnings"]]
+    repaired = None
+    if nearest is not None:
+        with output.progress("the nearest feasible sets"):
+            repaired = nearest_sets(check, asked.others, nearest, data, seed)
+    if repaired is not None and nearest is not None and bool(repaired.feasible.any()):
+        output.written.append(nearest)
+    output.write_json(data, "feasibility.json")
     output.verdict(headline(check))
     output.say(escape(conditions_line(check)), *tables(check))
     if repaired is not None:
@@ -100,93 +97,4 @@ def check_command(
         output.say("\nnot plausible, though not forbidden:")
         output.warn(findings)
     if repaired is None and nearest is not None:
-        output.say(f"all sets are feasible: {nearest} was not written")
-    output.write_json(data, "feasibility.json")
-
-
-def _read(
-    params: str, robot: str | None, tip: str | None
-) -> tuple["Robot", "ParameterSets", Sequence["Valued"], Sequence["Finding"], tuple[str, ...]]:
-    """The robot that counts, the sets, effects beside them, what the robot's file's own elements
-    show, and warnings."""
-    from torchid.effects.registry import nominal_others
-    from torchid.feasibility.findings import own_inertial_findings
-    from torchid.feasibility.sets import nominal_set, other_robot, read_other_effects, read_sets
-    from torchid.robot.library import is_robot, load_robot, named_robot
-    from torchid.robot.shapes import own_inertials
-
-    if not is_robot(params):
-        if not Path(params).is_file():
-            raise TorchidError(
-                f"'{params}' is neither a file nor a built-in robot.",
-                expected="a .json of parameter sets, or a robot",
-            )
-        if robot is None:
-            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), tip)
-        else:
-            found = load_robot(robot, tip=tip)
-        sets = read_sets(Path(params), found)
-        noticed = other_robot(Path(params), found)
-        others = read_other_effects(Path(params), found)
-        return found, sets, others, (), () if noticed is None else (noticed,)
-    own, found = opt.load_both(params, robot, tip)
-    if own.n != found.n:
-        raise TorchidError(
-            f"'{own.name}' and --robot '{found.name}' have different numbers of links.",
-            got=own.n,
-            expected=found.n,
-        )
-    also = own_inertial_findings(own_inertials(own))
-    # The parameters' link frames need not be those of the robot that counts.
-    apart = [
-        str(i + 1)
-        for i in range(own.n)
-        if float((own.before[i] - found.before[i]).abs().max()) > 1e-6
-        or float((own.after[i] - found.after[i]).abs().max()) > 1e-6
-    ]
-    differ = (
-        f"'{own.name}' and '{found.name}' place the frames of links {', '.join(apart)} "
-        "differently: boxes of centres of mass, shapes and the torque may not be meant for these "
-        "parameters"
-    )
-    told = (differ,) if apart else ()
-    return found, nominal_set(own), nominal_others(own), also, told
-
-
-def _nearest(
-    check: "Check", others: Sequence["Valued"], path: Path, data: dict[str, Any], seed: int
-) -> "NearestSets | None":
-    """Sets nearest to the infeasible ones: feasible ones to the file, what each cost in torque to
-    the record; None where all are feasible."""
-    from torchid.export.dynamics import described
-    from torchid.extraction.convex.nearest import nearest_feasible
-    from torchid.feasibility.sets import sets_record
-
-    infeasible = (~check.feasibility.feasible).nonzero().flatten().tolist()
-    if not infeasible:
-        return None
-    nearest = nearest_feasible(
-        check.robot, check.sets.part(infeasible), check.conditions, seed=seed
-    )
-    good = nearest.feasible.nonzero().flatten().tolist()
-    if good:
-        sets = nearest.sets.part(good)
-        sets_record(sets, check.robot, others).save(path)
-        data["warnings"] += [
-            f"not part of the sets, and listed beside them in {path} as it is, for `torchid "
-            f"export`: {described(*pair, check.robot)}"
-            for pair in others
-        ]
-    else:
-        data["warnings"].append(f"no feasible set was found: {path} was not written")
-
-    entries = {entry["id"]: entry for entry in data["sets"]}
-    for k, name in enumerate(nearest.sets.ids):
-        entries[name]["nearest"] = {
-            "status": nearest.status[k],
-            "feasible": bool(nearest.feasible[k]),
-            "least": plain(nearest.least[k]),
-            "torque_change": plain(nearest.torque_change[k]),
-            "torque_change_relative": plain(nearest.torque_change_relative[k]),
-        }
-    return nearest
+        output.say(f"all sets are feasible: {escape(str(nearest))} was not written")

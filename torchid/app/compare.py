@@ -20,7 +20,7 @@ def compare_command(
     logs: opt.Reading,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
-    where: Computed,
+    output: Computed,
 ) -> None:
     """Which parameters agree between results within their intervals, which drift, which are never
     determined; whether standard deviations hold from run to run; how far apart the torques are.
@@ -33,7 +33,6 @@ def compare_command(
         on: Compare torque along this log, in place of random motion. May be given several times.
         robot: Where the results do not record it.
     """
-    output = where.open()
     from torchid.compare.identifications import Comparison
     from torchid.compare.reading import read_results
     from torchid.compare.results import common_robot, compared
@@ -47,7 +46,10 @@ def compare_command(
     if on and arm is None:
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     log = logs.read(on, arm) if on and arm is not None else None
-    found = compared(read, arm, on=log, seed=seed)
+    with output.progress("comparing"):
+        found = compared(read, arm, on=log, seed=seed)
+    output.write_json({**found.plain(), "seed": seed}, "compare.json")
+    output.draw(lambda: figures(found))
     if isinstance(found, Comparison):
         verdict, tables = compare.verdict(found), compare.tables(found)
     elif isinstance(found, SetComparison):
@@ -57,5 +59,3 @@ def compare_command(
     output.verdict(verdict)
     output.say(*tables)
     output.warn(found.notes)
-    output.write_json({**found.plain(), "seed": seed}, "compare.json")
-    output.draw(lambda: figures(found), "compare.json")

@@ -1,18 +1,18 @@
 """`torchid correct`: from logs to a corrected file of the simulator, in one call."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, progress_bar
+from torchid.app.output import Computed, Output
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
+    from torchid.export.correct import Correction
     from torchid.export.projection import Target
     from torchid.gap.diagnosis import Diagnosis
     from torchid.log.model import Log
@@ -41,18 +41,18 @@ def correct_command(
     to: Simulated,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     with_effects: Switch = False,
-    effects: str = "all",
-    background: opt.Names = "none",
     settings: Annotated[
         GapSettings,
         Fields(
+            effects=opt.Searched,
+            background=opt.Names,
             parameters=Literal["trusted", "free", "auto"],
             held_out_fraction=opt.HeldOutFraction,
             gain_std=opt.Share,
             seed=opt.Seed,
         ),
     ],
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Correct a simulator's file by logs of the real arm.
 
@@ -78,8 +78,6 @@ def correct_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it.
     """
-    output = results.open()
-    settings = replace(settings, effects=opt.searched(effects), background=opt.names(background))
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     from torchid.export.export import require_name
@@ -90,11 +88,12 @@ def correct_command(
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output)
-    with progress_bar(output, lines=True) as progress:
+    with output.progress("reading") as progress:
         result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    output.verdict(verdict(result))
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
-    corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
+    done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
+    output.verdict(verdict(result))
+    say_corrected(output, done, found)
 
 
 def corrected_by(
@@ -108,21 +107,18 @@ def corrected_by(
     keep: list[Path],
     settings: GapSettings,
     with_effects: bool = False,
-) -> None:
-    """Refit, check and write a file to the output's folder, and tell what it is worth.
+) -> "Correction":
+    """Refit, check and write a file to the output's folder.
 
     Args:
         output: of the command.
         robot, full, log, held_out, to, name, keep, settings, with_effects: see
             `torchid.export.correct.correct`.
     """
-    from rich.markup import escape
-
     from torchid.export.correct import correct
-    from torchid.report.correction import correction_record, headline, tables
-    from torchid.report.robot import export_warnings
+    from torchid.report.correction import correction_record
 
-    folder = output.folder or Path()
+    folder = output.out or Path()
     done = correct(
         robot,
         full,
@@ -135,6 +131,17 @@ def corrected_by(
         with_effects=with_effects,
         keep=keep,
     )
+    output.write_json(correction_record(done, robot), "correction.json")
+    return done
+
+
+def say_corrected(output: Output, done: "Correction", robot: "Robot") -> None:
+    """Tell what a corrected file is worth."""
+    from rich.markup import escape
+
+    from torchid.report.correction import headline, tables
+    from torchid.report.robot import export_warnings
+
     output.verdict(headline(done, robot))
     output.say(*tables(done, robot))
     output.warn(
@@ -143,4 +150,3 @@ def corrected_by(
     output.say(
         f"\nwritten: {escape(', '.join(str(file) for x in done.exports for file in x.files))}"
     )
-    output.write_json(correction_record(done, robot), "correction.json")

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.output import Computed, Output, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
+from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
 from torchid.json_data import plain
 
 if TYPE_CHECKING:
@@ -21,8 +22,17 @@ if TYPE_CHECKING:
     from torchid.excitation.trajectories import Sinusoid
     from torchid.robot.model import Robot
 
-    Designed = tuple[Sequence[FourierTrajectory | Sinusoid], dict[str, Any], TorqueLimits | None]
-    """Motions, their record and the torque limits that were kept."""
+
+@dataclass(frozen=True)
+class Designed:
+    """Motions, their record, the torque limits that were kept, and what there is to say."""
+
+    made: "Sequence[FourierTrajectory | Sinusoid]"
+    record: dict[str, Any]
+    torque: "TorqueLimits | None"
+    told: Sequence[Any] = ()
+    warnings: Sequence[str] = ()
+    verdict: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +63,13 @@ class Motion:
     kind: Literal["optimised", "random", "sinusoid", "paper"] = "optimised"
     count: opt.Count = 1
     criterion: Literal["condition", "d_optimal", "a_optimal"] | None = None
-    effects: str = "viscous_friction,coulomb_friction,torque_offset"
+    effects: opt.Excited = EXCITED_EFFECTS
     basis: Literal["report", "conditioned"] | None = None
-    duration: float = 20.0
+    duration: float = DURATION
     rate: float = 100.0
-    harmonics: opt.Count = 5
-    restarts: opt.Count = 8
-    usage: float = 0.7
+    harmonics: opt.Count = HARMONICS
+    restarts: opt.Count = RESTARTS
+    usage: float = USAGE
     speed: float = 1.0
     seed: opt.Seed = 0
     device_name: opt.Device = "cpu"
@@ -103,12 +113,12 @@ def excite_command(
     robot: Annotated[str | None, typer.Argument(metavar="[ROBOT]")] = None,
     motion: Motion,
     room: Room,
-    to: opt.File = None,
+    to: opt.Written = None,
     files: Controllers,
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
     tip: opt.Tip = None,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 
@@ -127,8 +137,8 @@ def excite_command(
         to: Trajectory file (.csv, .parquet, .npz).
         max_velocity: Velocity limits, in place of the robot's.
     """
-    output = results.open()
     from torchid.excitation.fourier import FourierTrajectory
+    from torchid.excitation.given import given_motions
     from torchid.excitation.restriction import restricted
     from torchid.excitation.trajectories import trajectory_log
     from torchid.log.model import Log
@@ -143,15 +153,14 @@ def excite_command(
         torque_record,
         torque_table,
     )
-    from torchid.robot.library import load_robot
 
-    target = to or (output.folder and output.folder / "trajectory.csv")
+    target = to or (output.out and output.out / "trajectory.csv")
     if not (target or output.json_file or files.ros2 or files.urscript):
         raise TorchidError(
             "nowhere to write the trajectory.",
             expected="--to FILE, --out DIR, --ros2 FILE, --urscript FILE or --json FILE",
         )
-    found = None if robot is None else load_robot(robot, tip=tip)
+    found = None if robot is None else opt.load(robot, tip)
     if motion.result is not None:
         found = found or read_asking(motion.result).model
     if found is None:
@@ -163,14 +172,16 @@ def excite_command(
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     clearance, unknown = room.of(arm, motion.usage)
-    kind: str = motion.kind
     if motion.result is not None:
-        kind = "next"
-        made, record, torque = _next(arm, motion, clearance, motion.result, output)
-    elif kind == "optimised":
-        made, record, torque = _optimised(arm, motion, clearance, output)
+        designed = _next(arm, motion, clearance, motion.result, output)
+    elif motion.kind == "optimised":
+        designed = _optimised(arm, motion, clearance, output)
     else:
-        made, record, torque = _given(arm, motion, clearance)
+        seeds = range(motion.seed, motion.seed + motion.count)
+        made, torque = given_motions(arm, motion.kind, seeds, clearance, **motion.series)
+        designed = Designed(made, {}, torque)
+    made, record, torque = designed.made, designed.record, designed.torque
+    kind = motion.kind if motion.result is None else "next"
     if motion.speed != 1:
         made = [x.at_speed(motion.speed) for x in made]
         # Gravity needs its torque at any speed, and the designed motion may have helped it.
@@ -181,32 +192,13 @@ def excite_command(
 
     # What the motions ask of the drives, or that it is not known, and how near they come.
     use = None if torque is None else torque.use(made)
-    if use is not None:
-        output.say(torque_table(arm, use))
-        output.warn(frictionless(use))
-    elif reason := not_checked(arm):
-        output.warn((reason,))
     nearest = None if clearance is None else clearance.nearest(made)
-    if clearance is not None and nearest is not None:
-        output.say(nearest_words(clearance, nearest), *clearance.notes)
-    output.warn(unknown)
-
     logs = [trajectory_log(x, motion.rate) for x in made]
     log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
-    output.warn(log.warnings)
-    written = []
     if target is not None:
         write_log(log, target)
-        written.append(target)
-    written += files.write(arm, made, motion.rate)
-    title = f"{arm.name}: {kind} trajectory"
-    drawn = output.draw(
-        lambda: {
-            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
-            for k, part in enumerate(log.trajectories(), start=1)
-        }
-    )
-    written += [output.folder / name for name in drawn if output.folder is not None]
+        output.written.append(target)
+    output.written.extend(files.write(arm, made, motion.rate))
     output.write_json(
         {
             "schema": "torchid.excitation/1",
@@ -221,8 +213,26 @@ def excite_command(
         },
         "excitation.json",
     )
-    if written:
-        output.say("written: " + ", ".join(str(path) for path in written))
+    title = f"{arm.name}: {kind} trajectory"
+    output.draw(
+        lambda: {
+            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
+            for k, part in enumerate(log.trajectories(), start=1)
+        }
+    )
+
+    if designed.verdict is not None:
+        output.verdict(designed.verdict)
+    output.say(*designed.told)
+    output.warn(designed.warnings)
+    if use is not None:
+        output.say(torque_table(arm, use))
+        output.warn(frictionless(use))
+    elif reason := not_checked(arm):
+        output.warn((reason,))
+    if clearance is not None and nearest is not None:
+        output.say(nearest_words(clearance, nearest), *clearance.notes)
+    output.warn((*unknown, *log.warnings))
 
 
 def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]:
@@ -230,47 +240,14 @@ def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]
     return [{name: plain(getattr(s, name)) for name in names} for s in series]
 
 
-def _given(robot: "Robot", motion: Motion, clearance: "Clearance | None") -> "Designed":
-    from torchid.excitation.restriction import restricted
-    from torchid.excitation.torque import nominal_torque_limits
-    from torchid.excitation.trajectories import (
-        paper_trajectories_3r,
-        random_trajectory,
-        sinusoid,
-    )
-
-    seeds = range(motion.seed, motion.seed + motion.count)
-    torque = nominal_torque_limits(robot, usage=motion.usage)
-    if motion.kind == "paper":
-        if not robot.name.startswith("3r"):
-            raise TorchidError(
-                "table 5.1 is for the 3R.", got=robot.name, available=["3r", "3r_friction"]
-            )
-        printed = paper_trajectories_3r()
-        if clearance is not None and not bool(clearance.fits(printed).all()):
-            raise TorchidError(
-                "the motions of table 5.1 leave the room there is; they are not changed.",
-                available=["--kind optimised", "--kind random", "--kind sinusoid"],
-            )
-        return [printed.select(k) for k in range(3)], {}, torque
-    made: Sequence[FourierTrajectory | Sinusoid]
-    if motion.kind == "sinusoid":
-        length, usage = motion.duration, motion.usage
-        made = [sinusoid(robot, seed, duration=length, usage=usage) for seed in seeds]
-    else:
-        made = [random_trajectory(robot, seed, fill=True, **motion.series) for seed in seeds]
-    kept = restricted(torque, clearance)
-    return made if kept is None else [kept.within(x) for x in made], {}, torque
-
-
 def _optimised(
     robot: "Robot", motion: Motion, clearance: "Clearance | None", output: Output
-) -> "Designed":
+) -> Designed:
     from torchid.excitation.design import excite
     from torchid.report.motion import HARDLY_BETTER
 
     settings = motion.series | {
-        "effects": opt.effect_names(motion.effects),
+        "effects": motion.effects,
         "restarts": motion.restarts,
         "criterion": motion.criterion or "condition",
         "basis": motion.basis,
@@ -278,17 +255,16 @@ def _optimised(
         "clearance": clearance,
     }
     found = []
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         for k in range(motion.count):
             told = stage(progress, f"trajectory {k + 1} of {motion.count}")
             found.append(excite(robot, seed=motion.seed + k, progress=told, **settings))
-    for k, design in enumerate(found, start=1):
-        output.say(
-            f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
-            f"-> {design.condition_after:.0f}"
-        )
-    if any(design.hardly for design in found):
-        output.warn((HARDLY_BETTER,))
+    said = [
+        f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
+        f"-> {design.condition_after:.0f}"
+        for k, design in enumerate(found, start=1)
+    ]
+    hardly = (HARDLY_BETTER,) if any(design.hardly for design in found) else ()
     record = {
         "criterion": settings["criterion"],
         "basis": found[0].base.basis,
@@ -296,7 +272,7 @@ def _optimised(
         "condition_number_after": [f.condition_after for f in found],
         "hardly_better": [f.hardly for f in found],
     }
-    return [f.trajectory for f in found], record, found[0].torque
+    return Designed([f.trajectory for f in found], record, found[0].torque, said, hardly)
 
 
 def _next(
@@ -305,12 +281,8 @@ def _next(
     clearance: "Clearance | None",
     result: Path,
     output: Output,
-) -> "Designed":
-    """The motion for a result, by its kind.
-
-    Raises:
-        TorchidError: a result that asks for no motion.
-    """
+) -> Designed:
+    """The motion for a result, by its kind."""
     from torchid.excitation.informed import InformedDesign
     from torchid.next_motion.design import excite_for
     from torchid.report import motion as words
@@ -321,21 +293,19 @@ def _next(
             got=motion.criterion,
             available=["a_optimal", "d_optimal"],
         )
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         made = excite_for(
             result, robot, goal=motion.criterion, restarts=motion.restarts, seed=motion.seed,
             clearance=clearance, progress=progress, **motion.series,
         )  # fmt: skip
+    warnings = [words.HARDLY_BETTER] if made.hardly else []
     if isinstance(made, InformedDesign):
-        output.verdict(words.informed_verdict(made))
-        output.say(words.informed_table(made))
+        verdict, table = words.informed_verdict(made), words.informed_table(made)
         record = words.informed_record(made)
     else:
-        output.verdict(words.separation_verdict(made, made.kind))
-        output.say(words.separation_table(made, made.kind))
-        output.warn(made.notes)
+        verdict = words.separation_verdict(made, made.kind)
+        table = words.separation_table(made, made.kind)
         record = {**words.separation_record(made, made.kind), "notes": list(made.notes)}
-    if made.hardly:
-        output.warn((words.HARDLY_BETTER,))
+        warnings = [*made.notes, *warnings]
     record |= {"result": result.name, "hardly_better": made.hardly}
-    return [made.trajectory], record, made.torque
+    return Designed([made.trajectory], record, made.torque, [table], warnings, verdict)

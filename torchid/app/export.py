@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from torchid.app import options as opt
-from torchid.app.correct import corrected_by
+from torchid.app.correct import corrected_by, say_corrected
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
@@ -28,7 +28,7 @@ def export_command(
     reading: opt.Reading,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Write identified dynamics into a copy of your URDF or MJCF, as yaml, as a table, or as C.
 
@@ -53,7 +53,6 @@ def export_command(
         held_out: Whole trajectories that judge what was refitted.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-    output = results.open()
     from rich.markup import escape
 
     from torchid.export.export import export_dynamics
@@ -74,11 +73,11 @@ def export_command(
         export_record,
         export_warnings,
     )
-    from torchid.robot.library import is_robot, load_robot, named_robot
+    from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 
     settings = GapSettings()
     if is_robot(result):
-        nominal, original = opt.load_both(result, robot, tip)
+        nominal, original = load_both(result, robot, tip)
         dynamics = robot_dynamics(nominal)
     elif CORRECTED in (data := load(Path(result))):
         dynamics, settings = diagnosis_dynamics(Path(result))
@@ -107,12 +106,14 @@ def export_command(
             )
         read, apart = (reading.read(x, original) if x else None for x in (log, held_out))
         assert read is not None
-        corrected_by(output, original, dynamics.robot, read, apart, to, name, keep, settings)
+        whole = dynamics.robot
+        made = corrected_by(output, original, whole, read, apart, to, name, keep, settings)
+        say_corrected(output, made, original)
         return
     done = export_dynamics(
         dynamics,
         to,
-        output.folder or Path(),
+        output.out or Path(),
         name,
         nominal=nominal,
         original=original,
@@ -121,7 +122,7 @@ def export_command(
         seed=seed,
         keep=keep,
     )
+    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
     output.warn(export_warnings(done))
     output.say(f"\nwritten: {escape(export_headline(done))}")
-    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")

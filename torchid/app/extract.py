@@ -1,6 +1,5 @@
 """`torchid extract` and `torchid atlas`: physical parameters from base parameters."""
 
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,16 +9,17 @@ import typer
 from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, progress_bar, stage
+from torchid.app.faults import resumable
+from torchid.app.output import Computed, Output, stage
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
 
 if TYPE_CHECKING:
     from torchid.extraction.convex.certificate import Certificate
-    from torchid.extraction.found import Found
     from torchid.extraction.problem import LossName, Problem
     from torchid.identification.values import BaseValues
+    from torchid.report.extraction import Found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Sought:
     bounds: opt.Bounds = None
     geometry: opt.Group = None
     shapes: Switch = False
-    total_mass: Annotated[str | None, typer.Option(metavar="LO,HI")] = None
+    total_mass: opt.TotalMass = None
 
     def problem(
         self, arm: opt.Arm, loss: "LossName" = "two-step"
@@ -52,14 +52,13 @@ class Sought:
 
         robot = arm.load()
         found = nominal_base(robot) if self.result is None else read_base(self.result, robot)
-        mass = None if self.total_mass is None else opt.interval("--total-mass", self.total_mass)
         problem, notes = problem_of(
             robot,
             found,
             bounds=self.bounds,
             geometry=self.geometry,
             shapes=self.shapes,
-            total_mass=mass,
+            total_mass=self.total_mass,
             loss=loss,
         )
         return problem, found, notes
@@ -77,11 +76,11 @@ def extract_command(
         Fields(
             "runs",
             "stages",
+            "generations",
             "population",
             "penalty",
             "schedule",
             "polish",
-            generations=100,
             engine=EngineName,
             seed=opt.Seed,
         ),
@@ -89,7 +88,7 @@ def extract_command(
     certificate: bool = True,
     search_anyway: Switch = False,
     resume: Switch = False,
-    results: Computed,
+    output: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Extract physical parameter sets that give the identified base parameters, and classify them.
@@ -111,7 +110,6 @@ def extract_command(
         search_anyway: Also where no point of the bounds can be feasible.
         resume: Continue from the checkpoint in --out.
     """
-    output = results.open()
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
     from torchid.extraction.found import Found, judged
@@ -119,20 +117,23 @@ def extract_command(
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import headline, loss_notes, search_figure, tables
 
-    if resume and output.folder is None:
+    if resume and output.out is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     problem, values, notes = sought.problem(arm, loss)
     if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
     proven = None
     if certificate or method == "sdp":
-        proven, told = certificate_where_possible(problem)
+        with output.progress("the certificate"):
+            proven, told = certificate_where_possible(problem)
         notes = (*notes, *told)
     if method == "sdp":
-        found = _convex(problem, proven, search_anyway)
+        with output.progress("the best set"):
+            found = _convex(problem, proven, search_anyway)
     elif method == "log-cholesky":
         began = time.monotonic()
-        made = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
+        with output.progress("descending"):
+            made = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
         sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
         done = zip(sets.ids, made.converged.tolist(), strict=True)
         short = ", ".join(name for name, converged in done if not converged)
@@ -144,15 +145,16 @@ def extract_command(
     else:
         found = _searched(problem, settings, output, resume, opt.device(device_name))
     notes = (*notes, *loss_notes(found, values))
-    output.say(*tables(found, proven))
-    output.warn(notes)
-    output.say(f"\n{escape(headline(found, proven))}")
     output.write_json(replace(found, proof=proven, warnings=notes).plain(), "extraction.json")
-    if output.folder is not None:
-        sets_record(found.sets, problem.robot).save(output.folder / "sets.json")
+    if output.out is not None:
+        sets_record(found.sets, problem.robot).save(output.out / "sets.json")
+        output.written.append(output.out / "sets.json")
     search = found.search
     if search is not None:
         output.draw(lambda: {"search": search_figure(search, proven)})
+    output.say(*tables(found, proven))
+    output.warn(notes)
+    output.say(f"\n{escape(headline(found, proven))}")
 
 
 def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
@@ -191,37 +193,30 @@ def _searched(
     from torchid.extraction.extract import extract
     from torchid.extraction.found import Found, judged
 
-    checkpoint = None if output.folder is None else output.folder / "checkpoint.npz"
+    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
     if checkpoint is not None and checkpoint.exists() != resume:
         output.warn(
             (
-                f"there is no checkpoint in {output.folder}: the search starts anew"
+                f"there is no checkpoint in {output.out}: the search starts anew"
                 if resume
-                else f"{output.folder} held the checkpoint of an interrupted search, which starts "
+                else f"{output.out} held the checkpoint of an interrupted search, which starts "
                 "anew: --resume would have continued it",
             )
         )
-    with progress_bar(output) as progress:
-        try:
-            found = extract(
-                problem,
-                settings,
-                checkpoint=checkpoint,
-                resume=resume,
-                device=where,
-                report=stage(progress, "stages"),
-            )
-        except KeyboardInterrupt:
-            if checkpoint is not None and checkpoint.exists():
-                sys.stderr.write(
-                    f"interrupted; {checkpoint} is kept: the same command with --resume continues\n"
-                )
-            raise
+    with resumable(checkpoint), output.progress() as progress:
+        found = extract(
+            problem,
+            settings,
+            checkpoint=checkpoint,
+            resume=resume,
+            device=where,
+            report=stage(progress, "stages"),
+        )
     return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
 
 
 @command
-def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results: Computed) -> None:
+def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, output: Computed) -> None:
     """The range of every physical parameter over all feasible sets with the same torque.
 
     Example: `torchid atlas kuka_lwr4 --bounds normal --out atlas`
@@ -229,7 +224,6 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     Args:
         level: Of the confidence region of identified base parameters.
     """
-    output = results.open()
     from torchid.extraction.convex.atlas import atlas
     from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
 
@@ -237,10 +231,10 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, results:
     if found.held:
         held = ", ".join(found.held)
         notes = (*notes, f"held by the identification, and taken for exact here: {held}")
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         ranges = atlas(problem, covariance=found, level=level, progress=stage(progress, "ends"))
+    output.write_json({**ranges.plain(), "warnings": list(notes)}, "atlas.json")
+    output.draw(lambda: {"atlas": atlas_figure(ranges.record)})
     output.say(atlas_table(ranges))
     output.warn(notes)
     output.say(f"\n{escape(atlas_headline(ranges, problem))}")
-    output.write_json({**ranges.plain(), "warnings": list(notes)}, "atlas.json")
-    output.draw(lambda: {"atlas": atlas_figure(ranges.record)})

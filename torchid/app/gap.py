@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.correct import Simulated, corrected_by, file_format
-from torchid.app.output import Results, progress_bar, write_report
+from torchid.app.correct import Simulated, corrected_by, file_format, say_corrected
+from torchid.app.output import Reported
 from torchid.app.signature import Fields, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -18,13 +18,13 @@ from torchid.gap.settings import GapSettings
 def gap_command(
     *,
     trials: opt.Trials,
-    effects: str = "all",
-    background: opt.Names = "none",
-    cutoff: Annotated[str, typer.Option(metavar="HZ|auto")] = "auto",
     settings: Annotated[
         GapSettings,
         Fields(
             "rollout",
+            effects=opt.Searched,
+            background=opt.Names,
+            cutoff=opt.FitCutoff,
             parameters=Literal["trusted", "free", "auto"],
             held_out_fraction=opt.HeldOutFraction,
             worthwhile=opt.LessThanOne,
@@ -34,9 +34,9 @@ def gap_command(
             seed=opt.Seed,
         ),
     ],
-    save_model: opt.File = None,
+    save_model: opt.Written = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,
-    results: Results,
+    output: Reported,
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
@@ -61,24 +61,11 @@ def gap_command(
         for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
             does.
     """
-    output = results.open()
-    if save_model is not None and (save_model.is_dir() or not save_model.parent.is_dir()):
-        raise TorchidError(
-            "--save-model needs a file in a folder that exists.",
-            got=save_model,
-            expected="FILE.yaml",
-        )
-    if for_ is not None and output.folder is None:
-        raise TorchidError("--for writes a file, and needs --out DIR.")
-    kind = None if for_ is None else file_format(for_)
-    settings = replace(
-        settings,
-        effects=opt.searched(effects),
-        background=opt.names(background),
-        cutoff=opt.auto_hz(cutoff),
-    )
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
+    if for_ is not None and output.out is None:
+        raise TorchidError("--for writes a file, and needs --out DIR.")
+    kind = None if for_ is None else file_format(for_)
     found, log, apart, files = trials.open(output)
     from rich.markup import escape
 
@@ -88,28 +75,31 @@ def gap_command(
     from torchid.report.gap_words import verdict
     from torchid.robot.writer import write_robot
 
-    with progress_bar(output, lines=True) as progress:
+    with output.progress("reading") as progress:
         result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    output.verdict(verdict(result))
-    output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
-    output.warn(result.warnings)
     output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
     if save_model is not None:
         write_robot(result.corrected, save_model)
-        output.say(f"corrected robot written to {save_model}")
-    if kind is not None:
-        keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
-        beside = replace(output, json_file=None)
-        corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
+        output.written.append(save_model)
     # The worst joints of an earlier run may have been others.
-    output.draw(lambda: figures(result), "gap.json", old=["gap_joint_*.png"])
+    output.draw(lambda: figures(result), old=["gap_joint_*.png"])
     asked = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     asked["effects"] = asked["effects"] or "all"
     asked |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
-    write_report(
-        output,
+    output.write_page(
         lambda origin: gap_page(result, origin),
         files=files,
         seeds={"seed": settings.seed},
         settings=asked,
     )
+    done = None
+    if kind is not None:
+        keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+        beside = replace(output, json_file=None)
+        done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
+        output.written.extend(beside.written)
+    output.verdict(verdict(result))
+    output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
+    output.warn(result.warnings)
+    if done is not None:
+        say_corrected(output, done, found)

@@ -1,29 +1,40 @@
 """`torchid identify`: base parameters from logs."""
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Results, progress_bar, write_report
-from torchid.app.signature import Fields, Switch, command
+from torchid.app.output import Reported
+from torchid.app.signature import Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.identification.settings import Settings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-    from torchid.identification.identify import Identification
+def _effects(text: str) -> tuple[str, ...]:
+    """Effects as written; an unknown or unfit one is refused before any file is read."""
+    from torchid.effects.registry import fitted_kind
+    from torchid.effects.written import name_and_pairs, split_list
+
+    written = split_list(text)
+    for one in written:
+        fitted_kind(name_and_pairs(one, "--effects")[0])
+    return written
+
+
+def _reversal(text: str) -> float | Literal["auto"]:
+    if text == "auto":
+        return "auto"
+    fraction = opt.number("--reversal", text, "a fraction of the 99 % speed, or `auto`")
+    if not 0 <= fraction < 1:
+        raise TorchidError("--reversal is a fraction of the 99 % speed.", got=text, expected="0..1")
+    return fraction
 
 
 @command
 def identify_command(
     *,
     trials: opt.Trials,
-    effects: Annotated[str, typer.Option(metavar="NAME[:joint=J,SHAPE=V],..")] = opt.FITTED,
-    cutoff: opt.FilterCutoff = "auto",
-    reversal: Annotated[str, typer.Option(metavar="FRACTION|auto")] = "auto",
     settings: Annotated[
         Settings,
         Fields(
@@ -31,6 +42,15 @@ def identify_command(
             "basis",
             "covariance",
             "signs",
+            effects=Annotated[
+                tuple[str, ...],
+                typer.Option(metavar="NAME[:joint=J,SHAPE=V],.."),
+                Parsed(_effects, "none"),
+            ],
+            cutoff=opt.FilterCutoff,
+            reversal=Annotated[
+                opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")
+            ],
             held_out_fraction=opt.HeldOutFraction,
             method=opt.Method,
             essential=Switch,
@@ -39,7 +59,7 @@ def identify_command(
         ),
     ],
     seed: opt.Seed = 0,
-    results: Results,
+    output: Reported,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Identify base parameters and friction from logs, with standard deviations and validation.
@@ -62,22 +82,11 @@ def identify_command(
         error_cutoff: Report errors under this filter, not the fit's.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
-    output = results.open()
     from torchid.identification.identify import identify
-    from torchid.report.identification import headline, identification_page, tables
+    from torchid.report.identification import figures, headline, identification_page, tables
 
-    fraction: float | Literal["auto"] = "auto"
-    if reversal != "auto":
-        fraction = opt.number("--reversal", reversal, "a fraction of the 99 % speed, or `auto`")
-        if not 0 <= fraction < 1:
-            raise TorchidError(
-                "--reversal is a fraction of the 99 % speed.", got=reversal, expected="0..1"
-            )
-    settings = replace(
-        settings, effects=_effects(effects), cutoff=opt.cutoff_hz(cutoff), reversal=fraction
-    )
     found, log, apart, files = trials.open(output)
-    with progress_bar(output, lines=True) as progress:
+    with output.progress("reading") as progress:
         result = identify(
             found,
             log,
@@ -86,47 +95,17 @@ def identify_command(
             device=opt.device(device_name),
             progress=progress,
         )
-    output.say(*tables(result))
-    output.warn(result.warnings)
-    output.say(f"\n{headline(result)}")
     data = {**result.plain(), "seed": seed}
     output.write_json(data, "identification.json")
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
-    output.draw(lambda: _figures(result), "identification.json", old=old)
-    write_report(
-        output,
+    output.draw(lambda: figures(result), old=old)
+    output.write_page(
         lambda origin: identification_page(result, origin),
         files=files,
         seeds={"seed": seed},
         settings=data["settings"] | {"cut-off used [Hz]": result.cutoff},
     )
-
-
-def _effects(text: str) -> tuple[str, ...]:
-    """Effects as written; an unknown or unfit one is refused before any file is read."""
-    from torchid.effects.registry import fitted_kind
-    from torchid.effects.written import name_and_pairs, split_list
-
-    written = split_list(text)
-    for one in written:
-        fitted_kind(name_and_pairs(one, "--effects")[0])
-    return written
-
-
-def _figures(result: "Identification") -> "dict[str, Figure]":
-    """How well each parameter is known, and torques of every trajectory."""
-    from torchid.report.identification import parameter_figure, torque_figure
-    from torchid.report.table import joint_unit
-
-    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result.record)}
-    for kind, words, predictions in (
-        ("fit", "fitted data", result.fit_predictions),
-        ("held_out", "held-out data", result.held_out_predictions),
-    ):
-        for prediction in predictions:
-            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
-            title = f"{prediction.name} ({words})"
-            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
-    return drawn
+    output.say(*tables(result))
+    output.warn(result.warnings)
+    output.say(f"\n{headline(result)}")

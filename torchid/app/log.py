@@ -7,23 +7,23 @@ from rich.markup import escape
 
 from torchid.app import options as opt
 from torchid.app.output import Computed, Printed
-from torchid.app.signature import Fields, command
-from torchid.errors import TorchidError
+from torchid.app.project import ProjectCommand
+from torchid.app.signature import command
 
 log_app = typer.Typer(
     name="log", no_args_is_help=True, help="What a log is, before anything is computed from it."
 )
 
 
-@log_app.command("doctor")
+@log_app.command("doctor", cls=ProjectCommand)
 @command
 def doctor_command(
     *,
     arm: opt.ArmAndLogs,
-    apply: opt.File = None,
+    apply: opt.Written = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
     lag, velocities, clock, dropouts, saturation, excitation; with evidence, and what to change.
@@ -36,13 +36,6 @@ def doctor_command(
         fix: Of fixes that are equally good, the one to take, by the name that is said. May be
             given several times; without it --apply takes none of them.
     """
-    output = results.open()
-    if apply is not None and any(
-        apply.exists() and log.exists() and apply.samefile(log) for log in arm.logs
-    ):
-        raise TorchidError(
-            f"--apply would write over the log '{apply}'.", expected="the name of a new file"
-        )
     from torchid.doctor.examine import examine
     from torchid.doctor.flag import columns_flag
     from torchid.doctor.record import conclusion, record
@@ -51,42 +44,42 @@ def doctor_command(
     from torchid.report.log import choices, doctor_tables, fine, torque_figure
 
     found = arm.load()
-    result = examine(found, arm.read(arm.logs, found), fix or ())
+    log = arm.read(arm.logs, found)
+    with output.progress("examining the log"):
+        result = examine(found, log, fix or ())
     if apply is not None:
         write_log(result.mended(), apply)
+        output.written.append(apply)
     # The fixes as --columns, where the logs have columns of our names.
     flag = None
     if result.repairs and not (arm.columns or arm.topic):
         read = [open_log(log, Request())[0] for log in arm.logs]
         own = [set() if table is None else set(table.columns) for table in read]
         flag = columns_flag(result.repairs, found.n, set.intersection(*own))
+    output.write_json({**record(result, flag).plain(), "seed": seed}, "doctor.json")
+    output.draw(lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure})
     output.say(*doctor_tables(result), fine(result), f"\n{escape(conclusion(result))}")
     if result.undecided:
         output.say(escape(choices(result)))
     if apply is not None:
         count = len(result.repairs)
-        output.say(f"written to {apply}: a copy with {count} fix{'es' if count != 1 else ''}")
+        output.say(f"{escape(str(apply))} is a copy with {count} fix{'es' if count != 1 else ''}")
     elif result.repairs:
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
         output.say(escape(f'or read the log with --columns "{flag}"'))
-    output.write_json({**record(result, flag).plain(), "seed": seed}, "doctor.json")
-    output.draw(
-        lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure},
-        "doctor.json",
-    )
 
 
-@log_app.command("show")
+@log_app.command("show", cls=ProjectCommand)
 @command
 def show_command(
     *,
     logs: opt.LogArguments,
     robot: opt.RobotOption = None,
-    reading: Annotated[opt.Reading, Fields("columns", "topic")],
+    reading: opt.Reading,
     tip: opt.Tip = None,
-    out: opt.File = None,
-    results: Printed,
+    out: opt.Written = None,
+    output: Printed,
 ) -> None:
     """Print what a log is seen as: format, joints, sampling, ranges, units, and what is odd.
 
@@ -95,34 +88,36 @@ def show_command(
 
     Args:
         robot: The robot it is of: joints by name, and what only a robot can tell is checked.
-        out: Write what was read as .parquet, .csv or .npz, in our columns and units.
+        out: Write what was read as .parquet, .csv or .npz, in our columns and units; currents
+            also as torque, where the drive gains are known.
     """
-    output = results.open()
     from torchid.design.repeats import repeated_motion
-    from torchid.log.mapping import read_mapping
     from torchid.log.overview import look_at, overview_record
     from torchid.log.readers import write_log
     from torchid.log.ros import topics_of
-    from torchid.log.table import Request
     from torchid.report.log import headline, log_tables, repeats_table, topics_table
-    from torchid.robot.library import load_robot
     from torchid.robot.model import JointType
 
     checked: dict[str, Any] = {}
-    joints: tuple[str, ...] = ()
-    if robot is not None:
-        found = load_robot(robot, tip=tip)
-        joints = found.joint_names
+    found = None if robot is None else opt.load(robot, tip)
+    if found is not None:
         checked = {
             "robot_name": found.name,
             "position_limits": found.limits.position,
             "torque_limits": found.limits.torque,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
         }
-    mapping = None if reading.columns is None else read_mapping(reading.columns)
-    request = Request(mapping, reading.topic, joints)
+    request = reading.request(() if found is None else found.joint_names)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
+    record = overview_record(seen)
+    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
+    log = reading.with_torque(seen.log, seen.log.n)
+    if log.tau is None and log.current is not None and found is not None:
+        log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
+    if out is not None:
+        write_log(log, out)
+        output.written.append(out)
     output.verdict(headline(seen))
     for table in seen.tables:
         if table is not None and table.topic is not None:
@@ -136,7 +131,5 @@ def show_command(
     if seen.problem is not None:
         output.say(f"[red]this log cannot be used as it is:[/] {escape(seen.problem)}")
     if out is not None:
-        write_log(seen.log, out)
-        output.say(f"{seen.log.samples} samples written to {out}")
-    record = overview_record(seen)
-    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
+        gained = "" if log is seen.log else ", with torque: current times the drive gains"
+        output.say(f"{log.samples} samples{gained}")

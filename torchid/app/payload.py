@@ -1,13 +1,12 @@
 """`torchid payload`: what the last link carries, from logs without and with it."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, progress_bar
+from torchid.app.output import Computed
 from torchid.app.signature import Fields, command
 from torchid.identification.settings import Settings
 
@@ -17,12 +16,19 @@ def payload_command(
     *,
     arm: opt.ArmAndLogs,
     loaded: Annotated[list[Path], typer.Option(metavar="LOG")],
-    effects: opt.FittedEffects = opt.FITTED,
     model: Literal["general", "symmetric", "point_mass"] = "general",
-    cutoff: opt.FilterCutoff = "auto",
-    settings: Annotated[Settings, Fields("signs", rows="moving", method=opt.Method)],
+    settings: Annotated[
+        Settings,
+        Fields(
+            "signs",
+            "rows",
+            effects=opt.FittedEffects,
+            cutoff=opt.FilterCutoff,
+            method=opt.Method,
+        ),
+    ],
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Estimate mass, centre of mass and inertia of what the last link carries.
@@ -39,20 +45,18 @@ def payload_command(
         rows: Rows fitted. At rest friction can hold any torque, and so part of a payload's.
         signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
-    output = results.open()
     from torchid.identification.payload import payload
     from torchid.report.identification import payload_headline, payload_tables
 
-    settings = replace(settings, effects=opt.effect_names(effects), cutoff=opt.cutoff_hz(cutoff))
     found = arm.load()
     empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
     where = opt.device(device_name)
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         carried = payload(
             found, empty, full, model=model, settings=settings, device=where, progress=progress
         )
+    data = {**carried.plain(), "seed": seed}
+    output.write_json(data, "payload.json")
     output.say(*payload_tables(carried))
     output.warn(carried.warnings)
     output.say(f"\n{payload_headline(carried)}")
-    data = {**carried.plain(), "seed": seed}
-    output.write_json(data, "payload.json")

@@ -9,6 +9,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.errors import MissingExtraError, TorchidError
+from torchid.excitation.settings import CLEARANCE
 from torchid.files import atomic_write
 from torchid.json_data import write_json
 
@@ -32,7 +33,7 @@ class Room:
         workspace: Box that no moving link leaves, in the base frame [m].
     """
 
-    clearance: float = 0.02
+    clearance: float = CLEARANCE
     floor: float | None = None
     workspace: Annotated[str | None, typer.Option(metavar=_BOX)] = None
 
@@ -71,8 +72,8 @@ class Controllers:
             e-Series).
     """
 
-    ros2: opt.File = None
-    urscript: opt.File = None
+    ros2: opt.Written = None
+    urscript: opt.Written = None
 
     def check(self, robot: "Robot", count: int) -> None:
         """That the files can hold what is asked for.

@@ -11,24 +11,23 @@ from torchid.app.signature import command
 
 
 @command
-def robot_command(*, arm: opt.Arm, results: Kept) -> None:
+def robot_command(*, arm: opt.Arm, output: Kept) -> None:
     """Print joints, limits, parameters and warnings of a robot.
 
     Example: `torchid robot kuka_lwr4`
     """
-    output = results.open()
     from torchid.report.robot import robot_record, robot_tables
 
     found = arm.load()
-    output.say(*robot_tables(found))
     data = robot_record(found)
-    output.warn(tuple(data["warnings"]))
     output.write_json(data, "robot.json")
+    output.say(*robot_tables(found))
+    output.warn(tuple(data["warnings"]))
 
 
 @command
 def effects_command(
-    *, name: Annotated[str | None, typer.Argument(metavar="[NAME]")] = None, results: Kept
+    *, name: Annotated[str | None, typer.Argument(metavar="[NAME]")] = None, output: Kept
 ) -> None:
     """List the effects that can make an arm differ from its simulator, or explain one of them.
 
@@ -39,15 +38,14 @@ def effects_command(
     Args:
         name: One effect; all if left out.
     """
-    output = results.open()
     from rich.markdown import Markdown
 
     from torchid.effects.registry import KINDS, effect_kind
     from torchid.report.catalogue import effect_record, effect_text, effects_table, write_catalogue
 
     kinds = list(KINDS.values()) if name is None else [effect_kind(name)]
-    output.say(effects_table() if name is None else Markdown(effect_text(kinds[0])))
     record = {"schema": "torchid.effects/1", "effects": [effect_record(kind) for kind in kinds]}
-    replace(output, folder=None).write_json(record, "effects.json")
-    if output.folder is not None:
-        output.say(f"written: {write_catalogue(output.folder)}")
+    replace(output, out=None).write_json(record, "effects.json")
+    if output.out is not None:
+        output.written.append(write_catalogue(output.out))
+    output.say(effects_table() if name is None else Markdown(effect_text(kinds[0])))

@@ -1,7 +1,6 @@
 """`torchid simulate`: a synthetic log along a trajectory."""
 
 import math
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,9 +12,7 @@ from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.effects.registry import Valued
     from torchid.excitation.synthetic import NoiseModel
-    from torchid.robot.model import Robot
 
 
 @command
@@ -23,7 +20,7 @@ def simulate_command(
     *,
     arm: opt.Arm,
     trajectory: Annotated[Path, typer.Argument(metavar="TRAJECTORY")],
-    to: opt.File = None,
+    to: opt.Written = None,
     noise: Literal["none", "paper", "honest"] = "honest",
     snr: float = 30.0,
     torque_noise: float = 0.01,
@@ -35,7 +32,7 @@ def simulate_command(
     rate: opt.Hertz = None,
     control_frequency: Annotated[float, typer.Option(metavar="HZ")] = 5.0,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Write the log that the robot would give along a trajectory.
@@ -65,13 +62,13 @@ def simulate_command(
         rate: under control: samples per second; the trajectory's if absent.
         control_frequency: under control: natural frequency of the PD.
     """
-    output = results.open()
+    from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import HonestNoise, PaperNoise
     from torchid.excitation.synthetic import simulate as simulated
     from torchid.log.readers import read_log, write_log
     from torchid.simulation.controller import Controller
 
-    target = to or (output.folder and output.folder / "log.parquet")
+    target = to or (output.out and output.out / "log.parquet")
     if target is None:
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model: "NoiseModel" = None
@@ -88,7 +85,7 @@ def simulate_command(
             velocity_relative=velocity_noise or 0.0,
         )
     found = arm.load()
-    effects = [_effect(text, found) for text in effect or []]
+    effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
     if moves and noise == "paper":
         raise TorchidError(
@@ -98,20 +95,21 @@ def simulate_command(
         )
     if rate is not None and not moves:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
-    log = simulated(
-        found,
-        read_log(trajectory),
-        effects=effects,
-        noise=model,
-        closed_loop=moves,
-        rate=rate,
-        controller=Controller(control_frequency) if moves else None,
-        seed=seed,
-        device="cpu" if moves else opt.device(device_name),
-    )
+    motion = read_log(trajectory)
+    with output.progress("simulating"):
+        log = simulated(
+            found,
+            motion,
+            effects=effects,
+            noise=model,
+            closed_loop=moves,
+            rate=rate,
+            controller=Controller(control_frequency) if moves else None,
+            seed=seed,
+            device="cpu" if moves else opt.device(device_name),
+        )
     write_log(log, target)
-    output.warn(log.warnings)
-    output.say(f"{log.samples} samples of {log.trajectory_count} trajectories written to {target}")
+    output.written.append(target)
     assert log.tau is not None
     output.write_json(
         {
@@ -128,50 +126,5 @@ def simulate_command(
         },
         "simulation.json",
     )
-
-
-def _effect(text: str, robot: "Robot") -> "Valued":
-    """An effect and its coefficients, e.g. from `coulomb_friction:joint=2,Fc=0.6`.
-
-    Joints count from 1. Shape parameters and other settings may be left out where they have a
-    default.
-
-    Raises:
-        TorchidError: an unknown effect or key, a value that is no number, a missing coefficient.
-        RobotError: a joint that the robot does not have.
-    """
-    from torchid.effects.base import PLACES, Coefficient, Shape
-    from torchid.effects.registry import effect_from_record, effect_kind
-    from torchid.effects.written import name_and_pairs
-    from torchid.robot.model import JointType
-
-    name, given = name_and_pairs(text, "--effect")
-    kind = effect_kind(name)
-    # Where it is, what its coefficients are, then shapes and other settings.
-    own = [f for f in fields(kind) if f.name not in PLACES]
-    first = [f.name for f in fields(kind) if f.name in PLACES]
-    first += [c.name for c in kind.coefficients]
-    keys = [*first, *(f.name for f in own)]
-    needed = [*first, *(f.name for f in own if f.default is MISSING)]
-    unknown = [key for key in given if key not in keys]
-    if unknown:
-        raise TorchidError(
-            f"--effect {text}: '{unknown[0]}' does not belong to {kind.name}.", available=keys
-        )
-    missing = [key for key in needed if key not in given]
-    if missing:
-        key = missing[0]
-        what = f"{key} (1 to {robot.n})" if key in PLACES else key
-        every: list[Coefficient | Shape] = [*kind.coefficients, *kind.shapes]
-        for entry in (entry for entry in every if entry.name == key):
-            # With its unit on the given joint.
-            joint = given.get("joint", 1)
-            there = joint in range(1, robot.n + 1)
-            prismatic = there and robot.joint_types[joint - 1] is JointType.PRISMATIC
-            unit = entry.unit_for(prismatic) if isinstance(entry, Coefficient) else entry.unit
-            what = f"{key} [{unit}] ({entry.meaning})"
-        raise TorchidError(
-            f"--effect {text}: {what} is missing.",
-            expected=f"{kind.name}:" + ",".join(f"{key}=..." for key in needed),
-        )
-    return effect_from_record({"effect": kind.name, **given}, robot)
+    output.warn(log.warnings)
+    output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")

@@ -1,6 +1,5 @@
 """`torchid study`: the report's studies as one command."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Output, Results, hashed, of, progress_bar, write_report
+from torchid.app.faults import resumable
+from torchid.app.output import Output, Reported, of
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
@@ -48,7 +48,7 @@ def study_command(
     instead: Changes,
     resume: Switch = False,
     figures: bool = True,
-    results: Results,
+    output: Reported,
     device_name: opt.Device = "cpu",
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.
@@ -61,8 +61,7 @@ def study_command(
         resume: Continue from the checkpoints in --out.
         figures: Draw the figures into --out.
     """
-    output = results.open()
-    out = output.folder
+    out = output.out
     from torchid.robot.library import robot_file
     from torchid.study.settings import load_study, study_file, study_names
     from torchid.study.study import remove_checkpoints, run_study
@@ -76,21 +75,21 @@ def study_command(
         settings = load_study(given).quick() if quick else load_study(given)
         every.append(replace(settings, search=replace(settings.search, **changed)))
     where = opt.device(device_name)
-    records = []
+    studies, records = [], []
     for given, settings in zip(names, every, strict=True):
         folder, own = None if out is None else out / settings.name, output
         if name == "all":
             # Each study has a page of its own: report_3r.html beside report.html.
-            page = output.page_file
+            page = output.report
             page = page and page.with_name(f"{page.stem}_{settings.name}{page.suffix}")
-            own = replace(output, page_file=page, started=time.monotonic())
+            own = replace(output, report=page)
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
-        files = hashed(own, [("study", given, study_file(given)), robot_entry])
+        files = own.hashed([("study", given, study_file(given)), robot_entry])
         checkpoints = None
         if folder is not None:
             checkpoints = folder / _CHECKPOINTS
             checkpoints.mkdir(parents=True, exist_ok=True)
-        with progress_bar(own) as progress:
+        with resumable(checkpoints), own.progress() as progress:
             found = run_study(
                 settings,
                 checkpoints=checkpoints,
@@ -98,8 +97,11 @@ def study_command(
                 device=where,
                 report=of(progress, settings.name),
             )
-        records.append(_finish(found, folder, figures, own))
+        records.append(_keep(found, folder, figures))
         _report(found, own, files)
+        if own is not output:
+            output.written.extend(own.written)
+        studies.append(found)
     output.write_json(
         records[0] if name != "all" else {"schema": "torchid.studies/1", "studies": records},
         "study.json",
@@ -108,26 +110,33 @@ def study_command(
     for settings in every:
         if out is not None:
             remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
+    for found in studies:
+        _say(found, output)
 
 
-def _finish(found: "Study", folder: Path | None, figures: bool, output: Output) -> dict[str, Any]:
-
-    from rich.markup import escape
-
-    from torchid.report.study.facts import headline
+def _keep(found: "Study", folder: Path | None, figures: bool) -> dict[str, Any]:
+    """The record, which is written into the study's folder, and with it the figures."""
     from torchid.report.study.page import write_study
-    from torchid.report.study.tables import all_tables
 
-    output.say(*all_tables(found))
-    output.warn(found.warnings)
-    output.say(f"\n{escape(headline(found))}\n")
     data = found.plain()
     if folder is not None:
         write_json(data, folder / "study.json")
         if figures:
             write_study(found, folder)
-        output.say(f"results of {found.settings.name} are in {folder}")
     return data
+
+
+def _say(found: "Study", output: Output) -> None:
+    from rich.markup import escape
+
+    from torchid.report.study.facts import headline
+    from torchid.report.study.tables import all_tables
+
+    output.say(*all_tables(found))
+    output.warn(found.warnings)
+    output.say(f"\n{escape(headline(found))}\n")
+    if output.out is not None:
+        output.say(f"results of {found.settings.name} are in {output.out / found.settings.name}")
 
 
 def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> None:
@@ -138,8 +147,7 @@ def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> Non
         "excitation": s.excitation, "validation": s.validation, "sets' motion": s.sets_motion,
         "reference motion": s.wrench_motion,
     }  # fmt: skip
-    write_report(
-        output,
+    output.write_page(
         lambda origin: study_page(found, origin),
         files=files,
         seeds={"seed of the search": s.search.seed}

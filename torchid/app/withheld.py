@@ -2,20 +2,18 @@
 
 import os
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Kept, Printed, progress_bar
-from torchid.app.signature import Fields, Switch, command
+from torchid.app.output import Kept, Output, Printed
+from torchid.app.project import ProjectCommand
+from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-
-PLANTED = "coulomb_friction,load_dependent_friction,cogging"
-"""Effects that are planted by default: a step, one that scales with load, a periodic one."""
+from torchid.withheld.settings import PLANTED
 
 withheld_app = typer.Typer(
     name="withheld",
@@ -24,9 +22,10 @@ withheld_app = typer.Typer(
 )
 
 SetArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`.")
+    Path,
+    typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`."),
+    PLACE,
 ]
-Folder = Annotated[Path, typer.Option(metavar="DIR")]
 RequiredSeed = Annotated[
     int, typer.Option(min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from.")
 ]
@@ -38,22 +37,39 @@ Again = Annotated[
     bool,
     typer.Option("--again", help="Replace answers of another torchid, or with other settings."),
 ]
-Keys = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
-]
+_KEYS = typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
+
+
+def processes(jobs: int | None) -> int:
+    """The --jobs option; all cores that this process may use, by default."""
+    if jobs is not None:
+        return jobs
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _joints(text: str) -> list[int] | None:
+    """Joints from 0, of `1,3`; None for `all`."""
+    if text.strip() == "all":
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdigit() for part in parts):
+        raise TorchidError("--joints takes numbers, separated by commas.", got=text)
+    return [int(part) - 1 for part in parts]
 
 
 @withheld_app.command("make")
 @command
 def make_command(
     *,
-    out: Folder,
+    out: opt.Folder,
     cases: Annotated[int, typer.Option(min=1, max=9999)],
     seed: RequiredSeed,
     mix: Literal["mixed", "release"] = "mixed",
-    keys: Keys = None,
+    keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
     jobs: Jobs = None,
-    results: Printed,
+    output: Printed,
 ) -> None:
     """Simulate arms with planted effects, independently of torchid, and seal what was planted.
 
@@ -64,18 +80,17 @@ def make_command(
         cases: Number of cases.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
     """
-    output = results.open()
     from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         made = make(out, cases, seed, mix=mix, keys=sealed, jobs=processes(jobs), progress=progress)
-    output.say(f"{cases} cases in {out}, keys in {sealed}")
-    output.say(f"SHA-256 of the keys: {made.keys_sha256}")
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
         "make.json",
     )
+    output.say(f"{cases} cases in {out}, keys in {sealed}")
+    output.say(f"SHA-256 of the keys: {made.keys_sha256}")
 
 
 @withheld_app.command("run")
@@ -86,7 +101,7 @@ def run_command(
     rollout: bool = False,
     again: Again = False,
     jobs: Jobs = None,
-    results: Printed,
+    output: Printed,
 ) -> None:
     """Diagnose every case of a set; no key is read. What is answered already stays.
 
@@ -95,19 +110,18 @@ def run_command(
     Args:
         rollout: Simulate short motions with the model before and after; no score needs it.
     """
-    output = results.open()
     from torchid.withheld.case_set import read_cases
     from torchid.withheld.run import ERROR, default_settings, jobs_of, run
 
     found = read_cases(folder)
     todo = jobs_of(found, default_settings(rollout=rollout))
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         answers = run(todo, jobs=processes(jobs), again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
-    output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
-    output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
     statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
+    output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
+    output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
 
 
 @withheld_app.command("score")
@@ -115,13 +129,13 @@ def run_command(
 def score_command(
     *,
     folder: SetArgument,
-    keys: Keys = None,
+    keys: Annotated[Path | None, _KEYS] = None,
     baselines: bool = True,
     oracle: bool = True,
     truth: bool = True,
     partial: Switch = False,
     jobs: Jobs = None,
-    results: Kept,
+    output: Kept,
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
 
@@ -133,7 +147,6 @@ def score_command(
         truth: Simulate cases again without noise: how far gaps are really closed.
         partial: Leave out cases that have no answer yet.
     """
-    output = results.open()
     from torchid.files import atomic_write
     from torchid.report.withheld import headline, markdown, score_table
     from torchid.report.withheld_figures import figures
@@ -145,33 +158,32 @@ def score_command(
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         count = processes(jobs)
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
         true = true_shares(found, opened, answers, count, progress) if truth else None
     result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
-    output.verdict(headline(result))
-    output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
     output.write_json(result, "score.json")
     drawn = output.draw(lambda: figures(result))
-    if output.folder is not None:
-        with atomic_write(output.folder / "score.md") as text:
+    if output.out is not None:
+        with atomic_write(output.out / "score.md") as text:
             text.write(markdown(result, drawn))
-        output.say(f"written to {output.folder}: {', '.join(['score.json', 'score.md', *drawn])}")
+        output.written.append(output.out / "score.md")
+    output.verdict(headline(result))
+    output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
 
 
 @withheld_app.command("leave-out")
 @command
 def leave_out_command(
     *,
-    out: Folder,
     seed: RequiredSeed,
-    effects: str = "all",
+    effects: opt.Searched = None,
     per_effect: opt.Count = 1,
     again: Again = False,
     jobs: Jobs = None,
-    results: Printed,
+    output: Annotated[Output, Fields("json_file", "quiet", out=opt.Folder)],
 ) -> None:
     """Take every effect out of the library in turn, and diagnose cases that have it.
 
@@ -182,41 +194,44 @@ def leave_out_command(
         effects: Effects to leave out in turn, comma-separated; `all`.
         per_effect: Cases of each effect.
     """
-    output = replace(results, out=out).open()
     from torchid.files import atomic_write
     from torchid.report.withheld import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
 
-    with progress_bar(output) as progress:
+    out = output.out
+    assert out is not None  # it is required
+    with output.progress() as progress:
         result = leave_out(
             out,
             seed,
-            effects=opt.searched(effects),
+            effects=effects,
             per_effect=per_effect,
             jobs=processes(jobs),
             again=again,
             progress=progress,
         )
-    output.say(leave_out_headline(result))
     output.write_json(result, "leave_out.json")
     with atomic_write(out / "leave_out.md") as text:
         text.write(leave_out_markdown(result))
-    output.say(f"written to {out}: leave_out.json, leave_out.md")
+    output.written.append(out / "leave_out.md")
+    output.say(leave_out_headline(result))
 
 
-@withheld_app.command("own")
+@withheld_app.command("own", cls=ProjectCommand)
 @command
 def own_command(
     *,
     trials: opt.Trials,
-    background: opt.Names = "none",
     settings: Annotated[
-        GapSettings, Fields(parameters=Literal["trusted", "free", "auto"], seed=opt.Seed)
+        GapSettings,
+        Fields(background=opt.Names, parameters=Literal["trusted", "free", "auto"], seed=opt.Seed),
     ],
     plant: opt.Names = PLANTED,
-    joints: Annotated[str, typer.Option(metavar="J1,J2,..|all")] = "all",
+    joints: Annotated[
+        list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
+    ] = None,
     jobs: Jobs = None,
-    results: Kept,
+    output: Kept,
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
 
@@ -231,40 +246,23 @@ def own_command(
         plant: Effects of one joint to plant in the log; `none` for none.
         joints: Joints where they are planted.
     """
-    output = results.open()
     from torchid.report.withheld import own_headline, own_tables
     from torchid.withheld.own import withheld_own
 
-    places = None
-    if joints.strip() != "all":
-        parts = [part.strip() for part in joints.split(",")]
-        if not all(part.isdigit() for part in parts):
-            raise TorchidError("--joints takes numbers, separated by commas.", got=joints)
-        places = [int(part) - 1 for part in parts]
-    settings = replace(settings, background=opt.names(background))
     found, log, apart, _ = trials.open(output)
-    with progress_bar(output) as progress:
+    with output.progress() as progress:
         result = withheld_own(
             found,
             log,
             untouched=apart,
             settings=settings,
-            plant=opt.names(plant),
-            joints=places,
+            plant=plant,
+            joints=joints,
             jobs=processes(jobs),
             progress=progress,
         )
+    output.write_json({**result.plain(), "seed": settings.seed}, "own.json")
     output.verdict(own_headline(result))
     output.say(*own_tables(result))
     if not result.whole:
         output.say("untouched data: the second half of every trajectory (--held-out for others)")
-    output.write_json({**result.plain(), "seed": settings.seed}, "own.json")
-
-
-def processes(jobs: int | None) -> int:
-    """The --jobs option; all cores that this process may use, by default."""
-    if jobs is not None:
-        return jobs
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -7,16 +7,14 @@ import typer
 from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, progress_bar
+from torchid.app.output import Computed, Output
 from torchid.app.signature import command
 from torchid.errors import TorchidError
+from torchid.study.equal_torque.settings import MARGIN
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
-    from torchid.feasibility.sets import ParameterSets
     from torchid.robot.model import Robot
-
-_MARGIN = 1e-3  # torchid.study.equal_torque.setting.MARGIN; importing it would import torch
 
 
 @command
@@ -29,12 +27,12 @@ def wrenches_command(
     trajectory: Annotated[Path | None, typer.Option(metavar="LOG")] = None,
     max_acceleration: opt.Accelerations = None,
     geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
-    total_mass: Annotated[str | None, typer.Option(metavar="LO,HI")] = None,
-    margin: float = _MARGIN,
+    total_mass: opt.TotalMass = None,
+    margin: float = MARGIN,
     variants: bool = True,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
-    results: Computed,
+    output: Computed,
 ) -> None:
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 
@@ -56,7 +54,6 @@ def wrenches_command(
         variants: Ask the question again with other outer bounds.
         resamples: Of the bootstrap of the intervals.
     """
-    output = results.open()
     from torchid.log.readers import read_log
     from torchid.report.wrenches.figures import figures
     from torchid.report.wrenches.tables import findings, tables
@@ -64,21 +61,14 @@ def wrenches_command(
     from torchid.study.equal_torque.study import equal_torque_study
 
     found = opt.limited(arm.load(), None, max_acceleration)
-    total = None
-    if total_mass is not None:
-        total = opt.interval("--total-mass", total_mass)
-        if total[0] < 0:
-            raise TorchidError(
-                "--total-mass is not an interval.", got=total_mass, expected="LO,HI in kg"
-            )
     motion = None if trajectory is None else logged_motion(read_log(trajectory), found)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
-        _given(found, sets, reference, geometry, total, motion, resamples, seed, output)
+        _given(found, sets, reference, geometry, total_mass, motion, resamples, seed, output)
         return
-    setting = equal_torque_setting(found, geometry=geometry, total_mass=total, margin=margin)
-    with progress_bar(output) as progress:
+    setting = equal_torque_setting(found, geometry=geometry, total_mass=total_mass, margin=margin)
+    with output.progress() as progress:
         study = equal_torque_study(
             setting.robot,
             per_kind=per_kind,
@@ -89,12 +79,12 @@ def wrenches_command(
             seed=seed,
             progress=progress,
         )
-    output.say(*tables(study))
-    output.warn(study.warnings)
     told = findings(study)
-    output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
     output.write_json({**study.plain(), "findings": told}, "wrenches.json")
     output.draw(lambda: figures(study))
+    output.say(*tables(study))
+    output.warn(study.warnings)
+    output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
 
 
 def _given(
@@ -108,12 +98,12 @@ def _given(
     seed: int,
     output: Output,
 ) -> None:
-    from torchid.feasibility.sets import other_robot
+    from torchid.feasibility.sets import other_robot, read_all_sets
     from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
     from torchid.study.equal_torque.given_sets import compare_wrenches
     from torchid.study.equal_torque.record import given_record
 
-    sets = _read_sets(files, robot)
+    sets = read_all_sets(files, robot)
     if reference is not None and reference not in sets.ids:
         raise TorchidError(
             "--reference names none of the sets.", got=reference, available=sets.ids[:20]
@@ -128,33 +118,10 @@ def _given(
         resamples=resamples,
         seed=seed,
     )
-    output.say(*tables(found))
     told = [note for file in files if (note := other_robot(file, robot))] + unequal(found)
-    output.warn(told)
-    output.say(f"\n{escape(headline(found))}")
     data = given_record(found, tuple(str(file) for file in files))
     output.write_json({**data.plain(), "warnings": told, "seed": seed}, "wrenches.json")
     output.draw(lambda: figures(found))
-
-
-def _read_sets(files: list[Path], robot: "Robot") -> "ParameterSets":
-    """All sets; the files' names go before the ids where two files have the same id."""
-    from dataclasses import replace
-
-    from torchid.feasibility.sets import joined, read_sets
-
-    parts = [read_sets(file, robot) for file in files]
-    for file, part in zip(files, parts, strict=True):
-        if part.effects != parts[0].effects:
-            raise TorchidError(
-                f"'{file}' has other effects than '{files[0]}'.",
-                got=list(part.coefficient_names()),
-                expected=list(parts[0].coefficient_names()),
-            )
-    every = [name for part in parts for name in part.ids]
-    if len(set(every)) < len(every):
-        parts = [
-            replace(part, ids=tuple(f"{file.stem}:{name}" for name in part.ids))
-            for file, part in zip(files, parts, strict=True)
-        ]
-    return joined(parts)
+    output.say(*tables(found))
+    output.warn(told)
+    output.say(f"\n{escape(headline(found))}")

@@ -24,16 +24,13 @@ from torchid.excitation.distances import Distances
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import Restriction
+from torchid.excitation.settings import CLEARANCE
 from torchid.excitation.trajectories import Sinusoid
 from torchid.robot.model import JointType, Robot, link_poses
 from torchid.robot.placement import pose
 from torchid.robot.shapes import LinkShapes, joint_points, link_shapes
 from torchid.robot.solids import Solid, assembled, capsule
 from torchid.typing import Bool, Float, Int, Tensor
-
-CLEARANCE = 0.02
-"""Distance that is kept unless another is asked for [m]: links are drawn, and followed by their
-controllers, to some millimetres."""
 
 RESOLUTION = 0.001
 """Distance below which nothing is proved or told apart [m]."""

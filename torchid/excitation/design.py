@@ -21,9 +21,10 @@ from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.descent import HARDLY, Progress, descend
-from torchid.excitation.fourier import BASE_PULSATION, HARMONICS, FourierTrajectory
+from torchid.excitation.fourier import BASE_PULSATION, FourierTrajectory
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import restricted
+from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import TorqueLimits, nominal_torque_limits
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.base_parameters import (
@@ -36,8 +37,6 @@ from torchid.robot.model import Basis, Robot
 from torchid.typing import Float
 
 Criterion = Literal["condition", "d_optimal"]
-EXCITED_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
-"""That a motion is designed for by default."""
 _RATE = 50.0  # [Hz], for the condition numbers that are reported
 
 
@@ -95,11 +94,11 @@ def excite(
     effects: Sequence[str] = EXCITED_EFFECTS,
     criterion: Criterion = "condition",
     basis: Basis | None = None,
-    duration: float = 20.0,
+    duration: float = DURATION,
     harmonics: int = HARMONICS,
-    restarts: int = 8,
+    restarts: int = RESTARTS,
     iterations: int = 250,
-    usage: float = 0.7,
+    usage: float = USAGE,
     clearance: Clearance | None = None,
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -233,7 +232,7 @@ def optimise_trajectory(
     effects: Sequence[JointEffect] = (),
     *,
     seed: int,
-    restarts: int = 8,
+    restarts: int = RESTARTS,
     criterion: Criterion = "condition",
     basis: Basis | None = None,
     iterations: int = 250,
@@ -243,7 +242,7 @@ def optimise_trajectory(
     clearance: Clearance | None = None,
     harmonics: int = HARMONICS,
     w_f: float = BASE_PULSATION,
-    duration: float = 20.0,
+    duration: float = DURATION,
     ramp: float = 1.0,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,

@@ -19,9 +19,6 @@ from torchid.typing import Float
 BASE_PULSATION = 0.15 * math.pi
 """w_f of the report [rad/s]."""
 
-HARMONICS = 5
-"""L of the report."""
-
 _SERIES_STEP = 0.01  # [s], of the grid on which extremes are looked for
 _RAMP_POINTS = 200
 

@@ -12,13 +12,13 @@ from torch import Tensor
 from torchid.effects.base import Motion
 from torchid.excitation.fourier import (
     BASE_PULSATION,
-    HARMONICS,
     Extremes,
     FourierTrajectory,
     SampledMotion,
     sample_times,
 )
 from torchid.excitation.limits import largest_scale, motion_limits
+from torchid.excitation.settings import HARMONICS
 from torchid.log.model import Log
 from torchid.log.readers import write_log
 from torchid.robot.config_files import config_folder

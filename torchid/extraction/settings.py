@@ -39,7 +39,7 @@ class SearchSettings:
 
     runs: int = 30
     stages: int = 25
-    generations: int = 40
+    generations: int = 100
     population: int | None = None
     penalty: Penalty = "full"
     schedule: Schedule = "linear"

@@ -1,7 +1,7 @@
 """Sets of physical parameters, and the file they are kept in (schema torchid.parameter_sets/1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -290,6 +290,29 @@ def read_sets(path: str | Path, robot: Robot) -> ParameterSets:
     ids = [part.ids[0] for part in parts]
     if len(set(ids)) != len(ids):
         raise TorchidError(f"'{path}': two sets have the same id.", got=ids)
+    return joined(parts)
+
+
+def read_all_sets(files: Sequence[Path], robot: Robot) -> ParameterSets:
+    """The sets of several files; the files' names go before the ids where two have the same id.
+
+    Raises:
+        TorchidError: a file that cannot be read, or that has other effects than the first.
+    """
+    parts = [read_sets(file, robot) for file in files]
+    for file, part in zip(files, parts, strict=True):
+        if part.effects != parts[0].effects:
+            raise TorchidError(
+                f"'{file}' has other effects than '{files[0]}'.",
+                got=list(part.coefficient_names()),
+                expected=list(parts[0].coefficient_names()),
+            )
+    every = [name for part in parts for name in part.ids]
+    if len(set(every)) < len(every):
+        parts = [
+            replace(part, ids=tuple(f"{file.stem}:{name}" for name in part.ids))
+            for file, part in zip(files, parts, strict=True)
+        ]
     return joined(parts)
 
 

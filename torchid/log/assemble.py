@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from torchid.log.sources import (
     signal_of,
     time_of,
 )
-from torchid.log.table import AbsentColumnError, Table, natural
+from torchid.log.table import AbsentColumnError, Request, Table, natural
 
 _ARRAYS = {prefix: prefix for prefix in PREFIXES.values()} | {"current": "i"}
 
@@ -49,6 +50,22 @@ def log_from_table(
     return log.replace(
         source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *table.warnings)))
     )
+
+
+def fitting(table: Table, request: Request) -> Request:
+    """The request as far as the table has what it names, where it may be left aside; else as it
+    is."""
+    if not request.spare:
+        return request
+    request = replace(request, topic=request.topic if table.topic else None)
+    if request.columns is None:
+        return request
+    try:
+        values = _wildcards(table, request.columns)
+        _plan(table, request.columns if values is None else request.columns.at(values[0]))
+    except AbsentColumnError:
+        return replace(request, columns=None)
+    return request
 
 
 def _read(table: Table, mapping: ColumnMapping) -> Log:

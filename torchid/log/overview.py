@@ -9,7 +9,7 @@ import numpy as np
 
 from torchid.errors import LogError
 from torchid.json_data import plain
-from torchid.log.assemble import unused_columns
+from torchid.log.assemble import fitting, unused_columns
 from torchid.log.checks import check_log
 from torchid.log.columns import PREFIXES
 from torchid.log.limits import beyond_limits, finite_range
@@ -111,6 +111,8 @@ def look_at(
     """
     opened = open_logs(paths, request)
     log = Log.concatenate([one for _, one in opened])
+    if opened[0][0] is not None:
+        request = fitting(opened[0][0], request)
     tables = tuple(table for table, _ in opened)
     n = len(request.joints) or log.n
     problem: str | None = None

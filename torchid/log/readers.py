@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from torchid.errors import LogError
 from torchid.files import atomic_write
-from torchid.log.assemble import log_from_table, one_for_all, with_hint
+from torchid.log.assemble import fitting, log_from_table, one_for_all, with_hint
 from torchid.log.columns import Columns, columns_of, log_from_columns, some
 from torchid.log.csv_file import csv_table
 from torchid.log.formats import (
@@ -21,6 +21,7 @@ from torchid.log.formats import (
     write_npz,
     write_parquet,
 )
+from torchid.log.guess import proposal
 from torchid.log.hdf5 import hdf5_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
@@ -100,10 +101,11 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
     found = _find(path)
     try:
         if isinstance(found, str):
-            if request.columns is not None:
+            if request.columns is not None and not request.spare:
                 raise LogError(f"{found} files take no column mapping.", got=str(path))
             return None, _READERS[found](path)
         table = found(path, request)
+        request = fitting(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
@@ -113,6 +115,23 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
         return table, log_from_table(table, request.columns, request.joints)
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}") from error
+
+
+def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
+    """A mapping that may be meant, for a file that cannot be read without one, and what in it is
+    guessed from more than names; None where none is needed, or none can be guessed.
+
+    Raises:
+        LogError: no log.
+    """
+    found = _find(path)
+    if isinstance(found, str):
+        return None
+    try:
+        log_from_table(found(path, request), None, request.joints)
+    except LogError:
+        return proposal(found(path, request), request.joints)
+    return None
 
 
 def register_reader(suffix: str, function: Reader) -> None:
@@ -194,14 +213,14 @@ def _suffixes() -> list[str]:
 def _inside(folder: Path) -> list[str] | None:
     """The logs in a folder, at most ten, for an error message."""
     try:
-        found = sorted(p.name for p in folder.iterdir() if _is_log(p))
+        found = sorted(p.name for p in folder.iterdir() if is_log(p))
     except OSError:
         return None
     return some(found, 10) or None
 
 
-def _is_log(path: Path) -> bool:
-    """Whether it looks like a log; most texts are none."""
+def is_log(path: Path) -> bool:
+    """Whether it looks like a log by its name; most texts are none."""
     if path.is_dir():
         return any(fits(path) for fits, _ in _FOLDERS)
     return path.suffix.lower() in {*_READERS, *_TABLES} - {".txt", ".dat"}

@@ -26,11 +26,13 @@ class Request:
         columns: which columns are what, where they have other names than ours.
         topic: of the joint states in a bag.
         joints: names of the robot's joints in order, where the robot is known; empty otherwise.
+        spare: whether columns and topic are left aside for a file that does not have them.
     """
 
     columns: ColumnMapping | None = None
     topic: str | None = None
     joints: tuple[str, ...] = ()
+    spare: bool = False
 
     def maps(self, key: str) -> bool:
         """Whether the mapping says where `key` is."""

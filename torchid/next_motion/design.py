@@ -7,8 +7,8 @@ from pathlib import Path
 from torchid.errors import TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.design import optimise_trajectory
-from torchid.excitation.fourier import HARMONICS
 from torchid.excitation.informed import Goal, InformedDesign, design_for
+from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import corrected_torque_limits
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.record import GapRecord
@@ -49,10 +49,10 @@ def excite_for(
     robot: Robot | None = None,
     *,
     goal: Goal | None = None,
-    duration: float = 20.0,
+    duration: float = DURATION,
     harmonics: int = HARMONICS,
-    restarts: int = 8,
-    usage: float = 0.7,
+    restarts: int = RESTARTS,
+    usage: float = USAGE,
     seed: int = 0,
     clearance: Clearance | None = None,
     progress: Progress | None = None,

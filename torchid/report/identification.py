@@ -464,3 +464,18 @@ def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
     if math.isnan(value):
         return "not known", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
+
+
+def figures(result: Identification) -> dict[str, Figure]:
+    """How well each parameter is known, and torques of every trajectory."""
+    units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
+    drawn = {"parameters": parameter_figure(result.record)}
+    for kind, words, predictions in (
+        ("fit", "fitted data", result.fit_predictions),
+        ("held_out", "held-out data", result.held_out_predictions),
+    ):
+        for prediction in predictions:
+            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
+            title = f"{prediction.name} ({words})"
+            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
+    return drawn

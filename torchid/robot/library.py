@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from torchid.errors import RobotError, TorchidError
-from torchid.robot.config_files import config_folder
+from torchid.files import add_input
+from torchid.robot.config_files import ROBOT_FILES, config_folder, names_robot
 from torchid.robot.model import Robot
-from torchid.robot.sidecar import with_sidecar
+from torchid.robot.sidecar import sidecar_path, with_sidecar
 from torchid.robot.yaml_file import read_yaml
-
-_SUFFIXES = (".yaml", ".yml", ".urdf", ".xml")
 
 
 def _folder() -> Path:
@@ -25,7 +24,7 @@ def built_in_robots() -> list[str]:
 
 def is_robot(name: str) -> bool:
     """Whether this names a robot: a built-in one, or a file by its suffix."""
-    return name in built_in_robots() or Path(name).suffix.lower() in _SUFFIXES
+    return names_robot(name)
 
 
 def robot_file(name: str | Path) -> Path:
@@ -49,10 +48,10 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
     """
     text, path = str(name), robot_file(name)
     suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
+    if suffix not in ROBOT_FILES:
         raise RobotError(
             f"unknown robot '{text}'.",
-            expected=f"a built-in name or a file ({', '.join(_SUFFIXES)})",
+            expected=f"a built-in name or a file ({', '.join(ROBOT_FILES)})",
             available=built_in_robots(),
             hint=f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
             if suffix == ".json"
@@ -60,6 +59,8 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
         )
     if not path.is_file():
         raise RobotError(f"robot file '{text}' does not exist.", available=built_in_robots())
+    for read in (path, sidecar_path(path)):
+        add_input(read)
     if suffix in (".yaml", ".yml"):
         if tip is not None:
             raise RobotError(
@@ -75,6 +76,21 @@ def load_robot(name: str | Path, *, tip: str | None = None) -> Robot:
 
         robot = read_mjcf(path, tip=tip)
     return replace(with_sidecar(robot, path), tip=tip)
+
+
+def load_both(params: str, robot: str | None, tip: str | None) -> tuple[Robot, Robot]:
+    """The robot whose parameters are asked about, and another one, or the same one without it.
+
+    Args:
+        params: name or file of the first.
+        robot: of the second, if it is another.
+        tip: of those of the two that can branch.
+    """
+    both = [params] if robot is None else [params, robot]
+    # A tip is for the files that can branch; where none can, the reader refuses it.
+    trees = [name for name in both if Path(name).suffix.lower() in (".urdf", ".xml")]
+    found = [load_robot(name, tip=tip if name in trees or not trees else None) for name in both]
+    return found[0], found[-1]
 
 
 def named_record(robot: Robot) -> dict[str, str]:

@@ -214,6 +214,36 @@ class Robot:
             changed[name] = values
         return replace(self, limits=replace(self.limits, **changed))
 
+    def with_payload(
+        self, mass: float, com: Numbers = (0.0, 0.0, 0.0), inertia: Numbers | None = None
+    ) -> "Robot":
+        """The same robot with a body that its last link carries, as part of its nominal parameters.
+
+        Args:
+            mass: [kg].
+            com: (3,) centre of mass in the last link's frame [m].
+            inertia: (6,) about the centre of mass, in that frame's axes: xx, xy, xz, yy, yz, zz
+                [kg m^2]; none if None.
+
+        Raises:
+            RobotError: the robot has no parameters, or these are not those of a body.
+        """
+        own = self.require_parameters("a payload").pi
+        given = [mass, com, [0.0] * 6 if inertia is None else inertia]
+        parts = [as_tensor(part, "the payload", RobotError).to(own) for part in given]
+        shapes = [tuple(part.shape) for part in parts]
+        if shapes != [(), (3,), (6,)] or not all(bool(p.isfinite().all()) for p in parts):
+            raise RobotError(
+                "this is no payload.",
+                got=f"mass {mass}, com {com}, inertia {inertia}",
+                expected="mass [kg], com of three numbers [m], inertia of six [kg m^2]",
+            )
+        body = InertialParameters.from_com(parts[0][None], parts[1][None], parts[2][None])
+        # A body of points has a pseudo-inertia that is singular: rounding is no fault.
+        if not parts[0] > 0 or bool(body.consistency_margin()[0] < -1e-9 * parts[0]):
+            raise RobotError("no body has this mass and inertia.", got=f"{mass} kg, {inertia}")
+        return self.with_parameters(InertialParameters(torch.cat([own[:-1], own[-1:] + body.pi])))
+
     def to_chain(self, dtype: torch.dtype = torch.float64) -> "pytorch_kinematics.SerialChain":
         """The robot as a pytorch-kinematics SerialChain (see torchid.robot.chain)."""
         from torchid.robot.chain import to_chain

@@ -40,12 +40,10 @@ from torchid.log.sampling import resample
 from torchid.results.record import Joint, Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.withheld.parallel import Progress, each
+from torchid.withheld.settings import PLANTED
 
 LEVELS = (1.0, 2.0, 5.0, 10.0)
 """Sizes planted, in units of the noise of the joint's torque."""
-
-PLANTED = ("coulomb_friction", "load_dependent_friction", "cogging")
-"""Effects that are planted by default: a step, one that scales with load, a periodic one."""
 
 FIRST_LEVEL = 1
 """Number of the level tried first; the search goes down where it is named, else up."""

@@ -3,6 +3,7 @@
 import multiprocessing
 import multiprocessing.connection
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -82,7 +83,17 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """A process whose parent is killed would wait for work for ever."""
+    """A process whose parent is killed would wait for work for ever; Ctrl-C ends what it does,
+    without a word, and a second later the process."""
+
+    def stop(number: int, frame: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ended = threading.Timer(1.0, os._exit, (130,))
+        ended.daemon = True
+        ended.start()
+        raise SystemExit(130)
+
+    signal.signal(signal.SIGINT, stop)
     parent = multiprocessing.parent_process()
     assert parent is not None
     sentinel = parent.sentinel

@@ -18,14 +18,12 @@ from torchid.identification.base_parameters import BaseParameters, base_paramete
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import Robot
+from torchid.study.equal_torque.settings import MARGIN
 from torchid.typing import Float, Tensor
 
 TOTAL_MASS = (0.9, 1.25)
 """Interval of the total mass where the robot's file has none, in shares of the nominal one: 13 to
 18 kg for the LWR."""
-MARGIN = 1e-3
-"""Smallest eigenvalue of the pseudo-inertias [kg m^2, kg] of a reference that has to be found. With
-nearly none, all sets of its torque lie on the edge of feasibility."""
 LOG_CUTOFF = 8.0
 """Of the filter under which a log's velocities and accelerations are made [Hz]."""
 RATE = 100.0

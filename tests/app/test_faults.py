@@ -1,0 +1,180 @@
+"""Ctrl-C, faults of torchid itself, and terminals that take little or nothing."""
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from torchid.app import faults
+from torchid.app.faults import resumable
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def program(text: str, *arguments: str, **options) -> subprocess.CompletedProcess[bytes]:
+    """A program of its own, as `torchid ARGUMENTS` after some lines of Python."""
+    text += "\nimport sys\nsys.argv[0] = 'torchid'\nfrom torchid.app import main\nmain()"
+    return subprocess.run(
+        [sys.executable, "-c", text, *arguments],
+        cwd=ROOT, check=False, **{"capture_output": True} | options,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def faulty(monkeypatch, tmp_path):
+    """faulty(error) makes `torchid robot` fail; reports of faults go to tmp_path."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def make(error: BaseException) -> None:
+        def fail(robot):
+            raise error
+
+        monkeypatch.setattr("torchid.report.robot.robot_record", fail)
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ValueError("of two\nlines"), ZeroDivisionError(), RecursionError("deep"), MemoryError(),
+     AssertionError("[/bold]"), KeyError("x" * 5000)],
+    ids=lambda error: type(error).__name__,
+)  # fmt: skip
+def test_a_fault_is_one_line_and_a_file(command, faulty, tmp_path, error) -> None:
+    faulty(error)
+    done = command("robot", "3r", "--json", tmp_path / "r.json")
+    assert done.code == faults.FAULT
+    assert re.fullmatch(r"fault: torchid failed in `torchid robot 3r [^\n]*\n", done.err)
+    assert len(done.err) < 1000
+    name = re.search(r"\S+torchid-fault-\S+\.txt", done.err)
+    assert name is not None
+    told = Path(name[0]).read_text()
+    assert "Traceback (most recent call last)" in told
+    assert f"torchid robot 3r --json {tmp_path / 'r.json'}" in told
+    assert type(error).__name__ in told
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_debug_shows_the_traceback_instead(command, faulty, tmp_path, monkeypatch, capsys) -> None:
+    faulty(ValueError("here"))
+    from torchid.app.commands import run
+
+    monkeypatch.setattr(sys, "argv", ["torchid", "robot", "3r", "--debug"])
+    with pytest.raises(SystemExit) as stop:
+        run()
+    assert stop.value.code == faults.FAULT
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback")
+    assert said.rstrip().endswith("ValueError: here")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_report_that_cannot_be_written_is_no_second_fault(command, faulty, monkeypatch) -> None:
+    faulty(ValueError("here"))
+    monkeypatch.setattr("tempfile.tempdir", "/no/such/folder")
+    done = command("robot", "3r")
+    assert done.code == faults.FAULT
+    assert "--debug" in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_interrupted(command, faulty) -> None:
+    faulty(KeyboardInterrupt())
+    done = command("robot", "3r")
+    assert (done.code, done.err) == (130, "interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("files", "said"), [([], False), (["checkpoints/a.npz"], True), (["checkpoints"], True)]
+)
+def test_what_is_kept_can_be_resumed(tmp_path, files, said) -> None:
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+    with pytest.raises(KeyboardInterrupt) as stop, resumable(tmp_path / "checkpoints"):
+        raise KeyboardInterrupt
+    assert ("--resume" in str(stop.value)) == said
+
+
+def test_an_interrupted_search_says_how_to_go_on(command, tmp_path, monkeypatch) -> None:
+    from torchid.extraction import extract as room
+
+    def stopped(problem, settings, *, checkpoint, **_):
+        checkpoint.write_bytes(b"as far as it came")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(room, "extract", stopped)
+    asked = ("extract", "3r", "--no-certificate", "--out", tmp_path)
+    done = command(*asked)
+    assert (done.code, done.out) == (130, "")
+    assert done.err == "interrupted; the same command with --resume continues\n"
+
+
+@pytest.mark.parametrize("module", ["typer", "rich.console", "torch.nn", "torchid.robot.library"])
+def test_ctrl_c_while_modules_are_loaded(module) -> None:
+    """From the first moment on, and in the midst of torch, which would make other errors of it."""
+    text = f"""
+import os, signal, sys
+class Hook:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.{signal.SIGINT.name})
+sys.meta_path.insert(0, Hook())
+"""
+    done = program(text, "robot", "3r")
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"interrupted\n")
+
+
+def test_signals_that_are_ignored_stay_so() -> None:
+    """As of a program in the background of a shell."""
+    text = """
+import os, signal
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+os.kill(os.getpid(), signal.SIGINT)
+"""
+    assert program(text, "--version").returncode == 0
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
+def test_every_terminal_can_show_a_table(command, tmp_path, monkeypatch, encoding) -> None:
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding=encoding))
+    done = command("robot", "3r", "--json", tmp_path / "r.json")
+    assert (done.code, done.err) == (0, "")
+    text = shown.getvalue().decode(encoding)
+    plain = encoding == "ascii"
+    assert ("+-2.8973" in text, "\u00b12.8973" in text) == (plain, not plain)
+    assert ("rad/s^2" in text) == plain
+    assert ("\u2500" in text) == (encoding == "utf-8")
+    assert json.loads((tmp_path / "r.json").read_text())["schema"]
+
+
+def test_what_has_no_letters_is_a_question_mark() -> None:
+    assert "\u00b1 1\u2009\u03bcm \u2192 \u017e\u2603 \udcff".encode("ascii", "torchid.plain") == (
+        b"+- 1 um -> z? ?"
+    )
+
+
+@pytest.mark.parametrize("where", ["full", "closed"])
+def test_files_are_there_where_nothing_can_be_printed(tmp_path, where) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    asked = ("robot", "3r", "--json", str(tmp_path / "r.json"))
+    if where == "full":
+        with open("/dev/full", "wb") as full:
+            done = program("", *asked, stdout=full, stderr=subprocess.PIPE, capture_output=False)
+        assert done.returncode == 1
+        lines = done.stderr.decode().splitlines()
+        assert lines[0] == "error: what is printed could not be: No space left on device."
+        assert "r.json" in lines[1]
+        assert len(lines) == 2
+    else:
+        done = program("", *asked, preexec_fn=lambda: os.close(1))
+        assert (done.returncode, done.stderr) == (0, b"")
+    assert json.loads((tmp_path / "r.json").read_text())["schema"] == "torchid.robot/1"

@@ -1,0 +1,185 @@
+"""`torchid init`: what it guesses, what it asks, and that the other commands then work."""
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.app.test_project import GAINS
+from torchid.app.project import read as read_project
+from torchid.excitation.synthetic import HonestNoise, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.log.readers import write_log
+from torchid.project.guess import APART
+from torchid.robot.library import load_robot
+from torchid.robot.writer import write_robot
+
+BRANCHING = """<robot name="two"><link name="base"/>
+<link name="left"/><link name="right"/>
+<joint name="l" type="revolute"><parent link="base"/><child link="left"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+<joint name="r" type="revolute"><parent link="base"/><child link="right"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch) -> Path:
+    """The working directory: a robot, three raw logs of currents, and things that are neither."""
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("3r_friction")
+    write_robot(robot, "arm.yaml")
+    for seed, name in enumerate(("run1", "run2", "test_run")):
+        motion = trajectory_log(random_trajectory(robot, seed, duration=8.0, fill=True), 100.0)
+        log = synthetic_log(robot, motion, HonestNoise(), seed)
+        assert log.tau is not None
+        columns = {"time_ms": 1e3 * log.t}
+        columns |= {f"pos_{j} [deg]": torch.rad2deg(log.q[:, j - 1]) for j in (1, 2, 3)}
+        current = log.tau / GAINS
+        columns |= {f"actual_current_{j}": current[:, j - 1] for j in (1, 2, 3)}
+        rows = torch.stack(list(columns.values()), -1).tolist()
+        lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+        Path(f"{name}.csv").write_text("\n".join(lines) + "\n")
+    write_log(motion, "motion.csv")
+    Path("notes.csv").write_text("when,what\nmonday,nothing\n")
+    Path("settings.yaml").write_text("colour: red\n")
+    return tmp_path
+
+
+@pytest.fixture
+def answers(monkeypatch):
+    """answers(*lines) types them on a terminal."""
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    def type_in(*lines: str) -> None:
+        monkeypatch.setattr(sys, "stdin", Terminal("".join(f"{line}\n" for line in lines)))
+        monkeypatch.setattr(type(sys.stdout), "isatty", lambda self: True, raising=False)
+
+    return type_in
+
+
+def test_it_guesses_what_the_folder_tells(command, place) -> None:
+    done = command("init")
+    assert done.code == 0, done.err
+    found = read_project(Path("torchid.toml"))
+    assert (found.robot, found.tip, found.out) == ("arm.yaml", None, "results")
+    assert (found.logs, found.held_out) == (("run1.csv", "run2.csv"), ("test_run.csv",))
+    assert found.columns == "t=time_ms ms,q='pos_{j} [deg]' deg,i=actual_current_{j}"
+    assert found.gain is None
+    for word in ("drive gains", "notes.csv", "motion.csv", "columns are guessed"):
+        assert word in " ".join(done.out.split()), done.out
+
+
+def test_what_is_given_is_not_guessed(command, place) -> None:
+    (place / "below").mkdir()
+    done = command(
+        "init", "run2.csv", "--robot", "3r", "--held-out", "run1.csv", "--gain", "2,4,5",
+        "--columns", "t=time_ms ms,q='pos_{j} [deg]' deg,i=-actual_current_{j}", "--out", "found",
+        "--to", "below/torchid.toml",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert "guessed" not in done.out
+    found = read_project(Path("below/torchid.toml"))
+    assert (found.robot, found.gain) == ("3r", "2.0,4.0,5.0")
+    assert (found.logs, found.held_out) == (("run2.csv",), ("run1.csv",))
+    assert "i=-actual_current_{j}" in str(found.columns)
+
+
+def test_a_file_that_is_there_stays(command, place) -> None:
+    Path("torchid.toml").write_text("# mine\n")
+    done = command("init")
+    assert done.code == 1
+    assert "--force" in done.err
+    assert Path("torchid.toml").read_text() == "# mine\n"
+    assert command("init", "--force").code == 0
+    assert read_project(Path("torchid.toml")).robot == "arm.yaml"
+
+
+def test_it_asks_on_a_terminal(command, place, answers) -> None:
+    Path("two.urdf").write_text(BRANCHING)
+    answers("third.yaml", "arm.yaml", "2,4,5")
+    done = command("init")
+    assert done.code == 0, done.err
+    assert "not one of them: third.yaml" in done.out
+    found = read_project(Path("torchid.toml"))
+    assert (found.robot, found.gain) == ("arm.yaml", "2.0,4.0,5.0")
+
+
+def test_it_asks_for_the_tip(command, place, answers) -> None:
+    Path("arm.yaml").unlink()
+    Path("two.urdf").write_text(BRANCHING)
+    answers("left")
+    done = command("init")
+    assert done.code == 0, done.err
+    found = read_project(Path("torchid.toml"))
+    assert (found.robot, found.tip, found.logs) == ("two.urdf", "left", ())
+
+
+@pytest.mark.parametrize(
+    ("prepare", "arguments", "words"),
+    [
+        (lambda: Path("arm.yaml").unlink(), (), ("no robot here", "--robot", "kuka_lwr4")),
+        (lambda: Path("two.urdf").write_text(BRANCHING), (), ("which robot", "arm.yaml, two.urdf")),
+        (lambda: Path("two.urdf").write_text(BRANCHING), ("--robot", "two.urdf"), ("tip", "left")),
+        (lambda: None, ("notes.csv",), ("notes.csv",)),
+        (lambda: None, ("--robot", "kuka_lwr4", "run1.csv"), ("run1.csv", "3 joints", "7")),
+        (lambda: None, ("--gain", "1,2"), ("--gain", "expected: 3")),
+        (lambda: None, ("--to", "nowhere/torchid.toml"), ("nowhere",)),
+        (lambda: None, ("run1.csv", "--to", "run1.csv", "--force"), ("overwrite the input",)),
+    ],
+)
+def test_what_cannot_be_guessed_is_refused(command, place, prepare, arguments, words) -> None:
+    prepare()
+    before = {p.name: p.read_bytes() for p in place.iterdir()}
+    done = command("init", *arguments)
+    assert done.code == 1, done.out
+    assert done.err.startswith("error: ")
+    for word in words:
+        assert word in done.err, done.err
+    assert {p.name: p.read_bytes() for p in place.iterdir()} == before
+
+
+def test_many_logs_stand_on_lines_of_their_own(command, place) -> None:
+    for k in range(8):
+        Path(f"a_long_name_of_a_run_{k}.csv").write_bytes(Path("run1.csv").read_bytes())
+    assert command("init").code == 0
+    assert max(map(len, Path("torchid.toml").read_text().splitlines())) <= 100
+    assert len(read_project(Path("torchid.toml")).logs) == 10
+
+
+def test_names_that_are_hard_to_write(command, place) -> None:
+    """Quotes, backslashes and other letters in the names of files."""
+    name = 'r\u00f6b "o" \\1.yaml'
+    Path("arm.yaml").rename(name)
+    assert command("init").code == 0
+    assert read_project(Path("torchid.toml")).robot == name
+
+
+def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(command, place) -> None:
+    """All of them read the raw logs; each is at most 60 characters long."""
+    assert command("init", "--gain", "2,4,5").code == 0
+    few = "--effects load_dependent_friction,viscous_friction"
+    for words in (
+        "log show",
+        "log doctor",
+        "identify",
+        f"gap {few} --no-rollout --save-model corrected.yaml",
+        f"gap corrected.yaml run1.csv {few} --no-rollout",
+        "export corrected.yaml --to urdf",
+    ):
+        assert len(f"torchid {words.replace(f'{few} --no-rollout', '')}") <= 60
+        done = command(*words.split())
+        assert done.code == 0, done.err
+    kinds = {path.parent.name for path in Path("results").rglob("*.json")}
+    assert {"doctor", "identify", "gap", "export"} <= kinds
+    assert load_robot("results/export/3r_friction.urdf").n == 3
+
+
+def test_the_pattern_of_held_out_logs() -> None:
+    apart = ["test", "run_val1", "run-check", "eval2", "hold_out", "held_out_3"]
+    fitted = ["latest", "contest", "run1", "static_holding", "interval"]
+    assert [name for name in (*apart, *fitted) if APART.search(name)] == apart

@@ -1,0 +1,85 @@
+"""`torchid init`: a project file, guessed from what lies in the folder, and asked for."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from torchid.app import options as opt
+from torchid.app.output import Output
+from torchid.app.project import read
+from torchid.app.signature import WRITTEN, Fields, Switch, command
+from torchid.errors import TorchidError
+from torchid.files import atomic_write
+from torchid.project.file import NAME
+
+
+def init(
+    *,
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="[LOG...]")] = None,
+    robot: opt.RobotOption = None,
+    tip: opt.Tip = None,
+    reading: opt.Reading,
+    held_out: opt.LogFiles = None,
+    out: str = "results",
+    to: Annotated[Path, typer.Option(metavar="FILE"), WRITTEN] = Path(NAME),
+    ask: bool = True,
+    force: Switch = False,
+    output: Annotated[Output, Fields("quiet")],
+) -> None:
+    """Write a project file, so that every other command needs only what differs.
+
+    What is not given is guessed from the robots and logs in the working directory and from the
+    columns of the logs, or asked for on a terminal.
+
+    Example: `torchid init run1.csv run2.csv --held-out run3.csv --robot my_arm.urdf`
+
+    Args:
+        logs: Logs; those in the folder if absent.
+        robot: Built-in name, or a .yaml (ours), .urdf or .xml (MJCF) file.
+        held_out: Logs to hold out; those whose names say so (test, val, check) if absent.
+        out: Folder for results.
+        to: The project file.
+        ask: Ask for what cannot be guessed, on a terminal.
+        force: Replace the project file that is there.
+    """
+    from torchid.project.guess import guess
+
+    if to.exists() and not force:
+        raise TorchidError(f"'{to}' is there already.", hint="--force replaces it; or edit it")
+    people = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
+    asking = ask and people and not output.silent
+    choose = _choose if asking else None
+    found = guess(robot, tip, logs or (), held_out or (), reading.request(()), choose)
+    said, given, n = "the logs hold currents and no torque", reading.gain, found.robot.n
+    if given is None and found.needs_gains and asking:
+        question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"
+        given = typer.prompt(question, default="", show_default=False) or None
+    gains = None if given is None else opt.numbers("--gain", given, n)
+    with atomic_write(to) as file:
+        file.write(found.text(to, out, gains))
+    output.written.append(to)
+    read(to)
+    output.say(
+        f"robot: {escape(found.name)}, {n} joints",
+        f"logs: {escape(', '.join(map(str, found.logs)) or 'none')}",
+        f"held out: {escape(', '.join(map(str, found.held_out)) or 'none')}",
+    )
+    output.warn(found.warnings)
+    if gains is None and found.needs_gains:
+        output.warn((f"{said}: give the drive gains [N m/A] as `gain` in the file",))
+    output.say("next: torchid log show, torchid log doctor, torchid identify, torchid gap")
+
+
+def _choose(question: str, choices: Sequence[str]) -> str:
+    """One of several, which the user types."""
+    typer.echo(f"{question}: {', '.join(choices)}")
+    while (answer := typer.prompt("which").strip()) not in choices:
+        typer.echo(f"not one of them: {answer}")
+    return answer
+
+
+init_command = command(init, project=False)

@@ -1,0 +1,117 @@
+"""Commands whose options may stand in a project file (`torchid.project.file`)."""
+
+import os
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from contextvars import ContextVar
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from typer.core import TyperCommand, TyperOption
+
+from torchid.project.file import Project, Taken, find_project, read_project
+from torchid.robot.config_files import names_robot
+
+_FITTED = ("identify", "payload", "excite")
+"""Commands whose `--effects` are what the arm has; elsewhere it is what is searched over."""
+_CURRENT: ContextVar[Project | None] = ContextVar("project", default=None)
+
+
+def current() -> Project:
+    """The project of the command that is running; without one, an empty one."""
+    return _CURRENT.get() or Project()
+
+
+def read(file: Path) -> Project:
+    """A project file, with the options of all commands."""
+    return read_project(file, _commands())
+
+
+class ProjectCommand(TyperCommand):
+    """A command whose options may stand in a project file."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put what the project file says in the place of what is not given."""
+        _CURRENT.set(None)
+        named = {param.name: param for param in self.params}
+        if "project_file" in named and not ctx.resilient_parsing:
+            given = self.make_parser(ctx).parse_args(args=list(args))[0]
+            asked = "none" if given.get("help") else given.get("project_file")
+            project = find_project(asked, _commands())
+            if project is not None:
+                if not given.get("quiet"):
+                    with suppress(OSError):
+                        sys.stderr.write(f"project: {project.file}\n")
+                args = self._completed(project, ctx, given, args)
+        return super().parse_args(ctx, args)
+
+    def _completed(
+        self, project: Project, ctx: Any, given: Mapping[str, Any], args: list[str]
+    ) -> list[str]:
+        """The arguments with the project's robot, where they name none; options as defaults."""
+        named = {param.name: param for param in self.params}
+        first = next((p for p in self.params if not isinstance(p, TyperOption)), None)
+        whole = False
+        if first is not None and first.name in ("robot", "params") and project.robot:
+            value = given.get(first.name)
+            # A result that a motion is designed for (excite --for) names its robot itself.
+            own = value is not None if first.name == "params" else names_robot(value)
+            own = own or (not first.required and given.get("result") is not None)
+            whole = not own
+            if not own:  # what came first is a log, or another argument
+                args = [project.robot, *args]
+                given = self.make_parser(ctx).parse_args(args=list(args))[0]
+        elif self.name == "show" and project.robot:
+            whole = given.get("robot") is None
+        defaults: dict[str, Any] = dict(project.options.get(_path(ctx), {}))
+        if whole:
+            defaults |= {"robot": project.robot, "tip": project.tip}
+        if self.name in _FITTED:
+            defaults.setdefault("effects", project.effects)
+        defaults.setdefault("background", project.background)
+        # What `log show --out` writes is a file, not the folder of results.
+        if project.out is not None and getattr(named.get("out"), "metavar", None) == "DIR":
+            defaults.setdefault("out", os.path.join(project.out, str(self.name)))
+        if "logs" in named:
+            defaults.setdefault("logs", list(project.logs) or None)
+        if not given.get("held_out_fraction"):
+            taken = {os.path.realpath(log) for log in given.get("logs") or ()}
+            apart = [log for log in project.held_out if os.path.realpath(log) not in taken]
+            defaults.setdefault("held_out", apart or None)
+        ctx.default_map = {k: v for k, v in defaults.items() if k in named and v is not None}
+        _CURRENT.set(project if whole else replace(project, limits={}, payload=None))
+        return args
+
+
+def _path(ctx: Any) -> str:
+    """The name of a command with its group's: `log show`."""
+    names: list[str] = []
+    while ctx.parent is not None:
+        names.insert(0, ctx.info_name)
+        ctx = ctx.parent
+    return " ".join(names)
+
+
+@cache
+def _commands() -> dict[str, dict[str, Taken]]:
+    """The options of each command that takes a project file, by their names without dashes."""
+    from torchid.app.commands import app
+
+    found: dict[str, dict[str, Taken]] = {}
+    todo: list[tuple[str, Any]] = [("", app)]
+    while todo:
+        above, group = todo.pop()
+        todo += [(f"{above}{sub.name} ", sub.typer_instance) for sub in group.registered_groups]
+        for one in group.registered_commands:
+            options = getattr(one.callback, "options", ())
+            if any(option.name == "project_file" for option in options):
+                name = one.name or one.callback.__name__.removesuffix("_command")
+                found[above + name] = {
+                    option.shown.lstrip("-"): Taken(option.name, *option.takes)
+                    for option in options
+                    if option.name not in ("project_file", "debug")
+                }
+    return found

@@ -1,0 +1,83 @@
+"""What a check is about: sets of a file, or a robot's nominal parameters."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from torchid.effects.registry import Valued, nominal_others
+from torchid.errors import TorchidError
+from torchid.feasibility.findings import Finding, own_inertial_findings
+from torchid.feasibility.sets import (
+    ParameterSets,
+    nominal_set,
+    other_robot,
+    read_other_effects,
+    read_sets,
+)
+from torchid.json_data import read_json
+from torchid.robot.library import is_robot, load_both, load_robot, named_robot
+from torchid.robot.model import Robot
+from torchid.robot.shapes import own_inertials
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a check is about.
+
+    Attributes:
+        robot: whose bounds, shapes and limits count.
+        sets: of parameters.
+        others: effects beside them.
+        findings: what the elements of the robot's own file show.
+        warnings: one sentence each.
+    """
+
+    robot: Robot
+    sets: ParameterSets
+    others: Sequence[Valued]
+    findings: Sequence[Finding]
+    warnings: tuple[str, ...]
+
+
+def asked_about(params: str, robot: str | None, tip: str | None) -> Asked:
+    """The sets, or the robot, that a name or a file stands for.
+
+    Args:
+        params: a file of parameter sets (.json), or a robot, whose nominal parameters are meant.
+        robot: whose bounds, shapes and limits count, if it is another than the file says.
+        tip: last link of its chain.
+
+    Raises:
+        TorchidError: neither a file nor a robot; or robots with different numbers of links.
+    """
+    if not is_robot(params):
+        if not Path(params).is_file():
+            raise TorchidError(
+                f"'{params}' is neither a file nor a built-in robot.",
+                expected="a .json of parameter sets, or a robot",
+            )
+        if robot is None:
+            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), tip)
+        else:
+            found = load_robot(robot, tip=tip)
+        sets = read_sets(Path(params), found)
+        noticed = other_robot(Path(params), found)
+        others = read_other_effects(Path(params), found)
+        return Asked(found, sets, others, (), () if noticed is None else (noticed,))
+    own, found = load_both(params, robot, tip)
+    if own.n != found.n:
+        raise TorchidError(
+            f"'{own.name}' and the robot '{found.name}' have different numbers of links.",
+            got=own.n,
+            expected=found.n,
+        )
+    also = own_inertial_findings(own_inertials(own))
+    # The parameters' link frames need not be those of the robot that counts.
+    apart = [str(i + 1) for i, d in enumerate(own.frames_apart(found).tolist()) if d > 1e-6]
+    differ = (
+        f"'{own.name}' and '{found.name}' place the frames of links {', '.join(apart)} "
+        "differently: boxes of centres of mass, shapes and the torque may not be meant for these "
+        "parameters"
+    )
+    told = (differ,) if apart else ()
+    return Asked(found, nominal_set(own), nominal_others(own), also, told)

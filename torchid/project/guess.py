@@ -1,0 +1,226 @@
+"""A project file from what lies in a folder: which robot, which logs, what their columns are."""
+
+import json
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torchid.errors import RobotError, TorchidError
+from torchid.log.mapping import read_mapping
+from torchid.log.model import Log
+from torchid.log.readers import is_log, open_log, proposed_columns
+from torchid.log.table import Request
+from torchid.robot.config_files import ROBOT_FILES
+from torchid.robot.library import built_in_robots, load_robot
+from torchid.robot.model import Robot
+
+Choose = Callable[[str, Sequence[str]], str]
+"""Asks which one of several things is meant."""
+
+APART = re.compile(r"(?:^|[^a-z])(?:held|hold.?out|test|val|check|eval)", re.IGNORECASE)
+"""Names of logs that are meant to be held out."""
+
+_TEXT = """\
+# What is the same in every torchid command about this robot. The command line goes before it, and
+# --project none leaves it aside. Paths are relative to this file.
+
+robot = {robot}
+{tip}
+# Logs: which columns are what (--columns) where they have other names than t, q1.., dq1.., tau1..
+{columns}
+{gain}
+{logs}
+{apart}
+
+# Folder of results: each command has its own in it.
+out = {out}
+
+# Effects that `identify` fits beside the rigid body, and what the simulator of `gap` has already:
+# effects = ["viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"]
+# background = ["viscous_friction", "coulomb_friction"]
+
+# In place of the robot's own, one number or one a joint [rad or m; per s; per s^2; N m or N]:
+[limits]
+{limits}
+
+# What the last link carries while the logs are recorded, in its frame [kg, m, kg m^2]:
+# [payload]
+# mass = 1.2
+# com = [0.0, 0.0, 0.05]
+# inertia = [0.001, 0.0, 0.0, 0.001, 0.0, 0.001]    # xx, xy, xz, yy, yz, zz about com
+
+# Any option of one command, in a table of its name:
+# [gap]
+# cutoff = 6
+"""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What a project file may say.
+
+    Attributes:
+        name: of the robot, or its file.
+        robot: as it was read.
+        logs, held_out: files.
+        columns: mapping of the logs' columns, if they need one.
+        needs_gains: whether logs hold currents, which nothing turns into torque.
+        warnings: what was left out or guessed, one sentence each.
+    """
+
+    name: str
+    robot: Robot
+    logs: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+    columns: str | None
+    needs_gains: bool
+    warnings: tuple[str, ...]
+
+    def text(self, to: Path, out: str, gain: Sequence[float] | None = None) -> str:
+        """The project file.
+
+        Args:
+            to: where it will lie; paths are relative to it.
+            out: folder of results.
+            gain: (n,) drive gains [N m/A], if they are known.
+        """
+
+        def path(given: str | Path) -> str:
+            return _quoted(Path(os.path.relpath(given, to.parent)).as_posix())
+
+        def paths(given: Sequence[Path]) -> str:
+            line = ", ".join(map(path, given))
+            return (
+                f"[{line}]"
+                if len(line) < 80
+                else "[\n    " + ",\n    ".join(map(path, given)) + "\n]"
+            )
+
+        limits = self.robot.limits
+        unknown = [k for k in ("velocity", "acceleration") if getattr(limits, k) is None]
+        apart = "# held-out = [..]    # whole runs that take part in no choice"
+        return _TEXT.format(
+            robot=path(self.name) if os.path.isfile(self.name) else _quoted(self.name),
+            tip=f"tip = {_quoted(self.robot.tip)}" if self.robot.tip else "# tip = ..",
+            columns=f"columns = {_quoted(self.columns)}" if self.columns else "# columns = ..",
+            gain=f"gain = {list(gain)}" if gain else "# gain = [..]    # N m/A, of currents",
+            logs=f"logs = {paths(self.logs)}" if self.logs else "# logs = [..]",
+            apart=f"held-out = {paths(self.held_out)}" if self.held_out else apart,
+            out=_quoted(out),
+            limits="\n".join(f"# {k} = ..    # the robot says none" for k in unknown)
+            or "# acceleration = ..",
+        )
+
+
+def _quoted(text: str) -> str:
+    """A string of TOML, whose escapes are those of JSON."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def guess(
+    robot: str | None,
+    tip: str | None,
+    logs: Sequence[Path],
+    held_out: Sequence[Path],
+    request: Request,
+    choose: Choose | None = None,
+) -> Guess:
+    """What a project file in the working directory may say.
+
+    Args:
+        robot: built-in name or file; the one in the folder if None.
+        tip: last link of its chain.
+        logs: those in the folder if there are none.
+        held_out: those whose names say so if there are none.
+        request: how the logs are read.
+        choose: for what is one of several; an error is raised if None.
+
+    Raises:
+        TorchidError: no robot, or one of several; a log that was given cannot be read, or is of
+            another robot.
+    """
+    name, arm = _robot(robot, tip, choose)
+    given = [*logs, *held_out]
+    paths = given if logs else [p for p in sorted(Path().iterdir()) if is_log(p)] + given
+    asked = replace(request, joints=arm.joint_names, spare=True)
+    read, columns, warnings = _read(tuple(dict.fromkeys(paths)), asked, arm.n, given)
+    measured = [path for path, log in read.items() if not (log.tau is None and log.current is None)]
+    for path in [path for path in read if measured and path not in (*measured, *given)]:
+        warnings.append(f"left out, as it has neither torque nor currents: {path}")
+        del read[path]
+    if read and not measured:
+        warnings.append("the logs have neither torque nor currents")
+    if columns is not None and request.columns is None:
+        warnings.append(f"columns are guessed, their signs and units too: {columns}")
+    apart = tuple(held_out) or tuple(path for path in read if APART.search(path.stem))
+    fitted = tuple(path for path in read if path not in apart)
+    currents = any(log.tau is None and log.current is not None for log in read.values())
+    needs_gains = currents and arm.drive_gain is None
+    fitted, apart = (fitted, apart) if fitted else (apart, ())
+    return Guess(name, arm, fitted, apart, columns, needs_gains, tuple(warnings))
+
+
+def _robot(asked: str | None, tip: str | None, choose: Choose | None) -> tuple[str, Robot]:
+    """The robot that is asked for, or the one in the folder.
+
+    Raises:
+        TorchidError: there is none, or there are several and nobody to choose.
+    """
+
+    def loaded(name: str) -> Robot | RobotError:
+        try:
+            return load_robot(name, tip=tip if name.endswith((".urdf", ".xml")) else None)
+        except RobotError as error:
+            return error
+
+    files = [path.name for path in sorted(Path().iterdir()) if path.suffix.lower() in ROBOT_FILES]
+    robots = {name: loaded(name) for name in ([asked] if asked else files)}
+    # One that branches into several chains is a robot, too.
+    branching = {n for n, r in robots.items() if "as tip" in str(getattr(r, "expected", ""))}
+    fit = [n for n, r in robots.items() if n in branching or not isinstance(r, RobotError)]
+    if asked is None and (not fit or (len(fit) > 1 and choose is None)):
+        raise TorchidError(
+            "which robot? There are several here." if fit else "there is no robot here.",
+            expected="`robot=...`",
+            available=fit or built_in_robots(),
+        )
+    name = asked or (choose("robots", fit) if choose and len(fit) > 1 else fit[0])
+    found = robots[name]
+    if isinstance(found, RobotError) and name in branching and found.available and choose:
+        tip = choose("it branches; last links of its chains", [str(t) for t in found.available])
+        found = loaded(name)
+    if isinstance(found, RobotError):
+        raise found
+    return name, found
+
+
+def _read(
+    paths: Sequence[Path], request: Request, n: int, given: Sequence[Path]
+) -> tuple[dict[Path, Log], str | None, list[str]]:
+    """Logs of n joints, the mapping that they need, guessed from the first that needs one, and why
+    others are left out.
+
+    Raises:
+        TorchidError: a log that was given cannot be read, or is of another robot.
+    """
+    text = None if request.columns is None else request.columns.text
+    found: dict[Path, Log] = {}
+    warnings = []
+    for path in paths:
+        try:
+            if text is None and (guessed := proposed_columns(path, request)) is not None:
+                text = guessed[0]
+                request = replace(request, columns=read_mapping(text))
+            _, log = open_log(path, request)
+            if log.n != n:
+                raise TorchidError(
+                    f"'{path}' is of another robot.", got=f"{log.n} joints", expected=n
+                )
+            found[path] = log
+        except TorchidError as error:
+            if path in given:
+                raise
+            warnings.append(f"left out: {error.problem}")
+    return found, text, warnings
