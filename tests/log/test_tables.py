@@ -212,7 +212,8 @@ def test_text_without_header(tmp_path: Path) -> None:
             ["stamp", "base cmd pos [°]", "arm cmd pos [°]", "base act pos [°]", "arm act pos [°]",
              "temperature [°C]", "base trq [kNm]", "arm trq [kNm]"],
             "t=stamp,q=['base act pos [°]', 'arm act pos [°]'] °,"
-            "tau=['base trq [kNm]', 'arm trq [kNm]'] kNm,u=['base cmd pos [°]', 'arm cmd pos [°]'] °",
+            "tau=['base trq [kNm]', 'arm trq [kNm]'] kNm,"
+            "u=['base cmd pos [°]', 'arm cmd pos [°]'] °",
         ),
         (
             ["time", "S_pos_deg", "L_pos_deg", "S_torque_nm", "L_torque_nm"],

@@ -134,8 +134,10 @@ def _is_of(group: _Group, key: str) -> bool:
     if key not in ("q", "u"):
         return group.key == key
     commanded = is_commanded(words_of(group.names[0]))
-    return group.key == key if key == "q" and not commanded else key == "u" and (
-        group.key == "u" or (group.key == "q" and commanded)
+    return (
+        group.key == key
+        if key == "q" and not commanded
+        else key == "u" and (group.key == "u" or (group.key == "q" and commanded))
     )
 
 

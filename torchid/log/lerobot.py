@@ -43,7 +43,8 @@ def lerobot_table(path: Path, request: Request) -> Table:
     """The table of a dataset: features as arrays, their elements as columns `feature.name`.
 
     q is the elements of observation.state whose names end in `.pos`, or all of it if no name says
-    what it is; torque is observation.effort, or elements that end in `.effort` or `.torque`; u is the action.
+    what it is; torque is observation.effort, or elements that end in `.effort` or `.torque`;
+    u is the action.
 
     Raises:
         LogError: no data, or the robot's joints cannot be found in the state.
