@@ -11,7 +11,7 @@ from tests.oracles import MujocoOracle
 from tests.simulation.bodies import flywheel
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
-from torchid.simulation.servo_loop import Tracks, Windows, set_points, windows_of
+from torchid.simulation.servo_loop import Tracks, set_points, windows_of
 
 DT = 0.02
 
@@ -123,7 +123,9 @@ def steady(level: float, seconds: float) -> Tracks:
 def test_a_stuck_joint_stays_for_minutes(share):
     """Below the dry friction a joint does not move at all; above it goes to where it holds."""
     kp, dry = 20.0, 0.4
-    servos = Servos.neutral(1, kp=kp, damping=3.0, armature=0.02, coulomb=0.3, stiction=0.1)
+    servos = Servos.neutral(
+        1, kp=kp, damping=1.0, armature=0.02, coulomb=0.3, stiction=0.1, stribeck_speed=1e-3
+    )
     tracks = steady(share * dry / kp, 180.0)
     q = replayed(
         flywheel(), servos, tracks, windows_of(tracks, None), *torch.zeros(2, 1, 1).double()
@@ -201,7 +203,7 @@ def test_sets_in_a_batch_do_not_disturb_each_other():
     both = Servos(torch.stack([a.joint, b.joint])[:, None], torch.zeros(2, 1, 5).double())
     together = replayed(robot, both, tracks, whole, q, torch.zeros_like(q))
     for k, servos in enumerate((a, b)):
-        one = Windows(whole.start[k : k + 1], whole.length[k : k + 1], whole.motion[k : k + 1])
+        one = whole.some(torch.tensor([k]))
         alone = replayed(robot, servos, tracks, one, q[k : k + 1], torch.zeros(1, 3).double())
         rows = slice(int(tracks.first[k]), int(tracks.last[k]) + 1)
         assert torch.allclose(together[rows], alone[rows], atol=2e-5)

@@ -6,6 +6,7 @@ Read from top to bottom: `diagnose_positions` is the pipeline.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 
 import torch
 from torch import Tensor
@@ -30,7 +31,8 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 
 WINDOW_S = 2.0
-STAGES = 11
+STAGES = 12
+"""That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
 WORTHWHILE = 0.05
@@ -55,7 +57,7 @@ def diagnose_positions(
         LogError: as `prepare`.
         RobotError: the robot has no inertial parameters.
     """
-    begun, stages = time.perf_counter(), iter(range(STAGES))
+    begun, stages = time.perf_counter(), count()
 
     def say(stage: str) -> None:
         if progress is not None:
@@ -64,16 +66,13 @@ def diagnose_positions(
     log, warnings = _parted(log)
     data = prepare(robot, log)
     windows = windows_of(data.tracks, WINDOW_S)
-    few = _some(windows, MOST)
     say("a plain servo")
-    simple = plain(data, few)
-    found = full(data, few, say)
-    say("what each effect is worth")
-    worth, rivals, found = _needed(data, found, few)
+    simple = plain(data, _some(windows, MOST))
+    telling = _telling(data, simple, windows)
+    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    found, worth, rivals = _answer(data, few, more, say)
+    servos = found.servos
     say("how far it goes")
-    more = _some(windows, 3 * MOST)
-    servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
-    found = replace(found, servos=servos)
     known = equations(data, servos, found.free, more)
     ways, errors_of = _accuracies(data, simple, found, windows, few)
     findings = _findings(data, found, known, worth, rivals)
@@ -106,6 +105,31 @@ def diagnose_positions(
     )
 
 
+def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
+    """The answered model alone, without what is told about it.
+
+    Raises:
+        LogError, RobotError: as `prepare`.
+    """
+    data = prepare(robot, log)
+    windows = windows_of(data.tracks, WINDOW_S)
+    telling = _telling(data, plain(data, _some(windows, MOST)), windows)
+    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    found, _, _ = _answer(data, few, more, lambda _: None)
+    return data, found
+
+
+def _answer(
+    data: PositionData, few: Windows, more: Windows, say: Callable[[str], None]
+) -> "tuple[Found, Worth, Rivals]":
+    """What the search finds in few windows and each effect is worth there, fitted to more."""
+    found = full(data, few, say)
+    say("what each effect is worth")
+    worth, rivals, found = _needed(data, found, few)
+    servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
+    return replace(found, servos=servos), worth, rivals
+
+
 def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
     """The log with enough motions to hold some out: one long motion is taken in parts."""
     if log.trajectory_count > 1:
@@ -117,11 +141,38 @@ def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
     )
 
 
-def _some(windows: Windows, most: int) -> Windows:
-    """Evenly spread windows."""
-    every = max(1, len(windows.start) // most)
-    rows = torch.arange(0, len(windows.start), every)
-    return Windows(windows.start[rows], windows.length[rows], windows.motion[rows])
+def _some(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
+    """At most so many windows, each with what it stands for.
+
+    Args:
+        windows: all of them.
+        most: to take.
+        size: (W,) how much each tells; the chance to be taken grows with it. None: all alike.
+    """
+    if size is None:
+        size = torch.ones(len(windows.start), dtype=torch.float64)
+    chance = (size / size.sum() * most).clamp(max=1.0)
+    for _ in range(20):  # what is certain leaves more of the chances to the others
+        free = chance < 1
+        left = most - float((~free).sum())
+        if left <= 0 or not bool(free.any()):
+            break
+        chance = torch.where(free, (size / size[free].sum() * left).clamp(max=1.0), 1.0)
+    # Evenly spaced along the sum of chances: no draw, and every stretch of the log has its share.
+    ends = chance.cumsum(0) + 0.5
+    rows = torch.nonzero(ends.floor() > (ends - chance).floor()).flatten()
+    some = windows.some(rows)
+    return replace(some, weight=some.weight / chance[rows])
+
+
+def _telling(data: PositionData, model: Found, windows: Windows) -> Tensor:
+    """(W,) how much windows tell: the plain servo's error there, and no less than half of the
+    typical one, so that none is left to chance alone."""
+    servos = model.servos
+    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
+    error = errors(data, one, windows)[..., 0]
+    own = (error.square().sum(0) / (error != 0).sum(0).clamp(min=1)).mean(1).sqrt()
+    return own + own.median() / 2
 
 
 def _present(found: Found, effect: PositionEffect) -> Tensor:
@@ -190,8 +241,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
 
 
 def _sure(gain: Tensor) -> Tensor:
-    """(n,) whether motions (m, n) gain, beyond chance: most of those that it matters to, or so much
-    in few that nothing else can be."""
+    """(n,) whether most motions (m, n) gain of those that it matters to."""
     matters = gain.abs() > 0.02 * gain.abs().amax(0)
     better = ((gain > 0) & matters).sum(0)
     return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
@@ -249,7 +299,7 @@ def _findings(
     data: PositionData, found: Found, known: Equations, worth: Worth, rivals: Rivals
 ) -> tuple[PositionFinding, ...]:
     deviation = known.deviations()
-    looked = float(_some(windows_of(data.tracks, WINDOW_S), MOST).length.sum())
+    looked = float(data.tracks.u.shape[0])
     out = []
     for name, losses in worth.items():
         effect = BY_NAME[name]
@@ -306,7 +356,7 @@ def _accuracies(
         servos = {}
         for fold in folds.unique().tolist():
             rest = torch.nonzero(folds[few.motion] != fold).flatten()
-            others = Windows(few.start[rest], few.length[rest], few.motion[rest])
+            others = few.some(rest)
             servos[fold] = fit(
                 data, model.servos, model.free, others, plane=model.plane, iterations=2
             )

@@ -122,10 +122,15 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
     return (q - measured[..., None]).nan_to_num_(nan=0.0)
 
 
-def loss(error: Tensor) -> Tensor:
+def loss(error: Tensor, windows: Windows) -> Tensor:
     """Huber's loss (n, P) of errors (L, W, n, P), as a sum of squares where they are small."""
+    return (huber(error) * windows.weight[:, None, None]).sum(0)
+
+
+def huber(error: Tensor) -> Tensor:
+    """Huber's loss of windows: (W, ...) of errors (L, W, ...)."""
     a = error.abs() / LARGE
-    return (torch.where(a < 1, a * a, 2 * a - 1) * LARGE**2).sum((0, 1))
+    return (torch.where(a < 1, a * a, 2 * a - 1) * LARGE**2).sum(0)
 
 
 def sensitivities(
@@ -159,9 +164,9 @@ def sensitivities(
     )
 
 
-def weights(residual: Tensor) -> Tensor:
-    """Huber's weights."""
-    return (LARGE / residual.abs().clamp(min=LARGE)).to(residual)
+def weights(residual: Tensor, windows: Windows) -> Tensor:
+    """Huber's weights (L, W, n), times what each window stands for."""
+    return LARGE / residual.abs().clamp(min=LARGE) * windows.weight[:, None]
 
 
 def prior_precision(names: tuple[str, ...]) -> Float[Tensor, " K"]:
@@ -202,7 +207,7 @@ def fit(
         begun, precision = origin[:, at], prior_precision(names)
         logs = torch.tensor([PARAMETERS[i].kind == "log" for i in at.tolist()])
         s = sensitivities(data, servos, names, windows, plane=plane)
-        w = weights(s.residual)
+        w = weights(s.residual, windows)
         here = searched(servos)
         a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1)
         b = (s.residual * w.sqrt()).flatten(0, 1).T
@@ -225,7 +230,7 @@ def fit(
             planes = _plane_steps(s.plane, s.residual, w, plane_damping)
             batch.plane[1:] += planes
             batch.plane[:, 4].clamp_(min=50.0)
-        cost = loss(errors(data, batch, windows))
+        cost = loss(errors(data, batch, windows), windows)
         away = (tried[..., at] - begun).nan_to_num(nan=0.0)
         cost = cost + (precision * away**2).sum(-1).T
         best = cost.argmin(1)

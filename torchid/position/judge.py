@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchid.position.data import PositionData
 from torchid.position.fit import (
-    LARGE,
     LONGEST,
     absolute,
+    huber,
     moved,
     prior_precision,
     searched,
@@ -75,7 +75,7 @@ def equations(
     """Normal equations by motion; Huber's weights bound what a rare event can do."""
     names = tuple(free)
     s = sensitivities(data, servos, names, windows)
-    w = weights(s.residual)
+    w = weights(s.residual, windows)
     a = s.slope * w.sqrt()[..., None]
     b = s.residual * w.sqrt()
     motions = int(windows.motion.max()) + 1
@@ -96,8 +96,7 @@ def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
 
 def motion_losses(error: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, "m n"]:
     """Huber's loss of every motion and joint [rad^2]."""
-    a = error.abs() / LARGE
-    own = (torch.where(a < 1, a * a, 2 * a - 1) * LARGE**2).sum(0)
+    own = huber(error) * windows.weight[:, None]
     out = torch.zeros(int(windows.motion.max()) + 1, own.shape[1], dtype=own.dtype)
     return out.index_add_(0, windows.motion, own)
 

@@ -93,7 +93,7 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
 
 def _tried(data: PositionData, sets: Servos, windows: Windows) -> Tensor:
     """(n, P) losses of sets of servos."""
-    return loss(errors(data, sets, windows))
+    return loss(errors(data, sets, windows), windows)
 
 
 def _batch(servos: Servos, count: int) -> Servos:

@@ -16,6 +16,7 @@ Inertial coupling between joints enters with the accelerations of the step befor
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -128,11 +129,17 @@ class Windows:
         start: (W,) first row.
         length: (W,) rows.
         motion: (W,) which motion.
+        weight: (W,) how many windows each stands for.
     """
 
     start: Int[Tensor, " W"]
     length: Int[Tensor, " W"]
     motion: Int[Tensor, " W"]
+    weight: Float[Tensor, " W"]
+
+    def some(self, rows: Int[Tensor, " V"]) -> "Windows":
+        """Some of them."""
+        return Windows(self.start[rows], self.length[rows], self.motion[rows], self.weight[rows])
 
 
 def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
@@ -146,7 +153,8 @@ def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
             start.append(a + k)
             length.append((rows if k == starts[-1] else k + size) - k)
             motion.append(m)
-    return Windows(torch.tensor(start), torch.tensor(length), torch.tensor(motion))
+    one = torch.ones(len(start), dtype=torch.float64)
+    return Windows(torch.tensor(start), torch.tensor(length), torch.tensor(motion), one)
 
 
 def set_points(
@@ -193,21 +201,23 @@ def set_points(
             first.append(row)
             count.append(end - begin[-1])
             row = end
-    order = torch.tensor(count).argsort(descending=True)
-    at, counts, counted = (torch.tensor(x)[order] for x in (begin, count, first))
-    x, v, dt = goal[..., at], torch.zeros_like(goal[..., at]), tracks.dt
+    # Few numbers many times: numpy's calls cost a third of torch's.
+    order = np.argsort(count)[::-1]
+    at, counts, counted = (np.array(x)[order] for x in (begin, count, first))
+    goals, limits = goal.numpy(), (a.numpy(), top.numpy())
+    x, v, out_of = goals[..., at], np.zeros_like(goals[..., at]), followed.numpy()
     for k in range(int(counts[0])):
         live = int((counts > k).sum())
         at, x, v = at[:live], x[..., :live], v[..., :live]
-        target = goal[..., at]
-        way, v = _profile_step(target - x, v, a, top, dt)
+        target = goals[..., at]
+        way, v = _profile_step(target - x, v, *limits, tracks.dt)
         x = x + way
         if repeated and k > 0:
-            same = target == goal[..., at - 1]
-            x, v = torch.where(same, target, x), torch.where(same, 0.0, v)
+            same = target == goals[..., at - 1]
+            x, v = np.where(same, target, x), np.where(same, 0.0, v)
         at = at + 1
         keep = at > counted[:live]
-        followed[..., at[keep]] = x[..., keep]
+        out_of[..., at[keep]] = x[..., keep]
     out[bound] = followed
     return out
 
@@ -217,20 +227,21 @@ def profiles_of(servos: Servos) -> Float[Tensor, "S n 3"]:
     return servos.joint[..., [INDEX[name] for name in PROFILE]].flatten(0, -3)
 
 
-def _profile_step(e: Tensor, v: Tensor, a: Tensor, top: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+def _profile_step(
+    e: np.ndarray, v: np.ndarray, a: np.ndarray, top: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
     """How far the fastest way to rest at a distance e goes within dt, and its velocity then."""
     # Towards the goal, unless the braking distance is longer than what is left.
-    side = torch.where(e - v * v.abs() / (2 * a) >= 0, 1.0, -1.0)
-    peak = torch.minimum((side * a * e + v * v / 2).clamp(min=0).sqrt(), top)
+    side = np.where(e - v * np.abs(v) / (2 * a) >= 0, 1.0, -1.0)
+    peak = np.minimum(np.sqrt(np.maximum(side * a * e + v * v / 2, 0)), top)
     speed = side * v
-    t_up = ((peak - speed) / a).clamp(min=0)
+    t_up = np.maximum((peak - speed) / a, 0)
     # The way while it speeds up and while it brakes; the rest at constant speed.
     up, down = (speed + peak) / 2 * t_up, peak * peak / (2 * a)
-    t_even = ((side * e - up - down) / peak.clamp(min=1e-12)).clamp(min=0)
-    t = torch.full_like(e, dt)
-    first = torch.minimum(t, t_up)
-    second = torch.minimum(t - first, t_even)
-    third = torch.minimum(t - first - second, peak / a)
+    t_even = np.maximum((side * e - up - down) / np.maximum(peak, 1e-12), 0)
+    first = np.minimum(dt, t_up)
+    second = np.minimum(dt - first, t_even)
+    third = np.minimum(dt - first - second, peak / a)
     way = speed * first + a * first * first / 2
     now = speed + a * first
     way = way + now * second + now * third - a * third * third / 2
