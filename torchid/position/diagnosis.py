@@ -14,7 +14,7 @@ class Size:
     Attributes:
         name, unit: of the parameter.
         value: fitted.
-        interval: 95 %, from a jackknife over motions.
+        interval: 95 %: motions as clusters, and no less than noise allows.
     """
 
     name: str

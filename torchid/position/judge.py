@@ -1,7 +1,9 @@
-"""How well servos are known: a jackknife over motions.
+"""How well servos are known: by how much motions disagree, and by how much noise alone allows.
 
-Per motion, the normal equations of every joint at the fitted servos tell what the fit would have
-been without it: one Gauss-Newton step away, since a motion is a small part of the log.
+Per motion, the normal equations of every joint at the fitted servos tell where that motion pulls.
+What the pulls of motions spread is the larger of two answers on most parameters (a sandwich
+estimate, motions as clusters: Liang and Zeger 1986). A parameter that one motion alone tells has
+no such spread: there what is left in the windows, alike within a second, is its noise.
 """
 
 from collections.abc import Mapping
@@ -10,18 +12,15 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.position.data import PositionData
+from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
-    LONGEST,
-    absolute,
+    TOGETHER,
     huber,
-    moved,
     prior_precision,
-    searched,
     sensitivities,
     weights,
 )
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.typing import Float, Int
 
@@ -37,6 +36,7 @@ class Equations:
         names: the K parameters.
         mask: (n, K) where each is free.
         gram: (m, n, K, K), pull: (m, n, K) of motions.
+        square: (n,) mean square error [rad^2].
     """
 
     servos: Servos
@@ -44,29 +44,42 @@ class Equations:
     mask: Tensor
     gram: Tensor
     pull: Tensor
-
-    def step(self, left_out: Tensor) -> Tensor:
-        """(n, K) from the servos to those fitted without some motions (m,)."""
-        keep = ~left_out
-        gram = self.gram[keep].sum(0) + torch.diag(prior_precision(self.names))
-        both = self.mask[:, :, None] & self.mask[:, None, :]
-        gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
-        # The whole fit stands where its pull is zero; only what leaves moves it.
-        pull = -self.pull[left_out].sum(0)
-        step = -torch.linalg.solve(gram, torch.where(self.mask, pull, 0.0)[..., None])[..., 0]
-        return step.clamp(-LONGEST, LONGEST)
+    square: Tensor
 
     def deviations(self) -> Float[Tensor, "n K"]:
-        """Standard deviations of the parameters, of logarithms where they are searched so: a
-        jackknife over motions."""
-        count = len(self.pull)
-        at = [INDEX[name] for name in self.names]
-        there = searched(self.servos).repeat(count, 1, 1)
-        for m in range(count):
-            there[m][:, at] += self.step(torch.arange(count) == m)
-        found = absolute(moved(self.servos, there))[..., at]
-        spread = (found - found.mean(0)).square().sum(0)
-        return torch.where(self.mask, ((count - 1) / count * spread).sqrt(), 0.0)
+        """Standard deviations of the parameters, of logarithms where they are searched so."""
+        both = self.mask[:, :, None] & self.mask[:, None, :]
+        gram = self.gram.sum(0) + torch.diag(prior_precision(self.names))
+        gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
+        inverse = torch.linalg.inv(gram)
+        pull = torch.where(self.mask, self.pull, 0.0)
+        pull = pull - pull.mean(0)
+        count = len(pull)
+        spread = torch.einsum("mnk,mnl->nkl", pull, pull) * count / max(1, count - 1)
+        to = self._to_values()
+        out = []
+        for covariance in (
+            inverse @ spread @ inverse,
+            inverse * (TOGETHER * self.square)[:, None, None],
+        ):
+            out.append((to @ covariance @ to.transpose(1, 2)).diagonal(dim1=1, dim2=2))
+        largest = torch.maximum(*out).clamp(min=0).sqrt()
+        return torch.where(self.mask, largest, 0.0)
+
+    def _to_values(self) -> Float[Tensor, "n K K"]:
+        """Changes of parameters by searched coordinates, in which torques are shares of kp."""
+        size = len(self.names)
+        out = torch.eye(size, dtype=self.gram.dtype).repeat(self.servos.n, 1, 1)
+        gain, k = self.servos.of("kp"), self.names.index("kp")
+        for row, name in enumerate(self.names):
+            if name not in TORQUES or name == "kp":
+                continue
+            if PARAMETERS[INDEX[name]].kind == "log":
+                out[:, row, k] = 1.0
+            else:
+                out[:, row, row] = gain / SMALL
+                out[:, row, k] = self.servos.of(name)
+        return out
 
 
 def equations(
@@ -85,7 +98,8 @@ def equations(
     pull = torch.zeros(*shape, len(names), dtype=a.dtype)
     pull.index_add_(0, windows.motion, torch.einsum("lwnk,lwn->wnk", a, b))
     mask = torch.stack([free[name] for name in names], 1)
-    return Equations(servos, names, mask, gram, pull)
+    rows = float((windows.length * windows.weight).sum())
+    return Equations(servos, names, mask, gram, pull, b.square().sum((0, 1)) / rows)
 
 
 def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
