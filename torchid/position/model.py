@@ -21,6 +21,8 @@ from torchid.simulation.servo_loop import Tracks, Windows, windows_of
 from torchid.typing import Float
 
 KEY = "servos"
+SAME_RATE = 0.01
+"""Sampling intervals that differ by no more are one [1]."""
 _BEFORE = 4
 """Samples before a start from which its velocity is told [1]."""
 
@@ -91,7 +93,6 @@ def replay(
         LogError: other joints than the robot's, no commands, or uneven sampling.
         TorchidError: the arm runs away.
     """
-    out = []
     for log in logs:
         if log.n != robot.n:
             raise LogError(
@@ -99,14 +100,47 @@ def replay(
                 got=f"{log.n} (q1..q{log.n})",
                 expected=f"{robot.n} (q1..q{robot.n})",
             )
-        tracks = tracks_of(log, scale)
-        windows = windows_of(tracks, windows_s)
-        q = log.q * scale
-        start = _velocities(q, tracks, windows)
-        found = replayed(robot, servos, tracks, windows, q[windows.start], start)
-        plain = log.replace(**dict.fromkeys([s for s in log.signals if s != "q"]))
-        out.append(plain.replace(q=found / scale, u=log.u))
-    return out
+    tracks = [tracks_of(log, scale) for log in logs]
+    # Logs of one rate are simulated side by side.
+    out: list[Log | None] = [None] * len(logs)
+    waiting = list(range(len(logs)))
+    while waiting:
+        rate = tracks[waiting[0]].dt
+        alike = [k for k in waiting if abs(tracks[k].dt - rate) <= SAME_RATE * rate]
+        waiting = [k for k in waiting if k not in alike]
+        together = _side_by_side([tracks[k] for k in alike])
+        found = _replayed(robot, servos, scale, [logs[k] for k in alike], together, windows_s)
+        for k, q in zip(alike, found, strict=True):
+            plain = logs[k].replace(**dict.fromkeys([s for s in logs[k].signals if s != "q"]))
+            out[k] = plain.replace(q=q / scale, u=logs[k].u)
+    return [log for log in out if log is not None]
+
+
+def _replayed(
+    robot: Robot,
+    servos: Servos,
+    scale: Tensor,
+    logs: Sequence[Log],
+    tracks: Tracks,
+    windows_s: float | None,
+) -> Sequence[Tensor]:
+    """Simulated positions (T, n) of each of some logs of one rate [rad]."""
+    windows = windows_of(tracks, windows_s)
+    q = torch.cat([log.q for log in logs]) * scale
+    start = _velocities(q, tracks, windows)
+    found = replayed(robot, servos, tracks, windows, q[windows.start], start)
+    return found.split([log.samples for log in logs])
+
+
+def _side_by_side(tracks: Sequence[Tracks]) -> Tracks:
+    """The motions of several logs as one set of tracks."""
+    before = torch.tensor([0, *(len(t.u) for t in tracks[:-1])]).cumsum(0)
+    return Tracks(
+        torch.cat([t.u for t in tracks]),
+        torch.cat([t.first + k for t, k in zip(tracks, before, strict=True)]),
+        torch.cat([t.last + k for t, k in zip(tracks, before, strict=True)]),
+        sum(t.dt for t in tracks) / len(tracks),
+    )
 
 
 def accuracy(
