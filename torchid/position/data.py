@@ -21,6 +21,8 @@ STILL = 0.02
 SMALL = PARAMETERS[INDEX["kp"]].start
 """kp of a small servo [N m/rad]."""
 BEARS, FRICTION = 0.2, 1.5
+NO_STEP = 1e-9
+"""Changes of a position below this are rounding [rad]."""
 JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
 SHORTEST_S = 10.0
@@ -54,6 +56,16 @@ class PositionData:
     strength: Float[Tensor, " n"]
     link: int
     set_points: dict[bool, tuple[Tensor, Tensor]] = field(default_factory=dict, repr=False)
+
+    @property
+    def resolution(self) -> Float[Tensor, " n"]:
+        """(n,) what rounding to an encoder's count leaves [rad]."""
+        out = []
+        for q in self.q.T:
+            steps = q.diff().abs()
+            steps = steps[steps > NO_STEP]
+            out.append(steps.quantile(0.05) / 12**0.5 if len(steps) else q.new_tensor(0.0))
+        return torch.stack(out)
 
     def start(self, windows: Windows) -> tuple[Tensor, Tensor]:
         """q and dq (W, n) at the first rows of windows."""

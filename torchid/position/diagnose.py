@@ -25,7 +25,7 @@ from torchid.position.judge import (
     motion_losses,
     value_interval,
 )
-from torchid.position.search import Found, full, plain
+from torchid.position.search import Found, full, least_loss, plain
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
@@ -70,7 +70,7 @@ def diagnose_positions(
     simple = plain(data, _some(windows, MOST))
     telling = _telling(data, simple, windows)
     few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
-    found, worth, rivals = _answer(data, few, more, say)
+    found, worth, rivals = _answer(data, simple, few, more, say)
     servos = found.servos
     say("how far it goes")
     known = equations(data, servos, found.free, more)
@@ -113,21 +113,36 @@ def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
     """
     data = prepare(robot, log)
     windows = windows_of(data.tracks, WINDOW_S)
-    telling = _telling(data, plain(data, _some(windows, MOST)), windows)
+    simple = plain(data, _some(windows, MOST))
+    telling = _telling(data, simple, windows)
     few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
-    found, _, _ = _answer(data, few, more, lambda _: None)
+    found, _, _ = _answer(data, simple, few, more, lambda _: None)
     return data, found
 
 
 def _answer(
-    data: PositionData, few: Windows, more: Windows, say: Callable[[str], None]
+    data: PositionData,
+    simple: Found,
+    few: Windows,
+    more: Windows,
+    say: Callable[[str], None],
 ) -> "tuple[Found, Worth, Rivals]":
     """What the search finds in few windows and each effect is worth there, fitted to more."""
-    found = full(data, few, say)
+    found = _no_worse(data, simple, full(data, few, say), few)
     say("what each effect is worth")
     worth, rivals, found = _needed(data, found, few)
     servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
     return replace(found, servos=servos), worth, rivals
+
+
+def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
+    """The model with plain servos on the joints that a plain servo follows as well: a search may
+    end where more parameters do no better."""
+    before, after = (_losses(data, model.servos, windows).sum(0) for model in (simple, found))
+    needless = before - after < least_loss(data, windows)
+    joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
+    free = {name: on if name in simple.free else on & ~needless for name, on in found.free.items()}
+    return Found(replace(found.servos, joint=joint), free, found.plane)
 
 
 def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
@@ -181,8 +196,7 @@ def _present(found: Found, effect: PositionEffect) -> Tensor:
         return torch.full((found.servos.n,), found.plane)
     on = torch.zeros(found.servos.n, dtype=torch.bool)
     for name in effect.parameters:
-        if name in found.free:
-            on |= found.free[name] & (found.servos.of(name) != PARAMETERS[INDEX[name]].neutral)
+        on |= found.free.get(name, on)
     return on
 
 
@@ -216,6 +230,7 @@ def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
 def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
     """The effects without which motion after motion is followed worse, all others refitted."""
     whole, n = _losses(data, found.servos, windows), found.servos.n
+    least = least_loss(data, windows)
     worth: Worth = {}
     removed: dict[str, Tensor] = {}
     for effect in EFFECTS:
@@ -228,7 +243,7 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         gain, total = without - whole, without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-        keep = on & (gain.sum(0) > WORTHWHILE * total) & _sure(gain)
+        keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & _sure(gain)
         worth[effect.name] = without.sum(0), whole.sum(0)
         removed[effect.name] = on & ~keep
     now = found
@@ -237,7 +252,8 @@ def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, 
         if name not in KEPT and bool(joints.any()):
             now = _without(now, BY_NAME[name], joints)
     servos = fit(data, now.servos, now.free, windows, iterations=2)
-    return _returned(data, found, replace(now, servos=servos), worth, removed, whole, windows)
+    now = replace(now, servos=servos)
+    return _returned(data, found, now, worth, removed, whole, least, windows)
 
 
 def _sure(gain: Tensor) -> Tensor:
@@ -254,11 +270,12 @@ def _returned(
     worth: Worth,
     removed: dict[str, Tensor],
     whole: Tensor,
+    least: Tensor,
     windows: Windows,
 ) -> tuple[Worth, Rivals, Found]:
     """Effects that stood for each other: one of them returns, with the others' names."""
     lean = _losses(data, now.servos, windows).sum(0)
-    lost = lean > (1 + WORTHWHILE) * whole.sum(0)
+    lost = (lean > (1 + WORTHWHILE) * whole.sum(0)) & (lean - whole.sum(0) > least)
     candidates = {
         name: joints & lost
         for name, joints in removed.items()

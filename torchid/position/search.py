@@ -25,7 +25,8 @@ TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
 TOUCHED = 0.02
 """Share of all joints' loss that a plane must take away to be tried [1]."""
-_ACCELERATIONS = (20.0, 40.0, 80.0)
+_ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
+"""Limits to try, as shares of the largest acceleration that a joint shows."""
 _EARLIER = (0.01, 0.02)
 _QUANTILES = (5e-4, 5e-3, 2e-2)
 _STOP_INSIDE = (0.0, 0.004, 0.01)
@@ -91,6 +92,11 @@ def _start(data: PositionData, names: tuple[str, ...]) -> Servos:
     return servos
 
 
+def least_loss(data: PositionData, windows: Windows) -> Tensor:
+    """(n,) losses that are no more than what rounding to an encoder's count leaves [rad^2]."""
+    return data.resolution**2 * float((windows.length * windows.weight).sum())
+
+
 def _tried(data: PositionData, sets: Servos, windows: Windows) -> Tensor:
     """(n, P) losses of sets of servos."""
     return loss(errors(data, sets, windows), windows)
@@ -110,7 +116,8 @@ def _grown(
     sets.joint[1:, :, INDEX[name]] = values
     cost = _tried(data, sets, windows)
     best = cost[:, 1:].argmin(1)
-    joints = cost[:, 1:].amin(1) < (1 - TAKEN) * cost[:, 0]
+    gain = cost[:, 0] - cost[:, 1:].amin(1)
+    joints = (gain > TAKEN * cost[:, 0]) & (gain > least_loss(data, windows))
     if not bool(joints.any()):
         return now
     chosen = now.servos.joint.clone()
@@ -133,7 +140,9 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
 
     A servo without profile has taken the profile's lag for delay: sizes are tried with less of it.
     """
-    sizes = [(a, less) for a in _ACCELERATIONS for less in _EARLIER]
+    dq = data.dq
+    shown = ((dq[2:] - dq[:-2]) / (2 * data.tracks.dt)).abs().quantile(0.999, 0).clamp(min=0.1)
+    sizes = [(share * shown, less) for share in _ACCELERATIONS for less in _EARLIER]
     before = _tried(data, _batch(now.servos, 1), windows)[:, 0]
     n, best = data.robot.n, (float(before.sum()), now)
     for repeated in (False, True):
@@ -149,7 +158,8 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
         servos = fit(data, servos, free, windows, profiles=True, iterations=1)
         after = _tried(data, _batch(servos, 1), windows)[:, 0]
         # Joints that are not better with it stay as they were.
-        joints = after < (1 - TAKEN) * before
+        gain = before - after
+        joints = (gain > TAKEN * before) & (gain > least_loss(data, windows))
         joint = torch.where(joints[:, None], servos.joint, now.servos.joint)
         total = float(torch.where(joints, after, before).sum())
         if bool(joints.any()) and total < best[0]:

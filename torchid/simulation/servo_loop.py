@@ -258,7 +258,7 @@ def rollout(
     dq: Float[Tensor, "W n"],
     *,
     points: Float[Tensor, "n S T"] | None = None,
-    owner: Int[Tensor, " P"] | None = None,
+    owner: Int[Tensor, " ..."] | None = None,
     longest_step: float = STEP,
 ) -> Float[Tensor, "L W n P"]:
     """Positions of arms that start at q, dq and are given the commands of a log.
@@ -270,7 +270,7 @@ def rollout(
         windows: W stretches of them.
         q, dq: state at the first row of each window [rad, rad/s].
         points: set-points, if known.
-        owner: which row of them each set has (default: 0, 1, ...).
+        owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
         longest_step: of the integration [s].
 
     Returns:
