@@ -44,7 +44,7 @@ def test_show(command, folder, tmp_path):
     assert [t["duration"] for t in record["trajectories"]] == pytest.approx(log.duration)
     ranges = {s["signal"]: s["range"] for s in record["signals"]}
     assert ranges["q"][1] == pytest.approx([float(log.q[:, 1].min()), float(log.q[:, 1].max())])
-    assert record["absent"] == ["dq", "ddq", "current", "ql"]
+    assert record["absent"] == ["dq", "ddq", "current", "ql", "u"]
     assert record["problem"] is None
 
 

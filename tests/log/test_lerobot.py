@@ -58,6 +58,8 @@ def test_episodes_are_trajectories(tmp_path: Path, log: Log, version: str, neste
             part.t, 0.02 * torch.arange(part.samples, dtype=torch.float64), rtol=1e-15
         )
     assert close(read.q, log.q[:, order])
+    assert read.u is not None
+    assert close(read.u, log.q[:, order] + 1)
     assert close(read.signals["tau"], log.signals["tau"][:, order])
     assert read.dq is None
     (warning,) = read.warnings

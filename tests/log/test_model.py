@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.model import Log
+from torchid.log.readers import read_log, write_log
 
 from .examples import same, snapshot, uniform
 
@@ -187,3 +188,19 @@ def test_split_without_gap_loses_nothing(three: Log) -> None:
 def test_split_refuses(three: Log, fraction: float, gap: float, text: str) -> None:
     with pytest.raises(LogError, match=text):
         three.split(fraction, gap)
+
+
+def test_commands_travel_with_a_log(tmp_path):
+    """Commanded positions are read, selected, joined and written like any other signal."""
+    t = torch.arange(200, dtype=torch.float64) / 50
+    u = torch.stack([t.sin(), t.cos()], 1)
+    log = Log(t, u - 0.01, u=u, source="a")
+    write_log(log, tmp_path / "a.csv")
+    again = read_log(tmp_path / "a.csv")
+    assert again.u is not None
+    assert torch.allclose(again.u, u)
+    both = Log.concatenate([again, again]).select(slice(100, 300))
+    assert both.u is not None
+    assert torch.allclose(both.u, torch.cat([u[100:], u[:100]]))
+    with pytest.raises(LogError, match="some logs have u"):
+        Log.concatenate([log, log.replace(u=None)])

@@ -186,7 +186,7 @@ def test_text_without_header(tmp_path: Path) -> None:
         (
             ["timestamp", "target_q_0", "target_q_1", "actual_q_0", "actual_q_1", "actual_qd_0",
              "actual_qd_1", "actual_current_0", "actual_current_1"],
-            "t=timestamp,q=actual_q_{j0},dq=actual_qd_{j0},i=actual_current_{j0}",
+            "t=timestamp,q=actual_q_{j0},dq=actual_qd_{j0},i=actual_current_{j0},u=target_q_{j0}",
         ),
         (
             ["Time [s]", "Joint 1 Position (deg)", "Joint 2 Position (deg)",
@@ -212,12 +212,15 @@ def test_text_without_header(tmp_path: Path) -> None:
             ["stamp", "base cmd pos [°]", "arm cmd pos [°]", "base act pos [°]", "arm act pos [°]",
              "temperature [°C]", "base trq [kNm]", "arm trq [kNm]"],
             "t=stamp,q=['base act pos [°]', 'arm act pos [°]'] °,"
-            "tau=['base trq [kNm]', 'arm trq [kNm]'] kNm",
+            "tau=['base trq [kNm]', 'arm trq [kNm]'] kNm,"
+            "u=['base cmd pos [°]', 'arm cmd pos [°]'] °",
         ),
         (
             ["time", "S_pos_deg", "L_pos_deg", "S_torque_nm", "L_torque_nm"],
             "t=time,q=[S_pos_deg, L_pos_deg] deg,tau=[S_torque_nm, L_torque_nm]",
         ),
+        (["time", "pos_1", "pos_2", "goal_1", "goal_2"], "t=time,q=pos_{j},u=goal_{j}"),
+        (["time", "q_1", "q_2", "q_cmd_1", "q_cmd_2"], "t=time,q=q_{j},u=q_cmd_{j}"),
         (["t", "q1", "q2", "effort_1", "effort_2", "x"], None),
         (["a", "b", "c"], None),
         (["time", "b1", "c1"], None),

@@ -316,3 +316,22 @@ def test_old_mujoco_is_refused(arm, monkeypatch):
         read_mjcf(arm)
     monkeypatch.setattr(mujoco, "__version__", "3.15.0")
     assert read_mjcf(arm).n == 5
+
+
+@pytest.mark.parametrize("explicit", [True, False])
+def test_absent_meshes_matter_only_where_masses_come_from_them(tmp_path, explicit):
+    inertial = '<inertial pos="0.1 0 0" mass="2" diaginertia="0.02 0.03 0.04"/>'
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><asset><mesh name="far" file="far.stl"/></asset><worldbody><body name="link">'
+        f'<joint name="hinge" axis="0 1 0"/>{inertial if explicit else ""}'
+        '<geom type="mesh" mesh="far"/></body></worldbody></mujoco>'
+    )
+    if not explicit:
+        with pytest.raises(RobotError, match="cannot compile"):
+            read_mjcf(path)
+        return
+    robot = read_mjcf(path)
+    assert robot.parameters is not None
+    assert robot.parameters.mass.tolist() == [2.0]
+    assert any("mesh files are absent" in warning for warning in robot.warnings)

@@ -1,17 +1,21 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.correct import Simulated, corrected_by, file_format, say_corrected
-from torchid.app.output import Reported
+from torchid.app.output import Output, Reported
 from torchid.app.signature import Fields, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
+
+if TYPE_CHECKING:
+    from torchid.log.model import Log
+    from torchid.robot.model import Robot
 
 
 @command
@@ -41,6 +45,11 @@ def gap_command(
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
     and how far the gap shrinks with them.
 
+    Logs of commands u1.. and positions alone are explained by what lies between the two: servos,
+    friction, set-points, stops; errors are then in mrad.
+
+    Example: `torchid gap so101.urdf run1.parquet run2.parquet --save-model corrected.yaml`
+
     Example: `torchid gap panda.urdf run1.parquet run2.parquet --held-out run3.parquet
     --out result --save-model corrected.yaml --report gap.html`
 
@@ -67,6 +76,9 @@ def gap_command(
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)
     found, log, apart, files = trials.open(output)
+    if log.u is not None and log.tau is None and (log.current is None or found.drive_gain is None):
+        _positions(output, found, log, apart, save_model, settings)
+        return
     from rich.markup import escape
 
     from torchid.gap.diagnose import diagnose
@@ -103,3 +115,44 @@ def gap_command(
     output.warn(result.warnings)
     if done is not None:
         say_corrected(output, done, found)
+
+
+def _positions(
+    output: Output,
+    robot: "Robot",
+    log: "Log",
+    apart: "Log | None",
+    save_model: Path | None,
+    settings: GapSettings,
+) -> None:
+    """The diagnosis of logs that have commands and no torques."""
+    from torchid.position.diagnose import diagnose_positions
+    from torchid.position.model import accuracy, write_model
+    from torchid.position.record import record
+    from torchid.report.position import position_tables, position_verdict
+
+    default = GapSettings(seed=settings.seed)
+    changed = [
+        f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
+    ]
+    if changed or output.report is not None:
+        raise TorchidError(
+            "these logs have commands and positions and no torques.",
+            got=", ".join(f"--{name.replace('_', '-')}" for name in changed) or "--report",
+            expected="of the options on how to search and report, none",
+        )
+    with output.progress("reading") as progress:
+        result = diagnose_positions(robot, log, progress=progress)
+    data = {**record(result), "seed": settings.seed}
+    said = None
+    if apart is not None:
+        whole, windows = accuracy(robot, result.servos, result.data.scale, apart)
+        data["held_out"] = {"whole_mrad": whole, "windows_2s_mrad": windows}
+        said = f"held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad"
+    output.write_json(data, "gap.json")
+    if save_model is not None:
+        write_model(robot, result.servos, result.data.scale, save_model)
+        output.written.append(save_model)
+    output.verdict(position_verdict(result))
+    output.say(*position_tables(result), *([said] if said else []))
+    output.warn(result.warnings)

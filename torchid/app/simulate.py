@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed
-from torchid.app.signature import Switch, command
+from torchid.app.output import Computed, Output
+from torchid.app.signature import PLACE, Switch, command
 from torchid.errors import TorchidError
+from torchid.files import require_writable
 
 if TYPE_CHECKING:
     from torchid.excitation.synthetic import NoiseModel
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 def simulate_command(
     *,
     arm: opt.Arm,
-    trajectory: Annotated[Path, typer.Argument(metavar="TRAJECTORY")],
-    to: opt.Written = None,
+    trajectory: Annotated[list[Path], typer.Argument(metavar="TRAJECTORY|LOG...")],
+    to: Annotated[Path | None, typer.Option(metavar="FILE|DIR"), PLACE] = None,
     noise: Literal["none", "paper", "honest"] = "honest",
     snr: float = 30.0,
     torque_noise: float = 0.01,
@@ -31,6 +32,9 @@ def simulate_command(
     closed_loop: Switch = False,
     rate: opt.Hertz = None,
     control_frequency: Annotated[float, typer.Option(metavar="HZ")] = 5.0,
+    replay: Switch = False,
+    windows: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
+    columns: Annotated[str | None, typer.Option(metavar="MAP|FILE.yaml")] = None,
     seed: opt.Seed = 0,
     output: Computed,
     device_name: opt.Device = "cpu",
@@ -46,9 +50,15 @@ def simulate_command(
     Example: `torchid simulate 3r motion/trajectory.csv --effect coulomb_friction:joint=2,Fc=0.6
     --effect torque_gain:joint=1,gain=0.05 --to log.parquet`
 
+    With `--replay`, a robot with servos (`torchid gap LOG.. --save-model`) is given the commands
+    that logs recorded, from their measured start on.
+
+    Example: `torchid simulate corrected.yaml run1.parquet run2.parquet --replay --to simulated`
+
     Args:
-        trajectory: File with t, q1.., dq1.., ddq1.. .
-        to: Log file (.parquet, .csv, .npz).
+        trajectory: File with t, q1.., dq1.., ddq1.. ; with --replay, logs with u1.. and q1.. .
+        to: Log file (.parquet, .csv, .npz); with --replay, a folder for one file a log, with the
+            log's name, t and simulated q1.. .
         noise: `paper`: on the trajectory, torque computed from it. `honest`: encoder steps, torque
             noise, no accelerations.
         snr: paper: signal-to-noise ratio [dB].
@@ -61,7 +71,21 @@ def simulate_command(
         closed_loop: Move under control, without effects too.
         rate: under control: samples per second; the trajectory's if absent.
         control_frequency: under control: natural frequency of the PD.
+        replay: Simulate the commands of logs with the robot's servos.
+        windows: with --replay: begin again at the measured position every so many seconds.
+        columns: with --replay: which columns of the logs are what, as for other commands.
     """
+    if replay:
+        _replay(output, arm, trajectory, to, windows, columns, seed)
+        return
+    if windows is not None or columns is not None or len(trajectory) > 1:
+        raise TorchidError(
+            "several logs, --windows and --columns are for --replay.",
+            got=", ".join(str(path) for path in trajectory),
+            expected="one trajectory, or --replay",
+        )
+    if to is not None:
+        require_writable(to, "--to")
     from torchid.effects.written import effect_written
     from torchid.excitation.synthetic import HonestNoise, PaperNoise
     from torchid.excitation.synthetic import simulate as simulated
@@ -95,7 +119,7 @@ def simulate_command(
         )
     if rate is not None and not moves:
         raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
-    motion = read_log(trajectory)
+    motion = read_log(trajectory[0])
     with output.progress("simulating"):
         log = simulated(
             found,
@@ -128,3 +152,56 @@ def simulate_command(
     )
     output.warn(log.warnings)
     output.say(f"{log.samples} samples of {log.trajectory_count} trajectories")
+
+
+def _replay(
+    output: Output,
+    arm: opt.Arm,
+    paths: list[Path],
+    to: Path | None,
+    windows: float | None,
+    columns: str | None,
+    seed: int,
+) -> None:
+    """Simulated positions of logs, one file each."""
+    from torchid.log.readers import is_written, read_log, write_log
+    from torchid.position.model import read_model, replay
+
+    folder = to or output.out
+    if folder is None or folder.is_file():
+        raise TorchidError("--replay writes one file a log.", got=folder, expected="--to DIR")
+    if windows is not None and not windows > 0:
+        raise TorchidError("--windows is a time.", got=windows, expected="> 0 s")
+    names = [path.name if is_written(path.suffix) else f"{path.stem}.parquet" for path in paths]
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
+    if any(
+        (folder / name).exists() and (folder / name).samefile(path)
+        for name, path in zip(names, paths, strict=True)
+    ):
+        raise TorchidError("--to would write over the logs.", got=folder, expected="another folder")
+    robot, servos, scale = read_model(arm.robot)
+    logs = [read_log(path, columns=columns, joints=robot.joint_names) for path in paths]
+    found = replay(robot, servos, scale, logs, windows)
+    folder.mkdir(parents=True, exist_ok=True)
+    errors = []
+    for name, log, simulated in zip(names, logs, found, strict=True):
+        write_log(simulated.replace(u=None), folder / name)
+        output.written.append(folder / name)
+        errors.append((1e3 * (simulated.q - log.q).square().mean(0).sqrt()).tolist())
+    output.write_json(
+        {
+            "schema": "torchid.replay/1",
+            "robot": robot.name,
+            "windows_s": windows,
+            "logs": [
+                {"file": name, "error_mrad": error}
+                for name, error in zip(names, errors, strict=True)
+            ],
+            "seed": seed,
+        },
+        "replay.json",
+    )
+    for name, error in zip(names, errors, strict=True):
+        output.say(f"{name}: {sum(error) / robot.n:.2f} mrad from the measured positions")

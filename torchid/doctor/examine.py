@@ -16,6 +16,7 @@ from torchid.doctor.clock import (
     check_time_unit,
     check_values,
 )
+from torchid.doctor.commands import check_channel_units, check_commands
 from torchid.doctor.content import check_excitation, check_side
 from torchid.doctor.estimates import check_gravity, check_lag
 from torchid.doctor.faults import fault_checks, unseen
@@ -202,6 +203,9 @@ def signal_checks(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> tuple[li
     add(check_velocity(now, fixes))
     add(check_standstill(now))
     add(check_torque(now))
+    if now.u is not None:
+        add(check_commands(now))
+        add(check_channel_units(now))
     if torque_or_current(now) is not None:
         add(check_saturation(now))
         add(check_resolution(now))

@@ -13,7 +13,7 @@ from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
-MOTION = ("q", "dq", "ddq", "ql")
+MOTION = ("q", "dq", "ddq", "ql", "u")
 TORQUE = ("tau", "current")
 
 

@@ -33,6 +33,8 @@ def torque_or_current(log: Log) -> Float[Tensor, "T n"] | None:
 def check_torque(log: Log) -> Check:
     """Columns of torque that are missing, zero or constant."""
     signal = torque_or_current(log)
+    if signal is None and log.u is not None:
+        return Check("torque columns", "cannot tell", "commands and positions, and no torque")
     if signal is None:
         return Check(
             "torque columns",

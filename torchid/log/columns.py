@@ -1,8 +1,8 @@
 """A Log from named columns, and back.
 
 Columns: t [s]; q1..qn [rad or m]; and, where there are any, dq1.. ddq1.. tau1.. [N m or N],
-i1.. [A], ql1.. [rad or m] of encoders on the links' side; traj, an integer that separates
-trajectories. Any other column is ignored.
+i1.. [A], ql1.. [rad or m] of encoders on the links' side, u1.. [rad or m] commanded; traj, an
+integer that separates trajectories. Any other column is ignored.
 """
 
 import re
@@ -18,9 +18,11 @@ from torchid.log.model import JOINT_SIGNALS, Log
 
 Columns = Mapping[str, np.ndarray]
 
-PREFIXES = dict(zip(JOINT_SIGNALS, ("q", "dq", "ddq", "tau", "i", "ql"), strict=True))
-_JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i)(\d+)")
-EXPECTED = "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, traj"
+PREFIXES = dict(zip(JOINT_SIGNALS, ("q", "dq", "ddq", "tau", "i", "ql", "u"), strict=True))
+_JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u)(\d+)")
+EXPECTED = (
+    "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, u1..un, traj"
+)
 
 
 def log_from_columns(columns: Columns, path: str | Path) -> Log:

@@ -12,6 +12,7 @@ from torchid.log.mapping import read_mapping
 from torchid.log.table import Table
 from torchid.log.units import unit_factor
 from torchid.log.words import (
+    is_commanded,
     is_unit_word,
     looks_measured,
     quantity_of,
@@ -113,8 +114,8 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
         whole_arrays.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
     groups = [*found, *whole_arrays, *whole, *named]
     chosen: dict[str, _Group] = {}
-    for key in ("t", "q", "dq", "tau", "i", "ql"):
-        fitting = [g for g in groups if g.key == key]
+    for key in ("t", "q", "dq", "tau", "i", "ql", "u"):
+        fitting = [g for g in groups if _is_of(g, key)]
         if key == "q" and joints:
             fitting = [g for g in fitting if g.joints in (0, len(joints))] or fitting
         elif key != "t" and "q" in chosen:
@@ -126,6 +127,18 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     if "tau" in chosen:
         chosen.pop("i", None)
     return chosen
+
+
+def _is_of(group: _Group, key: str) -> bool:
+    """Whether a group may be the signal of a key; commanded positions are u."""
+    if key not in ("q", "u"):
+        return group.key == key
+    commanded = is_commanded(words_of(group.names[0]))
+    return (
+        group.key == key
+        if key == "q" and not commanded
+        else key == "u" and (group.key == "u" or (group.key == "q" and commanded))
+    )
 
 
 def _placed(group: _Group, joints: Sequence[str]) -> _Group | None:

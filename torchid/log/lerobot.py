@@ -23,12 +23,14 @@ _FEATURES = {
     "dq": ("observation.velocity", "observation.joint_velocity", "observation.state"),
     "tau": ("observation.effort", "observation.torque", "observation.state"),
     "i": ("observation.current", "observation.state"),
+    "u": ("action",),
 }
 _ENDINGS = {
     "q": r"pos|position|qpos|q",
     "dq": r"vel|velocity|speed|qvel|dq",
     "tau": r"eff|effort|torque|tau",
     "i": r"cur|current",
+    "u": r"pos|position|qpos|q",
 }
 
 
@@ -41,7 +43,8 @@ def lerobot_table(path: Path, request: Request) -> Table:
     """The table of a dataset: features as arrays, their elements as columns `feature.name`.
 
     q is the elements of observation.state whose names end in `.pos`, or all of it if no name says
-    what it is; torque is observation.effort, or elements that end in `.effort` or `.torque`.
+    what it is; torque is observation.effort, or elements that end in `.effort` or `.torque`;
+    u is the action.
 
     Raises:
         LogError: no data, or the robot's joints cannot be found in the state.
@@ -120,7 +123,7 @@ def _names(feature: dict[str, Any]) -> list[str]:
 def _joint_signals(
     path: Path, elements: dict[str, list[str]], request: Request
 ) -> tuple[dict[str, tuple[str, list[int]]], tuple[str, ...], tuple[str, ...]]:
-    """Feature and elements of q, dq, tau and i, the joints' names, and warnings."""
+    """Feature and elements of q, dq, tau, i and u, the joints' names, and warnings."""
     if request.maps("q"):
         return {}, (), ()
     found: dict[str, tuple[str, list[int]]] = {}

@@ -1,4 +1,5 @@
-"""What was measured: time, positions and, where known, velocities, accelerations and torques.
+"""What was measured: time, positions and, where known, velocities, accelerations, torques and
+what was commanded.
 
 A Log is frozen and its methods return new ones. Several trajectories live in one Log, one after
 the other; time may start again in each of them, so no signal may be differentiated, filtered or
@@ -16,7 +17,7 @@ from torchid.errors import LogError
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
 
-JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current", "ql")
+JOINT_SIGNALS = ("q", "dq", "ddq", "tau", "current", "ql", "u")
 OPTIONAL_SIGNALS = JOINT_SIGNALS[1:]
 
 
@@ -32,6 +33,7 @@ class Log:
         tau: (T, n) joint torques [N m or N], or None.
         current: (T, n) motor currents [A], or None.
         ql: (T, n) positions that encoders on the links' side tell [rad or m], or None.
+        u: (T, n) positions that were commanded [rad or m], or None.
         trajectory: (T,) trajectory of each sample, 0, 1, ... in consecutive runs (default: all 0).
         names: one name a trajectory.
         source: where the log came from.
@@ -55,6 +57,7 @@ class Log:
     tau: Float[Tensor, "T n"] | None = None
     current: Float[Tensor, "T n"] | None = None
     ql: Float[Tensor, "T n"] | None = None
+    u: Float[Tensor, "T n"] | None = None
     trajectory: Int[Tensor, " T"] = field(default=cast(Tensor, None))
     names: tuple[str, ...] = ()
     source: str = ""
@@ -165,7 +168,7 @@ class Log:
 
     @property
     def signals(self) -> dict[str, Float[Tensor, "T n"]]:
-        """The joint signals that are there, by name: q and any of dq, ddq, tau, current."""
+        """The joint signals that are there, by name: q and any of dq, ddq, tau, current, ql, u."""
         found = {name: getattr(self, name) for name in JOINT_SIGNALS}
         return {name: signal for name, signal in found.items() if signal is not None}
 
@@ -278,7 +281,7 @@ class Log:
         Accelerations and link-side positions that only some logs have are left out, with a warning.
 
         Raises:
-            LogError: no logs, different numbers of joints, or only some have dq, tau or current.
+            LogError: no logs, different numbers of joints, or only some have dq, tau, current or u.
         """
         if not logs:
             raise LogError("there are no logs to put together.", got=0, expected="at least one")

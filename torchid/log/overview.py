@@ -28,6 +28,7 @@ _UNITS = {
     "tau": "N m or N",
     "current": "A",
     "ql": "rad or m",
+    "u": "rad or m",
 }
 
 

@@ -178,6 +178,11 @@ def write_log(log: Log, path: str | Path) -> None:
         writer(columns_of(log), file)
 
 
+def is_written(suffix: str) -> bool:
+    """Whether `write_log` writes files of a suffix."""
+    return suffix.lower() in _WRITERS
+
+
 def _find(path: Path) -> Opener | str:
     """What opens a file or folder; the suffix, where it is a registered reader."""
     if path.is_dir():

@@ -15,6 +15,7 @@ UNITS: dict[str, dict[str, float]] = {
     "tau": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "mN": 1e-3, "kN": 1e3},
     "i": {"A": 1.0, "mA": 1e-3},
     "ql": _POSITIONS,
+    "u": _POSITIONS,
     "traj": {},
 }
 """Of each kind of column, the first unit is ours (a prismatic joint's are m and N)."""

@@ -14,6 +14,7 @@ _QUANTITIES = {
     "i": r"i|cur|currents?|amps?",
     "ql": r"ql|qlink|linkside",
     "q": r"q|qpos|pos|positions?|angles?|theta|jointpos|joints?|state",
+    "u": r"u|actions?|goals?|cmd|commands?|commanded|targets?|setpoints?",
 }
 _MEASURED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
 _PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?|states?")
@@ -30,6 +31,7 @@ _UNITS = {
     "tau": {"mnm": "mNm", "ncm": "Ncm", "nm": "Nm"},
     "i": {"ma": "mA"},
     "ql": {"deg": "deg", "degrees": "deg", "rad": "rad"},
+    "u": {"deg": "deg", "degrees": "deg", "rad": "rad"},
 }  # fmt: skip
 _BRACKETED = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
 
@@ -54,6 +56,11 @@ def looks_measured(words: Sequence[str]) -> float:
     wanted = sum(bool(_MEASURED.fullmatch(word)) for word in words)
     wanted += any(_PLAIN.fullmatch(word) for word in words)
     return wanted - 2 * sum(bool(_UNWANTED.fullmatch(word)) for word in words) - 0.01 * len(words)
+
+
+def is_commanded(words: Iterable[str]) -> bool:
+    """Whether words say that something was commanded."""
+    return any(re.fullmatch(_COMMANDED, word) for word in words)
 
 
 def source_words(name: str) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ _CONSEQUENCES = {
     "tau": "needed to identify, unless there is current and a drive gain",
     "current": "",
     "ql": "",
+    "u": "",
 }
 
 

@@ -54,7 +54,7 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
             expected=f">= {_OLDEST[0]}.{_OLDEST[1]}",
             hint="pip install 'torchid[mjcf]'",
         )
-    model = compiled(mujoco, path)
+    model, lost = compiled(mujoco, path, meshes=False)
     read = _Reader(mujoco, model)
     links, joints = read.links_and_joints(tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
@@ -64,22 +64,28 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
         name=_model_name(model) or path.stem,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
-        warnings=read.warnings(bool(off)),
+        warnings=[*lost, *read.warnings(bool(off))],
     )
 
 
-def compiled(mujoco: Any, path: Path) -> Any:
-    """MuJoCo's model of an MJCF, or a RobotError."""
+def compiled(mujoco: Any, path: Path, meshes: bool = True) -> tuple[Any, list[str]]:
+    """MuJoCo's model of an MJCF and what it had to leave out, or a RobotError.
+
+    Without need of `meshes`, those that are not there are left out where no mass comes from them.
+    """
     root = parse_xml(path)
     if root.tag != "mujoco":
         hint = "this is a URDF: give it the suffix .urdf" if root.tag == "robot" else None
         raise RobotError(f"{path}: not MJCF.", got=f"<{root.tag}>", expected="<mujoco>", hint=hint)
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        return mujoco.MjModel.from_xml_path(str(path)), []
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         text = " ".join(str(error).split())
         # MuJoCo's wording for a mesh, texture or include that is not there.
         missing = any(words in text.lower() for words in ("opening file", "not found", "no file"))
+        model = _without_meshes(mujoco, path) if missing and not meshes else None
+        if model is not None:
+            return model, ["its mesh files are absent: the robot has masses, and no such shapes"]
         raise RobotError(
             f"{path}: MuJoCo cannot compile it: {text}",
             hint="the files it names (meshes, includes) must lie where it says: masses and "
@@ -87,6 +93,21 @@ def compiled(mujoco: Any, path: Path) -> Any:
             if missing
             else None,
         ) from error
+
+
+def _without_meshes(mujoco: Any, path: Path) -> Any | None:
+    """The model without shapes of meshes; None where a body's inertia would come from them, or
+    something else is missing."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        shaped = [geom for geom in spec.geoms if geom.meshname]
+        if any(not geom.parent.explicitinertial for geom in shaped):
+            return None
+        for part in [*shaped, *spec.meshes]:
+            spec.delete(part)
+        return spec.compile()
+    except (ValueError, RuntimeError, mujoco.FatalError):
+        return None
 
 
 def _model_name(model: Any) -> str | None:

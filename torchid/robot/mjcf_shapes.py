@@ -42,7 +42,7 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     # The robot was read with it: `torchid.robot.mjcf` says how to get it where it is missing.
     import mujoco
 
-    model = compiled(mujoco, path)
+    model, _ = compiled(mujoco, path)
     own = [_body_shapes(mujoco, model, body) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
     read: dict[str, list[Solid]] = {}

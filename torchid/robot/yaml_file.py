@@ -16,6 +16,8 @@ from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
 _REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
+_BESIDE = ("servos",)
+"""What a robot's yaml may hold and another reader takes: `torchid.position.model`."""
 
 
 def read_yaml(path: Path) -> Robot:
@@ -36,7 +38,7 @@ def read_yaml(path: Path) -> Robot:
 
 def from_mapping(data: Mapping[str, Any], source: str) -> Robot:
     """A Robot from the parsed content of a robot yaml; `source` names it in errors."""
-    known(data, ("name", *_KINEMATICS, *_REST), source)
+    known(data, ("name", *_KINEMATICS, *_REST, *_BESIDE), source)
     if "name" not in data:
         raise RobotError(f"{source}: 'name' is missing.", available=list(data))
     kinematics = read_kinematics(data, source)

@@ -1,0 +1,89 @@
+"""`torchid gap` on commands and positions, its model, and `torchid simulate --replay` with it."""
+
+import json
+
+import pytest
+import torch
+
+from tests.position.planted import planted, robot, true_servos
+from torchid.log.readers import read_log, write_log
+from torchid.position.model import read_model, write_model
+from torchid.robot.library import load_robot
+from torchid.robot.writer import write_robot
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two logs of an arm with known servos, and its model."""
+    folder = tmp_path_factory.mktemp("position")
+    servos = true_servos(3)
+    ones = torch.ones(3, dtype=torch.float64)
+    write_model(robot(), servos, ones, folder / "model.yaml")
+    for k, part in enumerate(planted(servos, motions=2, seconds=12.0).trajectories()):
+        write_log(part, folder / f"run{k}.csv")
+    write_robot(robot(), folder / "plain.yaml")
+    return folder
+
+
+def test_a_model_is_a_robot_too(folder):
+    again, servos, scale = read_model(folder / "model.yaml")
+    assert torch.equal(servos.joint, true_servos(3).joint)
+    assert scale.tolist() == [1.0, 1.0, 1.0]
+    assert load_robot(folder / "model.yaml").n == again.n == 3
+
+
+@pytest.mark.parametrize("windows", [None, 2])
+def test_replay_writes_what_the_model_foretells(command, folder, tmp_path, windows):
+    logs = [folder / "run0.csv", folder / "run1.csv"]
+    out, record = tmp_path / "simulated", tmp_path / "replay.json"
+    extra = () if windows is None else ("--windows", str(windows))
+    result = command(
+        "simulate", folder / "model.yaml", *logs, "--replay", *extra, "--to", out, "--json", record
+    )
+    assert result.code == 0, result.err
+    assert sorted(p.name for p in out.iterdir()) == ["run0.csv", "run1.csv"]
+    for path in logs:
+        real, simulated = read_log(path), read_log(out / path.name)
+        assert list(simulated.signals) == ["q"]
+        assert torch.equal(simulated.t, real.t)
+        # The log is of the same servos: what differs is the encoder's count at the starts.
+        assert float((simulated.q - real.q).abs().max()) < 5e-3
+    assert json.loads(record.read_text())["schema"] == "torchid.replay/1"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("plain.yaml", "run0.csv", "--replay", "--to", "OUT"), "has no servos"),
+        (("model.yaml", "run0.csv", "--replay"), "one file a log"),
+        (("model.yaml", "run0.csv", "run0.csv", "--replay", "--to", "OUT"), "one name"),
+        (("model.yaml", "run0.csv", "--replay", "--to", "."), "write over the logs"),
+        (("model.yaml", "run0.csv", "--replay", "--windows", "-1", "--to", "OUT"), "is a time"),
+        (("model.yaml", "run0.csv", "run1.csv", "--to", "OUT"), "are for --replay"),
+    ],
+)
+def test_bad_replays(command, folder, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(folder)
+    target = tmp_path / "out"
+    result = command("simulate", *(str(target) if a == "OUT" else a for a in arguments))
+    assert result.code == 1
+    assert words in " ".join((result.out + result.err).split())
+    assert not target.exists()
+
+
+def test_a_log_without_commands_cannot_be_replayed(command, folder, tmp_path):
+    log = read_log(folder / "run0.csv")
+    write_log(log.replace(u=None), tmp_path / "bare.csv")
+    result = command(
+        "simulate", folder / "model.yaml", tmp_path / "bare.csv", "--replay", "--to", tmp_path / "o"
+    )
+    assert result.code == 1
+    assert "has no commands" in " ".join((result.out + result.err).split())
+
+
+def test_options_of_torque_do_not_go_with_commands(command, folder):
+    result = command(
+        "gap", folder / "plain.yaml", folder / "run0.csv", "--effects", "viscous_friction"
+    )
+    assert result.code == 1
+    assert "commands and positions" in " ".join((result.out + result.err).split())

@@ -1,0 +1,46 @@
+"""What the doctor says about commands."""
+
+import pytest
+import torch
+
+from torchid.doctor.commands import check_channel_units, check_commands
+from torchid.doctor.examine import examine
+from torchid.log.model import Log
+from torchid.robot.library import load_robot
+
+STEP = 0.02
+
+
+def late(samples: int, share: float = 1.0) -> Log:
+    """Three joints that follow their commands so many samples late; the second by a share."""
+    t = STEP * torch.arange(1500, dtype=torch.float64)
+    rates = torch.tensor([0.9, 1.3, 1.7], dtype=torch.float64)
+    u = 0.6 * (t[:, None] * rates).sin()
+    q = 0.6 * ((t - samples * STEP)[:, None] * rates).sin()
+    dq = 0.6 * rates * ((t - samples * STEP)[:, None] * rates).cos()
+    return Log(t, q * torch.tensor([1.0, share, 1.0]).double(), dq=dq, u=u)
+
+
+@pytest.mark.parametrize("samples", [0, 3, 10])
+def test_the_lag_of_every_joint_is_told(samples):
+    check = check_commands(late(samples))
+    assert check.verdict == "fine"
+    assert check.estimate == pytest.approx([samples * STEP] * 3, abs=1e-9)
+
+
+def test_a_channel_in_another_unit_is_told():
+    log = late(2, share=0.4)
+    check = check_commands(log)
+    assert check.verdict == "doubtful"
+    assert "joint 2 makes 0.40" in check.evidence
+    units = check_channel_units(log)
+    assert units.joints == (1,)
+    assert units.estimate == pytest.approx([2.5], rel=0.01)
+    assert check_channel_units(late(2)).verdict == "fine"
+
+
+def test_the_doctor_does_not_ask_a_log_of_commands_for_torque():
+    found = examine(load_robot("3r"), late(2))
+    by_name = {c.name: c for c in found.checks}
+    assert by_name["torque columns"].verdict == "cannot tell"
+    assert by_name["commands"].verdict == "fine"

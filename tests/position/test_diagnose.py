@@ -1,0 +1,76 @@
+"""Planted causes are named on their joints, and a plain servo is named plain."""
+
+import json
+
+import pytest
+import torch
+
+from tests.position.planted import planted, robot, true_servos
+from torchid.json_data import plain as plain_json
+from torchid.position.diagnose import _parted, _some, diagnose_positions
+from torchid.position.record import record
+from torchid.report.position import position_tables, position_verdict
+from torchid.simulation.servo_loop import Windows
+
+CAUSES = {
+    "set_point_profile": {"acceleration": (2, 4.0)},
+    "stribeck_friction": {"stiction": (2, 4.0), "stribeck_speed": (2, 0.02)},
+    "end_stop": {"stop_high": (3, 0.25)},
+    "derivative_gain": {"kd": (2, 25.0)},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", [*CAUSES, None])
+def test_a_planted_cause_is_named(cause):
+    extra = CAUSES[cause] if cause else {}
+    servos = true_servos(3, **extra)
+    log = planted(servos, motions=6, seconds=16.0, seed=4)
+    result = diagnose_positions(robot(), log)
+    named = {
+        (f.effect, f.joint)
+        for f in result.findings
+        if f.effect not in ("command_delay", "torque_offset")
+    }
+    if cause is None:
+        assert named == set()
+    else:
+        joint = next(iter(extra.values()))[0]
+        assert (cause, joint) in named
+        assert {j for _, j in named} == {joint}
+        assert float(result.answered.whole[joint - 1]) < float(result.plain.whole[joint - 1])
+    # Its answer can be read by people and programs.
+    data = plain_json(record(result))
+    assert json.loads(json.dumps(data, allow_nan=False))["schema"] == "torchid.position_gap/1"
+    assert data["how_far"]["answered"]["whole_mrad"] < data["how_far"]["commanded"]["whole_mrad"]
+    assert len(position_tables(result)) >= 2
+    assert "mrad" in position_verdict(result)
+
+
+def test_one_motion_is_taken_in_parts():
+    log = planted(true_servos(3), motions=1, seconds=12.0)
+    parts, warnings = _parted(log)
+    assert parts.trajectory_count == 4
+    assert len(warnings) == 1
+    assert torch.equal(parts.q, log.q)
+    again, none = _parted(parts)
+    assert again is parts
+    assert none == ()
+
+
+@pytest.mark.parametrize("most", [10, 60, 500])
+def test_windows_that_tell_more_are_taken_sooner_and_stand_for_fewer(most):
+    count = 200
+    rows = torch.arange(count)
+    whole = Windows(rows * 100, torch.full((count,), 100), rows // 50, torch.ones(count).double())
+    size = torch.where(rows % 40 == 0, 20.0, 1.0).double()
+    some = _some(whole, most, size)
+    if most >= count:
+        assert torch.equal(some.start, whole.start)
+        assert bool((some.weight == 1).all())
+        return
+    assert len(some.start) == pytest.approx(most, abs=1)
+    # A sum over all windows is estimated without bias from those that were taken.
+    assert float(some.weight.sum()) == pytest.approx(count, rel=0.3)
+    if most == 60:
+        assert set(range(0, count, 40)) <= set((some.start // 100).tolist())

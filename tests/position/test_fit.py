@@ -1,0 +1,109 @@
+"""Servos are found again from what they commanded and where the arm went."""
+
+import pytest
+import torch
+
+from tests.position.planted import DT, planted, robot, true_servos
+from torchid.errors import LogError
+from torchid.position.data import prepare
+from torchid.position.fit import errors, fit, moved, searched, sensitivities
+from torchid.position.judge import equations, motion_losses, value_interval
+from torchid.position.search import plain
+from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo_loop import windows_of
+
+
+@pytest.fixture(scope="module")
+def found():
+    servos = true_servos(3)
+    data = prepare(robot(), planted(servos))
+    windows = windows_of(data.tracks, 2.0)
+    return servos, data, windows, plain(data, windows)
+
+
+def test_a_plain_servo_is_found_again(found):
+    servos, data, windows, model = found
+    # Joint 2 carries the arm: gravity tells its torques. Of the others ratios are told.
+    assert float(model.servos.of("kp")[1]) == pytest.approx(260.0, rel=0.05)
+    for name, share in (("damping", 0.1), ("coulomb", 0.2)):
+        got, true = (s.of(name) / s.of("kp") for s in (model.servos, servos))
+        assert torch.allclose(got, true, rtol=share), name
+    assert torch.allclose(model.servos.of("delay"), servos.of("delay"), atol=DT / 4)
+    # What is left is an encoder's count.
+    one = Servos(model.servos.joint[None], model.servos.plane[None])
+    error = errors(data, one, windows)[..., 0]
+    assert float(error.square().mean().sqrt()) < 1e-3
+
+
+def test_the_truth_is_within_the_intervals(found):
+    servos, data, windows, model = found
+    known = equations(data, model.servos, model.free, windows)
+    deviation = known.deviations()
+    inside = 0
+    for k, name in enumerate(known.names):
+        for j in range(3):
+            value = float(model.servos.of(name)[j])
+            low, high = value_interval(name, value, 2 * float(deviation[j, k]))
+            inside += low <= float(servos.of(name)[j]) <= high
+    assert inside >= 12
+
+
+def test_a_slope_is_the_change_of_a_simulation(found):
+    """Half the step gives the same slope, for what is smooth."""
+    _, data, windows, model = found
+    s = sensitivities(data, model.servos, ("kp", "damping"), windows)
+    there = searched(model.servos)[None].repeat(2, 1, 1)
+    there[1, :, INDEX["kp"]] += 0.01
+    error = errors(data, moved(model.servos, there), windows)
+    half = (error[..., 1] - error[..., 0]) / 0.01
+    assert float((half - s.slope[..., 0]).norm() / half.norm()) < 0.2
+
+
+def test_losses_of_motions_add_up(found):
+    _, data, windows, model = found
+    one = Servos(model.servos.joint[None], model.servos.plane[None])
+    error = errors(data, one, windows)[..., 0]
+    parts = motion_losses(error, windows)
+    assert parts.shape == (6, 3)
+    assert torch.allclose(parts.sum(0), error.square().sum((0, 1)), rtol=1e-9)
+
+
+def test_a_fit_moves_only_what_is_free(found):
+    _, data, windows, model = found
+    free = {"kp": torch.tensor([True, False, True])}
+    off = Servos(model.servos.joint.clone(), model.servos.plane)
+    off.joint[:, INDEX["kp"]] *= 1.1
+    after = fit(data, off, free, windows, iterations=3)
+    assert float(after.of("kp")[1]) == pytest.approx(float(off.of("kp")[1]))
+    assert torch.allclose(after.of("kp")[::2], model.servos.of("kp")[::2], rtol=0.02)
+    # Torques keep their shares of kp, all else stays as it is.
+    others = [INDEX[name] for name in ("damping", "delay", "coulomb", "offset")]
+    a, b = (searched(s)[:, others] for s in (after, off))
+    assert torch.allclose(a, b, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda log: log.replace(u=None), "no commands"),
+        (lambda log: log.replace(t=log.t + 0.015 * (torch.arange(len(log.t)) % 2)), "evenly"),
+        (lambda log: log.select(slice(0, 200)), "too short"),
+        (lambda log: log.replace(q=log.q[:, :2], u=log.u[:, :2]), "number of joints"),
+        (lambda log: log.replace(u=log.u * torch.tensor(float("nan"))), "no numbers"),
+    ],
+)
+def test_a_log_that_tells_nothing_is_refused(change, words):
+    log = planted(true_servos(3), motions=1, seconds=12.0)
+    with pytest.raises(LogError, match=words):
+        prepare(robot(), change(log))
+
+
+def test_a_joint_in_another_unit_is_seen():
+    """Measured velocities in rad/s tell that a position is a fraction of its range."""
+    log = planted(true_servos(3), motions=2)
+    dq = torch.zeros_like(log.q)
+    dq[1:-1] = (log.q[2:] - log.q[:-2]) / (2 * DT)
+    share = torch.tensor([1.0, 1.0, 0.4], dtype=torch.float64)
+    data = prepare(robot(), log.replace(q=log.q * share, u=log.u * share, dq=dq))
+    assert data.scale[:2].tolist() == [1.0, 1.0]
+    assert float(data.scale[2]) == pytest.approx(2.5, rel=0.02)

@@ -1,0 +1,218 @@
+"""Servo arms in a batch: MuJoCo's closed loop, closed forms, stiction that holds."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.arms import arm
+from tests.oracles import MujocoOracle
+from tests.simulation.bodies import flywheel
+from torchid.simulation.replay import replayed
+from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
+from torchid.simulation.servo_loop import Tracks, set_points, windows_of
+
+DT = 0.02
+
+
+def sines(n: int, samples: int, motions: int, seed: int) -> Tracks:
+    """Commands of sums of sines up to 1.5 Hz about random postures, that start at rest."""
+    g = torch.Generator().manual_seed(seed)
+
+    def uniform(*shape: int) -> torch.Tensor:
+        return torch.rand(shape, generator=g, dtype=torch.float64)
+
+    t = DT * torch.arange(samples, dtype=torch.float64)[:, None]
+    parts = []
+    for _ in range(motions):
+        u = (2 * uniform(n) - 1).expand(samples, n)
+        for _ in range(3):
+            w = 2 * math.pi * (0.1 + 1.4 * uniform(n))
+            u = u + (0.05 + 0.25 * uniform(n)) * (1 - (w * t).cos())
+        parts.append(u)
+    first = samples * torch.arange(motions)
+    return Tracks(torch.cat(parts), first, first + samples - 1, DT)
+
+
+def drawn(n: int, seed: int) -> Servos:
+    """Servos of small and large gains; half of them with dry friction, half with a clip."""
+    rng = np.random.default_rng(seed)
+    servos = Servos.neutral(n)
+    for j in range(n):
+        kp = 60 * 10 ** rng.uniform(0, 1)
+        armature = rng.uniform(0.1, 0.4)
+        values = {
+            "kp": kp,
+            "armature": armature,
+            "damping": rng.uniform(0.3, 1.0) * math.sqrt(kp * armature),
+            "kd": rng.uniform(0, 0.5) * math.sqrt(kp * armature),
+            "delay": DT * int(rng.integers(0, 3)),
+            "offset": rng.normal(),
+        }
+        if seed % 2:
+            values["coulomb"] = rng.uniform(0.2, 2.0)
+        if seed % 4 > 1:
+            values["clip"] = rng.uniform(60, 90)
+        for name, value in values.items():
+            servos.joint[j, INDEX[name]] = value
+    return servos
+
+
+def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
+    """(T, n) positions of MuJoCo's model with the same servos, from rest at the first command."""
+    mujoco = pytest.importorskip("mujoco")
+    model = MujocoOracle(robot).model
+    p = {name: servos.joint[:, k].numpy() for name, k in INDEX.items()}
+    model.opt.timestep = step
+    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model.dof_armature[:], model.dof_damping[:] = p["armature"], p["damping"]
+    model.dof_frictionloss[:] = p["coulomb"]
+    model.dof_solimp[:, :2], model.dof_solref[:] = 0.9999, [2.1 * step, 1.0]
+    data = mujoco.MjData(model)
+    data.qpos[:] = u[0]
+    steps = round(DT / step)
+    out = [u[0]]
+    for k in range(len(u) - 1):
+        for s in range(steps):
+            # Delays are whole samples: the command is the line between two of them.
+            now = k + s / steps - p["delay"] / DT
+            low = np.floor(now + 1e-9).astype(int)
+            a, b = (u[np.clip(low + i, 0, None), range(robot.n)] for i in (0, 1))
+            x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
+            error, rate = x - data.qpos, dx - data.qvel
+            torque = p["kp"] * error + p["kd"] * rate
+            data.qfrc_applied[:] = np.clip(torque, -p["clip"], p["clip"]) + p["offset"]
+            mujoco.mj_step(model, data)
+        out.append(data.qpos.copy())
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("name", "cases", "samples"),
+    [
+        ("3r", 4, 101),
+        pytest.param("3r", 10, 501, marks=pytest.mark.slow),
+        pytest.param("kuka_lwr4", 10, 501, marks=pytest.mark.slow),
+    ],
+)
+def test_the_closed_loop_is_mujocos(name, cases, samples):
+    """Drawn servo arms, up to 10 s each: within 1 mrad, and within 3 mrad with dry friction, which
+    creeps in MuJoCo while it holds."""
+    robot = arm(name)
+    tracks = sines(robot.n, samples, cases, seed=robot.n)
+    each = [drawn(robot.n, seed) for seed in range(cases)]
+    batch = Servos(torch.stack([s.joint for s in each])[:, None], torch.zeros(cases, 1, 5).double())
+    whole = windows_of(tracks, None)
+    q = tracks.u[tracks.first]
+    ours = replayed(robot, batch, tracks, whole, q, torch.zeros_like(q), longest_step=5e-4)
+    for k, servos in enumerate(each):
+        rows = slice(k * samples, (k + 1) * samples)
+        theirs = by_mujoco(robot, servos, tracks.u[rows].numpy(), 2e-4)
+        assert np.abs(ours[rows].numpy() - theirs).max() < (3e-3 if k % 2 else 1e-3), k
+
+
+def steady(level: float, seconds: float) -> Tracks:
+    samples = round(seconds / DT)
+    u = torch.full((samples, 1), level, dtype=torch.float64)
+    return Tracks(u, torch.tensor([0]), torch.tensor([samples - 1]), DT)
+
+
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_a_stuck_joint_stays_for_minutes(share):
+    """Below the dry friction a joint does not move at all; above it goes to where it holds."""
+    kp, dry = 20.0, 0.4
+    servos = Servos.neutral(
+        1, kp=kp, damping=1.0, armature=0.02, coulomb=0.3, stiction=0.1, stribeck_speed=1e-3
+    )
+    tracks = steady(share * dry / kp, 180.0)
+    q = replayed(
+        flywheel(), servos, tracks, windows_of(tracks, None), *torch.zeros(2, 1, 1).double()
+    )
+    if share < 1:
+        assert bool((q == 0).all())
+    else:
+        assert float(q[-1]) > 0.2 * share * dry / kp
+        assert float(q[-500:].std()) == 0.0
+        # It came to rest within the friction band of the command.
+        assert abs(float(tracks.u[-1] - q[-1])) < dry / kp
+
+
+def test_a_step_is_the_second_order_answer():
+    """Without friction a servo is a damped oscillator."""
+    inertia, kp, b = 0.5 + 0.1, 40.0, 3.0
+    servos = Servos.neutral(1, kp=kp, damping=b, armature=0.1)
+    tracks = steady(0.3, 3.0)
+    zero = torch.zeros(2, 1, 1).double()
+    q = replayed(flywheel(), servos, tracks, windows_of(tracks, None), *zero, longest_step=5e-4)
+    w, half = math.sqrt(kp / inertia), b / (2 * inertia)
+    turn = math.sqrt(w * w - half * half)
+    t = DT * torch.arange(len(q), dtype=torch.float64)
+    exact = 0.3 * (1 - (-half * t).exp() * ((turn * t).cos() + half / turn * (turn * t).sin()))
+    assert float((q[:, 0] - exact).abs().max()) < 3e-4
+
+
+def test_a_profile_accelerates_and_brakes_at_its_limit():
+    """A step of 0.4 rad at 10 rad/s^2 takes 0.4 s, with a top speed of 1 rad/s half a second."""
+    u = torch.zeros(60, 1, dtype=torch.float64)
+    u[5:] = 0.4
+    tracks = Tracks(u, torch.tensor([0]), torch.tensor([59]), DT)
+    limits = torch.tensor([[[1.0, 10.0, math.inf]], [[1.0, 10.0, 1.0]]], dtype=torch.float64)
+    x = set_points(limits, tracks, repeated=False)[0]
+    t = DT * (torch.arange(60, dtype=torch.float64) - 5)
+    free = torch.where(t < 0.2, 5 * t.clamp(min=0) ** 2, 0.4 - 5 * (0.4 - t).clamp(min=0) ** 2)
+    slow = torch.where(t < 0.4, 0.05 + (t - 0.1), 0.4 - 5 * (0.5 - t).clamp(min=0) ** 2)
+    slow = torch.where(t < 0.1, 5 * t.clamp(min=0) ** 2, slow)
+    assert torch.allclose(x[0], free, atol=1e-12)
+    assert torch.allclose(x[1], slow, atol=1e-12)
+    # A repeated command ends the profile: one sample later the set-point is the command.
+    ended = set_points(limits[:1], tracks, repeated=True)[0, 0]
+    assert float(ended[6]) == pytest.approx(5 * DT**2)
+    assert bool((ended[7:] == 0.4).all())
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_stop_holds(side):
+    servos = Servos.neutral(1, kp=20.0, damping=2.0, armature=0.02)
+    servos.joint[0, INDEX["stop_high" if side > 0 else "stop_low"]] = 0.2 * side
+    tracks = steady(0.5 * side, 3.0)
+    zero = torch.zeros(2, 1, 1).double()
+    q = replayed(flywheel(), servos, tracks, windows_of(tracks, None), *zero)
+    # 20 N m/rad against a stop of 200.
+    rest = (20 * 0.5 + 200 * 0.2) / 220
+    assert float(q[-1] * side) == pytest.approx(rest, abs=1e-6)
+
+
+def test_windows_cover_every_row_once():
+    tracks = sines(2, 430, 3, seed=1)
+    windows = windows_of(tracks, 2.0)
+    rows = [
+        row
+        for a, length in zip(windows.start.tolist(), windows.length.tolist(), strict=True)
+        for row in range(a, a + length)
+    ]
+    assert rows == list(range(3 * 430))
+
+
+def test_sets_in_a_batch_do_not_disturb_each_other():
+    robot, tracks = arm("3r"), sines(3, 100, 2, seed=4)
+    a, b = drawn(3, 1), drawn(3, 2)
+    whole = windows_of(tracks, None)
+    q = tracks.u[tracks.first]
+    both = Servos(torch.stack([a.joint, b.joint])[:, None], torch.zeros(2, 1, 5).double())
+    together = replayed(robot, both, tracks, whole, q, torch.zeros_like(q))
+    for k, servos in enumerate((a, b)):
+        one = whole.some(torch.tensor([k]))
+        alone = replayed(robot, servos, tracks, one, q[k : k + 1], torch.zeros(1, 3).double())
+        rows = slice(int(tracks.first[k]), int(tracks.last[k]) + 1)
+        assert torch.allclose(together[rows], alone[rows], atol=2e-5)
+
+
+def test_servos_survive_their_record():
+    servos = drawn(3, 3)
+    servos.plane[:] = torch.tensor([0.1, 0.0, -0.2, 0.05, 800.0])
+    again = Servos.from_record(servos.record(), 3, "model.yaml")
+    assert torch.equal(again.joint, servos.joint)
+    assert torch.equal(again.plane, servos.plane)
+    assert len(NAMES) == len(PARAMETERS)

@@ -1,0 +1,434 @@
+"""From logs of commands and positions to named causes: data, search, what each is worth, how far.
+
+Read from top to bottom: `diagnose_positions` is the pipeline.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
+
+import torch
+from torch import Tensor
+
+from torchid.log.checks import STILL
+from torchid.log.model import Log
+from torchid.position.data import PositionData, prepare
+from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
+from torchid.position.effects import BY_NAME, EFFECTS, PositionEffect
+from torchid.position.fit import NOISE, TOGETHER, errors, fit
+from torchid.position.judge import (
+    Equations,
+    each_window,
+    equations,
+    folds_of,
+    motion_losses,
+    value_interval,
+)
+from torchid.position.search import Found, full, least_loss, plain
+from torchid.robot.model import Robot
+from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
+from torchid.simulation.servo_loop import Windows, windows_of
+
+WINDOW_S = 2.0
+STAGES = 12
+"""That are told as progress."""
+MOST = 250
+"""Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
+WORTHWHILE = 0.05
+"""Share of a joint's squared error that a cause must take away to be named [1]."""
+KEPT = ("command_delay", "torque_offset")
+"""What is part of every model, named or not."""
+RATIO = 0.2
+"""Standard deviation of a torque's scale from which only ratios are told [1]."""
+
+
+def diagnose_positions(
+    robot: Robot, log: Log, *, progress: Callable[[str, int, int], None] | None = None
+) -> PositionDiagnosis:
+    """Which causes part an arm's positions from its commands.
+
+    Args:
+        robot: with inertial parameters: gravity tells torques from ratios.
+        log: t, q and u of several motions; of one alone nothing can be held out but its parts.
+        progress: told the stage, steps done and steps in all.
+
+    Raises:
+        LogError: as `prepare`.
+        RobotError: the robot has no inertial parameters.
+    """
+    begun, stages = time.perf_counter(), count()
+
+    def say(stage: str) -> None:
+        if progress is not None:
+            progress(stage, next(stages), STAGES)
+
+    log, warnings = _parted(log)
+    data = prepare(robot, log)
+    windows = windows_of(data.tracks, WINDOW_S)
+    say("a plain servo")
+    simple = plain(data, _some(windows, MOST))
+    telling = _telling(data, simple, windows)
+    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    found, worth, rivals = _answer(data, simple, few, more, say)
+    servos = found.servos
+    say("how far it goes")
+    known = equations(data, servos, found.free, more)
+    ways, errors_of = _accuracies(data, simple, found, windows, few)
+    findings = _findings(data, found, known, worth, rivals)
+    moving = data.log.q.amax(0) - data.log.q.amin(0)
+    deviation = known.deviations()[:, known.names.index("kp")]
+    interval = [
+        value_interval("kp", k, d)
+        for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
+    ]
+    warnings += tuple(
+        f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
+        f"another unit than radians, by that factor"
+        for j, s in enumerate(data.scale)
+        if s != 1
+    )
+    return PositionDiagnosis(
+        data=data,
+        servos=servos,
+        findings=findings,
+        gains=(servos.of("kp"), torch.tensor(interval)),
+        ratio_only=_ratio_only(known),
+        commanded=ways[0],
+        plain=ways[1],
+        answered=ways[2],
+        regimes=_regimes(data, *errors_of),
+        motions=(log.names, _by_motion(data, errors_of[1])),
+        still=moving < STILL,
+        warnings=warnings,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
+    """The answered model alone, without what is told about it.
+
+    Raises:
+        LogError, RobotError: as `prepare`.
+    """
+    data = prepare(robot, log)
+    windows = windows_of(data.tracks, WINDOW_S)
+    simple = plain(data, _some(windows, MOST))
+    telling = _telling(data, simple, windows)
+    few, more = _some(windows, MOST, telling), _some(windows, 3 * MOST, telling)
+    found, _, _ = _answer(data, simple, few, more, lambda _: None)
+    return data, found
+
+
+def _answer(
+    data: PositionData,
+    simple: Found,
+    few: Windows,
+    more: Windows,
+    say: Callable[[str], None],
+) -> "tuple[Found, Worth, Rivals]":
+    """What the search finds in few windows and each effect is worth there, fitted to more."""
+    found = _no_worse(data, simple, full(data, few, say), few)
+    say("what each effect is worth")
+    worth, rivals, found = _needed(data, found, few)
+    servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
+    return replace(found, servos=servos), worth, rivals
+
+
+def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
+    """The model with plain servos on the joints that a plain servo follows as well: a search may
+    end where more parameters do no better."""
+    before, after = (_losses(data, model.servos, windows).sum(0) for model in (simple, found))
+    needless = before - after < least_loss(data, windows)
+    joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
+    free = {name: on if name in simple.free else on & ~needless for name, on in found.free.items()}
+    return Found(replace(found.servos, joint=joint), free, found.plane)
+
+
+def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
+    """The log with enough motions to hold some out: one long motion is taken in parts."""
+    if log.trajectory_count > 1:
+        return log, ()
+    parts = torch.arange(log.samples) * 4 // log.samples
+    names = tuple(f"{log.names[0]}[part {k + 1}]" for k in range(4))
+    return log.replace(trajectory=parts, names=names), (
+        "one motion only: its quarters are held out in turn, which are more alike than motions are",
+    )
+
+
+def _some(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
+    """At most so many windows, each with what it stands for.
+
+    Args:
+        windows: all of them.
+        most: to take.
+        size: (W,) how much each tells; the chance to be taken grows with it. None: all alike.
+    """
+    if size is None:
+        size = torch.ones(len(windows.start), dtype=torch.float64)
+    chance = (size / size.sum() * most).clamp(max=1.0)
+    for _ in range(20):  # what is certain leaves more of the chances to the others
+        free = chance < 1
+        left = most - float((~free).sum())
+        if left <= 0 or not bool(free.any()):
+            break
+        chance = torch.where(free, (size / size[free].sum() * left).clamp(max=1.0), 1.0)
+    # Evenly spaced along the sum of chances: no draw, and every stretch of the log has its share.
+    ends = chance.cumsum(0) + 0.5
+    rows = torch.nonzero(ends.floor() > (ends - chance).floor()).flatten()
+    some = windows.some(rows)
+    return replace(some, weight=some.weight / chance[rows])
+
+
+def _telling(data: PositionData, model: Found, windows: Windows) -> Tensor:
+    """(W,) how much windows tell: the plain servo's error there, and no less than half of the
+    typical one, so that none is left to chance alone."""
+    servos = model.servos
+    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
+    error = errors(data, one, windows)[..., 0]
+    own = (error.square().sum(0) / (error != 0).sum(0).clamp(min=1)).mean(1).sqrt()
+    return own + own.median() / 2
+
+
+def _present(found: Found, effect: PositionEffect) -> Tensor:
+    """(n,) joints on which an effect is part of the model."""
+    if not effect.parameters:
+        return torch.full((found.servos.n,), found.plane)
+    on = torch.zeros(found.servos.n, dtype=torch.bool)
+    for name in effect.parameters:
+        on |= found.free.get(name, on)
+    return on
+
+
+def _without(found: Found, effect: PositionEffect, joints: Tensor) -> Found:
+    """The model without an effect on some joints."""
+    if not effect.parameters:
+        plane = found.servos.plane.clone()
+        plane[4] = 0.0
+        return Found(replace(found.servos, plane=plane), found.free, False)
+    joint, free = found.servos.joint.clone(), dict(found.free)
+    for name, value in effect.neutral().items():
+        joint[joints, INDEX[name]] = value
+        if name in free:
+            free[name] = free[name] & ~joints
+    free = {name: on for name, on in free.items() if bool(on.any())}
+    return Found(replace(found.servos, joint=joint), free, found.plane)
+
+
+Worth = dict[str, tuple[Tensor, Tensor]]
+"""By effect: losses (n,) without it, NaN where it is not named, and with it [rad^2]."""
+Rivals = dict[tuple[str, int], tuple[str, ...]]
+"""By effect and joint: what does as well in its place."""
+
+
+def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
+    """(m, n) losses of motions [rad^2]."""
+    one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
+    return motion_losses(errors(data, one, windows)[..., 0], windows)
+
+
+def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
+    """The effects without which motion after motion is followed worse, all others refitted."""
+    whole, n = _losses(data, found.servos, windows), found.servos.n
+    least = least_loss(data, windows)
+    worth: Worth = {}
+    removed: dict[str, Tensor] = {}
+    for effect in EFFECTS:
+        on = _present(found, effect)
+        if not bool(on.any()):
+            continue
+        less = _without(found, effect, on)
+        servos = fit(data, less.servos, less.free, windows, iterations=2)
+        without = _losses(data, servos, windows)
+        gain, total = without - whole, without.sum(0)
+        if not effect.parameters:
+            gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
+        keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & _sure(gain)
+        worth[effect.name] = without.sum(0), whole.sum(0)
+        removed[effect.name] = on & ~keep
+    now = found
+    for name, joints in removed.items():
+        # Delay and offset are numbers of any servo: they stay, unnamed.
+        if name not in KEPT and bool(joints.any()):
+            now = _without(now, BY_NAME[name], joints)
+    servos = fit(data, now.servos, now.free, windows, iterations=2)
+    now = replace(now, servos=servos)
+    return _returned(data, found, now, worth, removed, whole, least, windows)
+
+
+def _sure(gain: Tensor) -> Tensor:
+    """(n,) whether most motions (m, n) gain of those that it matters to."""
+    matters = gain.abs() > 0.02 * gain.abs().amax(0)
+    better = ((gain > 0) & matters).sum(0)
+    return (better > 0.7 * matters.sum(0)) & (gain.sum(0) > 0)
+
+
+def _returned(
+    data: PositionData,
+    found: Found,
+    now: Found,
+    worth: Worth,
+    removed: dict[str, Tensor],
+    whole: Tensor,
+    least: Tensor,
+    windows: Windows,
+) -> tuple[Worth, Rivals, Found]:
+    """Effects that stood for each other: one of them returns, with the others' names."""
+    lean = _losses(data, now.servos, windows).sum(0)
+    lost = (lean > (1 + WORTHWHILE) * whole.sum(0)) & (lean - whole.sum(0) > least)
+    candidates = {
+        name: joints & lost
+        for name, joints in removed.items()
+        if bool((joints & lost).any()) and name not in KEPT
+    }
+    kept = {name: _present(now, BY_NAME[name]) for name in worth}
+    for name in KEPT:
+        if name in kept:
+            kept[name] &= ~removed[name]
+    stood: Rivals = {}
+    for j in torch.nonzero(lost).flatten().tolist():
+        rivals = [name for name, joints in candidates.items() if bool(joints[j])]
+        if not rivals:
+            continue
+        first = max(rivals, key=lambda name: float(worth[name][0][j]))
+        joint, free = now.servos.joint.clone(), dict(now.free)
+        for name in BY_NAME[first].parameters:
+            joint[j, INDEX[name]] = found.servos.joint[j, INDEX[name]]
+            there = free.get(name, torch.zeros(now.servos.n, dtype=torch.bool)).clone()
+            there[j] = bool(found.free.get(name, there)[j])
+            free[name] = there
+        now = Found(replace(now.servos, joint=joint), free, now.plane)
+        kept[first][j] = True
+        worth[first][0][j] = lean[j]
+        stood[first, j] = tuple(r for r in rivals if r != first)
+    if bool(lost.any()):
+        servos = fit(data, now.servos, now.free, windows, iterations=2)
+        now = replace(now, servos=servos)
+    shown = {
+        name: (torch.where(kept[name], without, torch.nan), with_it)
+        for name, (without, with_it) in worth.items()
+        if bool(kept[name].any())
+    }
+    return shown, stood, now
+
+
+def _findings(
+    data: PositionData, found: Found, known: Equations, worth: Worth, rivals: Rivals
+) -> tuple[PositionFinding, ...]:
+    deviation = known.deviations()
+    looked = float(data.tracks.u.shape[0])
+    out = []
+    for name, losses in worth.items():
+        effect = BY_NAME[name]
+        # Errors in the log's unit: of the joint, or of all of them.
+        without, with_it = (1e3 * (x / looked).sqrt() / data.scale for x in losses)
+        if not effect.parameters:
+            plane = tuple(
+                Size(key, "N/m" if key == "stiffness" else "m", value, (torch.nan, torch.nan))
+                for key, value in zip(PLANE, found.servos.plane.tolist(), strict=True)
+            )
+            ends = float(without.square().mean().sqrt()), float(with_it.square().mean().sqrt())
+            out.append(
+                PositionFinding(
+                    name, effect.family, None, plane, *ends, (), effect.meaning, effect.remedy
+                )
+            )
+            continue
+        for j in torch.nonzero(without.isfinite()).flatten().tolist():
+            sizes = []
+            for key in effect.parameters:
+                if key not in known.names or not bool(found.free[key][j]):
+                    continue
+                p, k = PARAMETERS[INDEX[key]], known.names.index(key)
+                value = float(found.servos.of(key)[j])
+                spread = value_interval(key, value, float(deviation[j, k]))
+                sizes.append(Size(key, p.unit, value, spread))
+            ends = float(without[j]), float(with_it[j])
+            others = rivals.get((name, j), ())
+            out.append(
+                PositionFinding(
+                    name, effect.family, j + 1, tuple(sizes), *ends, others,
+                    effect.meaning, effect.remedy,
+                )
+            )  # fmt: skip
+    return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
+
+
+def _ratio_only(known: Equations) -> Tensor:
+    """(n,) joints of which a common factor on all torques is hardly told: no load anchors it."""
+    # Torques are searched as shares of kp, so that kp alone is that factor.
+    k = known.names.index("kp")
+    return known.gram.sum(0)[:, k, k] / TOGETHER < (NOISE / RATIO) ** 2
+
+
+def _accuracies(
+    data: PositionData, simple: Found, found: Found, windows: Windows, few: Windows
+) -> tuple[list[Accuracy], tuple[Tensor, Tensor]]:
+    """How near the command, a plain servo and the answered model come; both models are fitted
+    without the fold that they are judged on. With the whole-motion errors (T, n) of the models."""
+    folds = folds_of(len(data.tracks.first))
+    commanded = (data.tracks.u - data.q) / data.scale
+    errors_of: dict[str, list[Tensor]] = {"whole": [], "windows": []}
+    for model in (simple, found):
+        servos = {}
+        for fold in folds.unique().tolist():
+            rest = torch.nonzero(folds[few.motion] != fold).flatten()
+            others = few.some(rest)
+            servos[fold] = fit(
+                data, model.servos, model.free, others, plane=model.plane, iterations=2
+            )
+        for name, some in (("whole", windows_of(data.tracks, None)), ("windows", windows)):
+            apart = each_window(servos, folds[some.motion])
+            error = errors(data, apart, some)[..., 0]
+            errors_of[name].append(_on_rows(data, error, some) / data.scale)
+    ways = [Accuracy(_rms(commanded), _rms(commanded))]
+    for way in range(2):
+        ways.append(Accuracy(_rms(errors_of["whole"][way]), _rms(errors_of["windows"][way])))
+    return ways, (errors_of["whole"][0], errors_of["whole"][1])
+
+
+def _on_rows(data: PositionData, error: Tensor, windows: Windows) -> Tensor:
+    """Errors of windows (L, W, n) in the rows of the log (T, n)."""
+    out = torch.zeros_like(data.q)
+    for w, (a, length) in enumerate(
+        zip(windows.start.tolist(), windows.length.tolist(), strict=True)
+    ):
+        out[a : a + length] = error[:length, w]
+    return out
+
+
+def _rms(error: Tensor) -> Tensor:
+    return 1e3 * error.square().mean(0).sqrt()
+
+
+def _by_motion(data: PositionData, error: Tensor) -> Tensor:
+    ends = zip(data.tracks.first.tolist(), data.tracks.last.tolist(), strict=True)
+    return torch.stack([_rms(error[a : b + 1]) for a, b in ends])
+
+
+def _regimes(data: PositionData, before: Tensor, after: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
+    """Whole-motion errors [mrad] by what the command does: stands, creeps, turns, moves, jumps."""
+    rate = torch.zeros_like(data.q)
+    rate[1:] = data.tracks.u.diff(dim=0) / data.tracks.dt
+    rate[data.tracks.first] = 0.0
+    top = rate.abs().quantile(0.99, 0).clamp(min=1e-9)
+    stands = rate.abs() < 1e-9
+    # The command turns within a quarter of a second.
+    reach = max(1, round(0.25 / data.tracks.dt))
+    sign = torch.nn.functional.max_pool1d(rate.T, 2 * reach + 1, 1, reach).T
+    other = -torch.nn.functional.max_pool1d(-rate.T, 2 * reach + 1, 1, reach).T
+    turns = (sign > 0.02 * top) & (other < -0.02 * top) & ~stands
+    fast = (rate.abs() > 0.5 * top) & ~turns
+    masks = {
+        "holding": stands,
+        "reversal": turns,
+        "high_speed": fast,
+        "low_speed": ~stands & ~turns & ~fast,
+    }
+    out = {}
+    for name, mask in masks.items():
+        count = mask.sum(0).clamp(min=1)
+        out[name] = tuple(
+            1e3 * ((e * mask).square().sum(0) / count).sqrt() for e in (before, after)
+        )
+    return out  # type: ignore[return-value]

@@ -1,0 +1,97 @@
+"""What a diagnosis of commands and positions answers."""
+
+from dataclasses import dataclass
+
+from torchid.position.data import PositionData
+from torchid.simulation.servo import Servos
+from torchid.typing import Bool, Float, Tensor
+
+
+@dataclass(frozen=True)
+class Size:
+    """One number of an effect on one joint.
+
+    Attributes:
+        name, unit: of the parameter.
+        value: fitted.
+        interval: 95 %: motions as clusters, and no less than noise allows.
+    """
+
+    name: str
+    unit: str
+    value: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PositionFinding:
+    """One effect on one joint.
+
+    Attributes:
+        effect, family: names.
+        joint: counted from 1; None for a plane, which all joints feel.
+        sizes: its numbers.
+        error_without: position error of the joint (of all joints, for a plane) in windows of 2 s
+            when the others are fitted without it [mrad of the log's unit].
+        error_with: the same with it.
+        ambiguous_with: effects that do as well in its place.
+        meaning, remedy: one sentence each.
+    """
+
+    effect: str
+    family: str
+    joint: int | None
+    sizes: tuple[Size, ...]
+    error_without: float
+    error_with: float
+    ambiguous_with: tuple[str, ...]
+    meaning: str
+    remedy: str
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """RMS position errors of one way to foretell a log [mrad of the log's unit].
+
+    Attributes:
+        whole: (n,) whole motions from their measured start.
+        windows: (n,) windows of 2 s.
+    """
+
+    whole: Float[Tensor, " n"]
+    windows: Float[Tensor, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class PositionDiagnosis:
+    """Where command and position part, what causes it, and how far it goes.
+
+    Attributes:
+        data: the motions.
+        servos: the answered model, fitted to all of them.
+        findings: effects beside a plain servo, those that close most first.
+        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval.
+        ratio_only: (n,) joints of which torques are known up to one factor.
+        commanded: the position is the command.
+        plain: a servo with gain, damping, dry friction, inertia, delay and offset, held out.
+        answered: the answered model, held out.
+        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model [mrad].
+        motions: names, with (m, n) whole-motion errors of the answered model [mrad].
+        still: joints that never move.
+        warnings: one sentence each.
+        seconds: that it took.
+    """
+
+    data: PositionData
+    servos: Servos
+    findings: tuple[PositionFinding, ...]
+    gains: tuple[Float[Tensor, " n"], Float[Tensor, "n 2"]]
+    ratio_only: Bool[Tensor, " n"]
+    commanded: Accuracy
+    plain: Accuracy
+    answered: Accuracy
+    regimes: dict[str, tuple[Float[Tensor, " n"], Float[Tensor, " n"]]]
+    motions: tuple[tuple[str, ...], Float[Tensor, "m n"]]
+    still: Bool[Tensor, " n"]
+    warnings: tuple[str, ...]
+    seconds: float

@@ -1,0 +1,259 @@
+"""Servos fitted to windows of logs: Gauss-Newton on simulated positions (multiple shooting).
+
+One parameter is varied on all joints at once: what a joint's servo does to another joint's
+position is small beside what it does to its own, and only the speed of convergence depends on it.
+Every joint has its own damped step; of several dampings the best is kept by simulation.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchid.position.data import SMALL, PositionData
+from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
+from torchid.simulation.servo_loop import (
+    PROFILE,
+    Windows,
+    profiles_of,
+    rollout,
+    set_points,
+)
+from torchid.typing import Float
+
+LARGE = 0.03
+"""Position error from which it counts less than its square [rad]."""
+LOOSE = 1.0
+"""Standard deviation of the prior of a logarithm about where the fit starts [1]."""
+TOGETHER = 50
+"""Samples whose errors are alike: of one second at 50 Hz [1]."""
+DAMPINGS = (0.0, 1.0, 10.0, 100.0)
+LONGEST = 0.7
+"""Longest step of a logarithm [1]."""
+NOISE = 0.003
+"""Position error that a prior is weighed against [rad]: of two counts of a small servo."""
+HARDLY = 2e-3
+"""Share of the loss below which another iteration is not worth its time [1]."""
+_PRIOR = {
+    "kp": 0.5, "armature": 0.5, "delay": 0.02, "offset": 0.2, "stiction": 0.1, "motor_share": 0.3,
+    "load_share": 0.3, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05, "scale": 0.05,
+}  # fmt: skip
+"""Standard deviations of the other priors, torques beside those of a small servo."""
+_STEP = {"delay": 1e-3, "dead_zone": 5e-4, "scale": 2e-3}
+_PLANE_STEP = torch.tensor([3e-3, 3e-3, 3e-3, 2e-3, 1e2], dtype=torch.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Residuals of windows, and how they answer to parameters.
+
+    Attributes:
+        residual: (L, W, n) simulated minus measured [rad]; 0 after a window's end.
+        slope: (L, W, n, K) by the searched coordinate of each free parameter.
+        names: K of them.
+        plane: (L, W, n, 5) by the plane's numbers, or None.
+    """
+
+    residual: Tensor
+    slope: Tensor
+    names: tuple[str, ...]
+    plane: Tensor | None
+
+
+def searched(servos: Servos) -> Tensor:
+    """(..., n, K) coordinates in which a search steps: logarithms of what is positive, and torques
+    as shares of kp. What motions without a load do not tell is then one coordinate alone."""
+    out = absolute(servos)
+    gain = servos.of("kp")
+    for name in TORQUES:
+        k = INDEX[name]
+        if name == "kp":
+            continue
+        if PARAMETERS[k].kind == "log":
+            out[..., k] -= gain.log()
+        else:
+            out[..., k] *= SMALL / gain
+    return out
+
+
+def absolute(servos: Servos) -> Tensor:
+    """(..., n, K) values, logarithms of what is searched so."""
+    out = servos.joint.clone()
+    logs = [k for k, p in enumerate(PARAMETERS) if p.kind == "log"]
+    out[..., logs] = out[..., logs].log()
+    return out
+
+
+def moved(servos: Servos, coordinates: Tensor) -> Servos:
+    """The servos at other coordinates (..., n, K)."""
+    joint = coordinates.clone()
+    gain = joint[..., INDEX["kp"]].exp()
+    for k, p in enumerate(PARAMETERS):
+        if p.kind == "log":
+            joint[..., k] = joint[..., k].exp()
+        elif p.kind == "positive":
+            joint[..., k] = joint[..., k].clamp(min=0)
+        if p.name in TORQUES and p.name != "kp":
+            joint[..., k] *= gain if p.kind == "log" else gain / SMALL
+    return replace(servos, joint=joint, plane=servos.plane.expand(*joint.shape[:-2], 5).clone())
+
+
+def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "L W n P"]:
+    """Simulated minus measured positions [rad]; 0 after a window's end."""
+    profiles, owner = profiles_of(servos).unique(dim=0, return_inverse=True)
+    # Most steps of a fit leave the profiles as they are.
+    known = data.set_points.get(servos.repeated)
+    if known is None or known[0].shape != profiles.shape or not torch.equal(known[0], profiles):
+        known = profiles, set_points(profiles, data.tracks, repeated=servos.repeated)
+        data.set_points[servos.repeated] = known
+    each = servos.joint.ndim == 4
+    q = rollout(
+        servos,
+        data.body,
+        data.tracks,
+        windows,
+        *data.start(windows),
+        points=known[1],
+        owner=owner.reshape(-1, 1, 1) if each else owner,
+    )
+    rows = windows.start + torch.arange(len(q))[:, None]
+    measured = data.q[rows.clamp(max=len(data.q) - 1)]
+    return (q - measured[..., None]).nan_to_num_(nan=0.0)
+
+
+def loss(error: Tensor, windows: Windows) -> Tensor:
+    """Huber's loss (n, P) of errors (L, W, n, P), as a sum of squares where they are small."""
+    return (huber(error) * windows.weight[:, None, None]).sum(0)
+
+
+def huber(error: Tensor) -> Tensor:
+    """Huber's loss of windows: (W, ...) of errors (L, W, ...)."""
+    a = error.abs() / LARGE
+    return (torch.where(a < 1, a * a, 2 * a - 1) * LARGE**2).sum(0)
+
+
+def sensitivities(
+    data: PositionData,
+    servos: Servos,
+    names: tuple[str, ...],
+    windows: Windows,
+    *,
+    plane: bool = False,
+) -> Sensitivities:
+    """Residuals of one set of servos, and their differences by every parameter of `names`."""
+    here = searched(servos)
+    sets, steps = [here], []
+    for name in names:
+        p = PARAMETERS[INDEX[name]]
+        step = _STEP.get(name, 0.02 if p.kind == "log" else 5e-3)
+        there = here.clone()
+        there[:, INDEX[name]] += step
+        sets.append(there)
+        steps.append(step)
+    count = len(sets) + (5 if plane else 0)
+    sets += [here] * (count - len(sets))
+    batch = moved(servos, torch.stack(sets))
+    if plane:
+        batch.plane[len(names) + 1 :] += torch.diag(_PLANE_STEP)
+    error = errors(data, batch, windows)
+    change = error[..., 1:] - error[..., :1]
+    slope = change[..., : len(names)] / torch.tensor(steps, dtype=torch.float64)
+    return Sensitivities(
+        error[..., 0], slope, names, change[..., len(names) :] / _PLANE_STEP if plane else None
+    )
+
+
+def weights(residual: Tensor, windows: Windows) -> Tensor:
+    """Huber's weights (L, W, n), times what each window stands for."""
+    return LARGE / residual.abs().clamp(min=LARGE) * windows.weight[:, None]
+
+
+def prior_precision(names: tuple[str, ...]) -> Float[Tensor, " K"]:
+    """Of the searched coordinates, in units of a squared position error."""
+    deviation = torch.tensor([_PRIOR.get(n, LOOSE) for n in names], dtype=torch.float64)
+    return TOGETHER * (NOISE / deviation) ** 2
+
+
+def fit(
+    data: PositionData,
+    servos: Servos,
+    free: Mapping[str, Tensor],
+    windows: Windows,
+    *,
+    plane: bool = False,
+    profiles: bool = False,
+    iterations: int = 8,
+) -> Servos:
+    """Servos that follow the log's windows best.
+
+    Args:
+        data: motions.
+        servos: one set, where the search starts.
+        free: parameters to search, each with the joints (n,) on which it is free.
+        windows: of the motions.
+        plane: whether to search the plane's numbers too.
+        profiles: whether to search profiles too, in the last iteration: to find new set-points
+            takes longer than all the rest.
+        iterations: of Gauss-Newton, at most; they end where the loss hardly falls.
+    """
+    origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
+    plane_damping = 1e-2
+    for k in range(iterations):
+        last = k == iterations - 1
+        names = tuple(name for name in free if (profiles and last) or name not in PROFILE)
+        at = torch.tensor([INDEX[name] for name in names])
+        mask = torch.stack([free[name] for name in names], 1)
+        begun, precision = origin[:, at], prior_precision(names)
+        logs = torch.tensor([PARAMETERS[i].kind == "log" for i in at.tolist()])
+        s = sensitivities(data, servos, names, windows, plane=plane)
+        w = weights(s.residual, windows)
+        here = searched(servos)
+        a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1)
+        b = (s.residual * w.sqrt()).flatten(0, 1).T
+        gram = a.transpose(1, 2) @ a + torch.diag(precision)
+        away = (here[:, at] - begun).nan_to_num(nan=0.0)
+        pull = (a * b[..., None]).sum(1) + precision * away
+        # What is not free has a unit equation of its own, with the answer 0.
+        both = mask[:, :, None] & mask[:, None, :]
+        gram = torch.where(both, gram, torch.eye(len(names), dtype=gram.dtype))
+        pull = torch.where(mask, pull, 0.0)
+        steps = []
+        for factor in DAMPINGS:
+            extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
+            step = -torch.linalg.solve(gram + torch.diag_embed(extra), pull[..., None])[..., 0]
+            steps.append(torch.where(logs, step.clamp(-LONGEST, LONGEST), step))
+        tried = here.repeat(len(DAMPINGS) + 1, 1, 1)
+        tried[1:, :, at] += torch.stack(steps)
+        batch = moved(servos, tried)
+        if plane and s.plane is not None:
+            planes = _plane_steps(s.plane, s.residual, w, plane_damping)
+            batch.plane[1:] += planes
+            batch.plane[:, 4].clamp_(min=50.0)
+        cost = loss(errors(data, batch, windows), windows)
+        away = (tried[..., at] - begun).nan_to_num(nan=0.0)
+        cost = cost + (precision * away**2).sum(-1).T
+        best = cost.argmin(1)
+        joint = batch.joint[best, torch.arange(servos.n)]
+        better = int(cost.sum(0).argmin())
+        servos = replace(servos, joint=joint, plane=batch.plane[better].clone())
+        factors = torch.tensor([8.0, 0.1, *DAMPINGS[1:]], dtype=torch.float64)
+        damping = (damping * factors[best]).clamp(1e-6, 1e3)
+        gain = 1 - float(cost.amin(1).sum() / cost[:, 0].sum())
+        plane_damping = max(1e-6, plane_damping * float(factors[better]))
+        if gain < HARDLY and not (profiles and not last):
+            break
+    return servos
+
+
+def _plane_steps(slope: Tensor, residual: Tensor, w: Tensor, damping: float) -> Tensor:
+    """(D, 5) steps of the plane's numbers at several dampings."""
+    a = (slope * _PLANE_STEP * w.sqrt()[..., None]).flatten(0, 2)
+    b = (residual * w.sqrt()).flatten()
+    gram = a.T @ a + 1e-9 * torch.eye(5, dtype=a.dtype)
+    pull = a.T @ b
+    out = []
+    for factor in DAMPINGS:
+        extra = damping * factor * torch.diag(gram.diagonal())
+        out.append(-torch.linalg.solve(gram + extra, pull).clamp(-4, 4) * _PLANE_STEP)
+    return torch.stack(out)

@@ -1,0 +1,150 @@
+"""Position servos of an arm: what they are, as numbers.
+
+A servo turns a commanded position into a torque, and only the joint's position answers:
+
+    J ddq + M(q) ddq + h(q, dq) = clip(kp z(x - q) + kd (dx - dq)) - b dq - friction + rest
+
+x is the set-point: the command, late by a delay, through a profile of limited acceleration and
+speed. z has a dead zone. The friction holds a joint at rest with anything up to its dry part
+(Coulomb, more at rest, and shares of the motor's and of the external torque).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchid.errors import TorchidError
+from torchid.typing import Float
+
+Kind = Literal["log", "positive", "real"]
+
+
+@dataclass(frozen=True)
+class ServoParameter:
+    """One number of a joint's servo.
+
+    Attributes:
+        name, unit, meaning: of the parameter; units of a revolute joint.
+        neutral: value without effect.
+        start: where a search begins.
+        kind: `log` is searched on a logarithmic scale, `positive` stays at or above zero.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    neutral: float
+    start: float
+    kind: Kind = "log"
+
+
+_INF = float("inf")
+PARAMETERS = (
+    ServoParameter("kp", "N m/rad", "torque a position error makes", 0.0, 15.0),
+    ServoParameter("kd", "N m s/rad", "torque a rate of the position error makes", 0.0, 0.3),
+    ServoParameter("damping", "N m s/rad", "viscous friction and back-EMF", 0.0, 0.6),
+    ServoParameter("armature", "kg m^2", "inertia of the rotor, reflected", 0.0, 0.03),
+    ServoParameter("delay", "s", "from the command's stamp to its effect", 0.0, 0.02, "positive"),
+    ServoParameter("offset", "N m", "constant torque", 0.0, 0.0, "real"),
+    ServoParameter("coulomb", "N m", "dry friction in motion", 0.0, 0.08),
+    ServoParameter("stiction", "N m", "more dry friction at rest", 0.0, 0.05, "positive"),
+    ServoParameter("stribeck_speed", "rad/s", "where stiction fades", 1.0, 0.08),
+    ServoParameter("motor_share", "1", "friction per motor torque", 0.0, 0.1, "positive"),
+    ServoParameter("load_share", "1", "friction per external torque", 0.0, 0.1, "positive"),
+    ServoParameter("acceleration", "rad/s^2", "limit of the set-point", _INF, 40.0),
+    ServoParameter("speed", "rad/s", "limit of the set-point", _INF, 3.0),
+    ServoParameter("clip", "N m", "largest servo torque", _INF, 5.0),
+    ServoParameter("dead_zone", "rad", "position error without torque", 0.0, 0.003, "positive"),
+    ServoParameter("stop_low", "rad", "end stop", -_INF, -3.0, "real"),
+    ServoParameter("stop_high", "rad", "end stop", _INF, 3.0, "real"),
+    ServoParameter("scale", "1", "factor on the command", 1.0, 1.0, "real"),
+)  # fmt: skip
+NAMES = tuple(p.name for p in PARAMETERS)
+INDEX = {name: k for k, name in enumerate(NAMES)}
+PLANE = ("x", "y", "z", "height", "stiffness")
+"""Point of the last link but the jaw [m, link frame], height of the plane [m], stiffness [N/m]."""
+
+
+TORQUES = tuple(p.name for p in PARAMETERS if p.unit.startswith("N m") or p.name == "armature")
+"""What is multiplied by one factor when all torques are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """The servos of an arm with n joints, or a batch of them.
+
+    Attributes:
+        joint: (*batch, n, K) values of `PARAMETERS`, in their order.
+        plane: (*batch, 5) values of `PLANE`, a horizontal plane that a point of a link may touch;
+            without effect where the stiffness is 0.
+        link: which link carries that point, counted from 0.
+        repeated: whether a command that is sent again ends the set-point's profile at once.
+    """
+
+    joint: Float[Tensor, "*batch n K"]
+    plane: Float[Tensor, "*batch 5"]
+    link: int = -1
+    repeated: bool = False
+
+    @classmethod
+    def neutral(cls, n: int, **values: float) -> "Servos":
+        """Servos with these values on every joint, and no other effect."""
+        joint = torch.tensor([[values.get(p.name, p.neutral) for p in PARAMETERS]] * n)
+        return cls(joint.to(torch.float64), torch.zeros(5, dtype=torch.float64))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.joint.shape[-2]
+
+    def of(self, name: str) -> Float[Tensor, "*batch n"]:
+        """One parameter of every joint."""
+        return self.joint[..., INDEX[name]]
+
+    def record(self) -> dict[str, object]:
+        """As yaml and JSON hold them; one set, without what has no effect."""
+        rows = []
+        for j in range(self.n):
+            row = {"joint": j + 1}
+            for p, value in zip(PARAMETERS, self.joint[j].tolist(), strict=True):
+                if value != p.neutral:
+                    row[p.name] = value
+            rows.append(row)
+        out: dict[str, object] = {"joints": rows, "repeated_command_ends_profile": self.repeated}
+        if self.plane[4] > 0:
+            out["plane"] = {"link": self.link + 1} | dict(
+                zip(PLANE, self.plane.tolist(), strict=True)
+            )
+        return out
+
+    @classmethod
+    def from_record(cls, data: Mapping[str, object], n: int, source: str) -> "Servos":
+        """The inverse of `record`.
+
+        Raises:
+            TorchidError: another number of joints, an unknown parameter, or no number.
+        """
+        try:
+            rows, plane = data["joints"], data.get("plane") or {}
+            out = cls.neutral(n)
+            if [row["joint"] for row in rows] != list(range(1, n + 1)):  # type: ignore[attr-defined]
+                raise TorchidError(
+                    f"'{source}': servos of other joints than the robot's.",
+                    got=[row["joint"] for row in rows],  # type: ignore[attr-defined]
+                    expected=f"1 to {n}",
+                )
+            for row in rows:  # type: ignore[attr-defined]
+                for name in row:
+                    if name != "joint":
+                        out.joint[int(row["joint"]) - 1, INDEX[name]] = float(row[name])
+            for k, name in enumerate(PLANE if plane else ()):
+                out.plane[k] = float(plane[name])  # type: ignore[index]
+            link = int(plane.get("link", 0)) - 1  # type: ignore[attr-defined]
+            return cls(out.joint, out.plane, link, bool(data["repeated_command_ends_profile"]))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise TorchidError(
+                f"'{source}': its servos cannot be read.", got=repr(error), available=list(NAMES)
+            ) from error

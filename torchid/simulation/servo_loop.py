@@ -1,0 +1,483 @@
+"""Arms that position servos move: many windows of logs and many sets of servos in one batch.
+
+The rigid body is linearised about a motion that is near the simulated one (the measured one where
+servos are fitted; the last simulated one where they are only run), once for all samples. What is
+left to step is a few products of small matrices and arithmetic on (windows, joints, sets).
+
+A step of length h solves for the mean velocity w of each joint, with the servo and the damping at
+w (a theta method) and dry friction as what it is, a bounded force that holds the joint if it can:
+
+    (J / (theta h) + kd + b + kp theta h) w = r - friction,   |friction| <= F, w = 0 if |r| <= F.
+
+No speed is regularised, so that a joint at rest stays where it is for as long as the command does.
+Inertial coupling between joints enters with the accelerations of the step before.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
+from torchid.dynamics.newton_euler import keep_freed_memory
+from torchid.robot.model import Robot, link_poses
+from torchid.simulation.servo import INDEX, PLANE, Servos
+from torchid.typing import Float, Int
+
+THETA = 0.55
+"""Share of a step at which forces are taken [1]: 1/2 is of second order, more is damped."""
+STEP = 0.005
+"""Longest step [s]."""
+STOP_STIFFNESS = 200.0
+"""Of an end stop [N m/rad]: much more than a small servo's gain."""
+CONTACT_DAMPING = 20.0
+"""Of the plane [N s/m]."""
+PROFILE = ("scale", "acceleration", "speed")
+_TOGETHER = 4000
+_NUMBERS = 64000
+_STRETCH, _EARLY = 200, 25
+_SLIGHT = 1e-6
+"""Step of a finite difference [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The rigid body's torque near a motion: M(q) ddq + bias + stiffness (q' - q).
+
+    Attributes:
+        q: (T, n) the motion [rad].
+        bias: (T, n) torque at zero acceleration [N m].
+        stiffness: (T, n, n) derivative of gravity's torque [N m/rad].
+        inertia: (T, n) diagonal of the mass matrix [kg m^2].
+        coupling: (T, n, n) the rest of it.
+        dominance: (T, n) sums of the absolute values of the rows of that.
+        height: (T, 4) of a homogeneous point of the link that may touch a plane, or None.
+        slope: (T, n, 4) its derivative by the joints.
+    """
+
+    q: Float[Tensor, "T n"]
+    bias: Float[Tensor, "T n"]
+    stiffness: Float[Tensor, "T n n"]
+    inertia: Float[Tensor, "T n"]
+    coupling: Float[Tensor, "T n n"]
+    dominance: Float[Tensor, "T n"]
+    height: Float[Tensor, "T 4"] | None = None
+    slope: Float[Tensor, "T n 4"] | None = None
+
+
+def body_near(
+    robot: Robot, q: Float[Tensor, "T n"], dq: Float[Tensor, "T n"], link: int | None
+) -> Body:
+    """The rigid body linearised about a motion, with the heights of a link's points if asked.
+
+    Raises:
+        RobotError: the robot has no inertial parameters.
+    """
+    # In pieces that stay in the cache.
+    pieces = zip(q.split(_TOGETHER), dq.split(_TOGETHER), strict=True)
+    parts = [_body_near(robot, *piece, link) for piece in pieces]
+    return Body(*(None if x[0] is None else torch.cat(x) for x in zip(*parts, strict=True)))  # type: ignore[arg-type]
+
+
+def _body_near(robot: Robot, q: Tensor, dq: Tensor, link: int | None) -> tuple[Tensor | None, ...]:
+    gravity = gravity_torque(robot, q)
+    columns = [
+        (gravity_torque(robot, q + _SLIGHT * unit) - gravity) / _SLIGHT
+        for unit in torch.eye(robot.n, dtype=q.dtype)
+    ]
+    mass = mass_matrix(robot, q)
+    own = mass.diagonal(dim1=1, dim2=2)
+    off = mass - torch.diag_embed(own)
+    body = q, bias_torque(robot, q, dq), torch.stack(columns, -1), own, off, off.abs().sum(2)
+    if link is None:
+        return *body, None, None
+    # Upwards is against gravity; a robot without gravity has no floor, but z.
+    up = -robot.gravity.to(q) if bool(robot.gravity.any()) else q.new_tensor([0.0, 0.0, 1.0])
+    up = up / up.norm()
+    leaf = q.detach().clone().requires_grad_()
+    with torch.enable_grad():
+        rows = torch.einsum("c,tck->tk", up, link_poses(robot, leaf)[:, link, :3, :])
+        slopes = [
+            torch.autograd.grad(rows[:, k].sum(), leaf, retain_graph=True)[0] for k in range(4)
+        ]
+    return *body, rows.detach(), torch.stack(slopes, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Commands of several motions, one after the other.
+
+    Attributes:
+        u: (T, n) commanded positions [rad].
+        first, last: (m,) first and last row of each motion.
+        dt: sampling interval [s].
+    """
+
+    u: Float[Tensor, "T n"]
+    first: Int[Tensor, " m"]
+    last: Int[Tensor, " m"]
+    dt: float
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Stretches of motions that are simulated from their measured start.
+
+    Attributes:
+        start: (W,) first row.
+        length: (W,) rows.
+        motion: (W,) which motion.
+        weight: (W,) how many windows each stands for.
+    """
+
+    start: Int[Tensor, " W"]
+    length: Int[Tensor, " W"]
+    motion: Int[Tensor, " W"]
+    weight: Float[Tensor, " W"]
+
+    def some(self, rows: Int[Tensor, " V"]) -> "Windows":
+        """Some of them."""
+        return Windows(self.start[rows], self.length[rows], self.motion[rows], self.weight[rows])
+
+
+def windows_of(tracks: Tracks, seconds: float | None) -> Windows:
+    """Whole motions, or consecutive windows; a last one shorter than half joins the one before."""
+    start, length, motion = [], [], []
+    for m, (a, b) in enumerate(zip(tracks.first.tolist(), tracks.last.tolist(), strict=True)):
+        rows = b - a + 1
+        size = rows if seconds is None else max(2, round(seconds / tracks.dt))
+        starts = list(range(0, max(rows - size // 2, 1), size))
+        for k in starts:
+            start.append(a + k)
+            length.append((rows if k == starts[-1] else k + size) - k)
+            motion.append(m)
+    one = torch.ones(len(start), dtype=torch.float64)
+    return Windows(torch.tensor(start), torch.tensor(length), torch.tensor(motion), one)
+
+
+def set_points(
+    profile: Float[Tensor, "S n 3"], tracks: Tracks, *, repeated: bool
+) -> Float[Tensor, "n S T"]:
+    """Commands through each servo's scale and its profile of limited acceleration and speed.
+
+    Within a sample the goal stands still, and the set-point goes there as fast as the limits let
+    it come to rest: at full acceleration, then at the limit of speed, then at full deceleration.
+    A goal that moves on is chased. Where `repeated` commands end the profile, a command that
+    equals the one before is the set-point itself.
+
+    Args:
+        profile: scale, limit of acceleration and of speed (`PROFILE`) of S sets.
+        tracks: m motions.
+        repeated: as in `Servos`.
+    """
+    scale, a, top = profile.permute(2, 1, 0).unsqueeze(-1)
+    u = tracks.u.T[:, None] * scale
+    bound = (a.isfinite() | top.isfinite()).flatten(1).any(1)
+    if not bool(bound.any()):
+        return u
+    out = u.clone()
+    # The limits of joints with a profile; what is not limited is so high that it does not matter.
+    a, top = a[bound].clamp(max=1e6), top[bound].clamp(max=1e4)
+    goal = out[bound]
+    followed = goal.clone()
+    # Motions in stretches side by side. Each begins a while before it counts, where all goals have
+    # long asked for less than half of what the limits allow, or a repeated command has just ended
+    # every profile: there nothing is left of the past.
+    begin, count, first = [], [], []
+    for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
+        asked = goal[..., low : high + 1].diff(n=2).abs() / tracks.dt**2 > a / 2
+        busy = torch.nn.functional.pad(asked.flatten(0, 1).any(0).int(), (2, 0)).cumsum(0)
+        row = low
+        while row < high:
+            end = min(row + _STRETCH, high)
+            while end < high and not (
+                int(busy[end - low]) == int(busy[max(end - low - _EARLY, 0)])
+                or (repeated and bool((goal[..., end - 1] == goal[..., end - 2]).all()))
+            ):
+                end += 1
+            begin.append(max(low, row - _EARLY))
+            first.append(row)
+            count.append(end - begin[-1])
+            row = end
+    # Few numbers many times: numpy's calls cost a third of torch's.
+    order = np.argsort(count)[::-1]
+    at, counts, counted = (np.array(x)[order] for x in (begin, count, first))
+    goals, limits = goal.numpy(), (a.numpy(), top.numpy())
+    x, v, out_of = goals[..., at], np.zeros_like(goals[..., at]), followed.numpy()
+    for k in range(int(counts[0])):
+        live = int((counts > k).sum())
+        at, x, v = at[:live], x[..., :live], v[..., :live]
+        target = goals[..., at]
+        way, v = _profile_step(target - x, v, *limits, tracks.dt)
+        x = x + way
+        if repeated and k > 0:
+            same = target == goals[..., at - 1]
+            x, v = np.where(same, target, x), np.where(same, 0.0, v)
+        at = at + 1
+        keep = at > counted[:live]
+        out_of[..., at[keep]] = x[..., keep]
+    out[bound] = followed
+    return out
+
+
+def profiles_of(servos: Servos) -> Float[Tensor, "S n 3"]:
+    """What makes the set-points of every set of servos."""
+    return servos.joint[..., [INDEX[name] for name in PROFILE]].flatten(0, -3)
+
+
+def _profile_step(
+    e: np.ndarray, v: np.ndarray, a: np.ndarray, top: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the fastest way to rest at a distance e goes within dt, and its velocity then."""
+    # Towards the goal, unless the braking distance is longer than what is left.
+    side = np.where(e - v * np.abs(v) / (2 * a) >= 0, 1.0, -1.0)
+    peak = np.minimum(np.sqrt(np.maximum(side * a * e + v * v / 2, 0)), top)
+    speed = side * v
+    t_up = np.maximum((peak - speed) / a, 0)
+    # The way while it speeds up and while it brakes; the rest at constant speed.
+    up, down = (speed + peak) / 2 * t_up, peak * peak / (2 * a)
+    t_even = np.maximum((side * e - up - down) / np.maximum(peak, 1e-12), 0)
+    first = np.minimum(dt, t_up)
+    second = np.minimum(dt - first, t_even)
+    third = np.minimum(dt - first - second, peak / a)
+    way = speed * first + a * first * first / 2
+    now = speed + a * first
+    way = way + now * second + now * third - a * third * third / 2
+    return side * way, side * (now - a * third)
+
+
+@torch.inference_mode()
+def rollout(
+    servos: Servos,
+    body: Body,
+    tracks: Tracks,
+    windows: Windows,
+    q: Float[Tensor, "W n"],
+    dq: Float[Tensor, "W n"],
+    *,
+    points: Float[Tensor, "n S T"] | None = None,
+    owner: Int[Tensor, " ..."] | None = None,
+    longest_step: float = STEP,
+) -> Float[Tensor, "L W n P"]:
+    """Positions of arms that start at q, dq and are given the commands of a log.
+
+    Args:
+        servos: (P, n, K) for P sets on every window, or (W, 1, n, K) for one set a window.
+        body: of all rows of the tracks.
+        tracks: the commands.
+        windows: W stretches of them.
+        q, dq: state at the first row of each window [rad, rad/s].
+        points: set-points, if known.
+        owner: (P,) or (W, 1, 1): which row of them each set has (default: 0, 1, ...).
+        longest_step: of the integration [s].
+
+    Returns:
+        (L, W, n, P) at the rows of each window; NaN after its last.
+    """
+    each = servos.joint.ndim == 4
+    # (W or 1, n, P, K), and (5, W or 1, P).
+    table = servos.joint.transpose(1, 2) if each else servos.joint.transpose(0, 1)[None]
+    plane = servos.plane.movedim(-1, 0) if each else servos.plane.T[:, None]
+    if points is None:
+        profiles, owner = profiles_of(servos).unique(dim=0, return_inverse=True)
+        points = set_points(profiles, tracks, repeated=servos.repeated)
+        owner = owner.reshape(table.shape[0], 1, -1)
+    elif owner is None:
+        owner = torch.arange(table.shape[2]).expand(table.shape[0], 1, -1)
+    else:
+        owner = owner.expand(table.shape[0], 1, -1)
+    sets = table.shape[2]
+    out = q.new_full((int(windows.length.max()), len(q), tracks.u.shape[1], sets), math.nan)
+    # Long windows first, so that those that have ended can be left out; as many at a time as keep
+    # the state in the cache.
+    order = windows.length.argsort(descending=True, stable=True)
+    keep_freed_memory()
+    for some in order.split(max(1, _NUMBERS // (servos.n * sets))):
+        start, length = windows.start[some], windows.length[some]
+        pick = (lambda x: x[some]) if each else (lambda x: x)  # noqa: B023
+        run = _Run(
+            pick(table),
+            plane[:, some] if each else plane,
+            points,
+            pick(owner),
+            tracks.first[windows.motion[some]],
+            tracks.dt,
+            math.ceil(tracks.dt / longest_step - 1e-9),
+        )
+        shape = (len(some), servos.n, sets)
+        state = _State(*(x[some][..., None].expand(shape).clone() for x in (q, dq)))
+        out[0, some] = state.q
+        for k in range(1, int(length[0])):
+            live = int((length > k).sum())
+            if live < len(state.q):
+                run, state = run.first_of(live), state.first_of(live)
+            run.sample(state, body, start[:live] + k - 1)
+            out[k, some[:live]] = state.q
+    return out
+
+
+class _State:
+    """Positions, velocities and accelerations (W, n, P)."""
+
+    def __init__(self, q: Tensor, v: Tensor, a: Tensor | None = None):
+        self.q, self.v = q, v
+        self.a = torch.zeros_like(q) if a is None else a
+
+    def first_of(self, live: int) -> "_State":
+        return _State(self.q[:live], self.v[:live], self.a[:live])
+
+
+class _Run:
+    """What does not change along a rollout: parameters, set-points, the parts of a sample."""
+
+    def __init__(
+        self,
+        table: Tensor,
+        plane: Tensor,
+        points: Tensor,
+        owner: Tensor,
+        begin: Tensor,
+        dt: float,
+        steps: int,
+    ):
+        self.table, self.plane, self.points, self.owner = table, plane, points, owner
+        self.begin, self.dt, self.steps = begin, dt, steps
+        self.h = dt / steps
+        p = {name: table[..., k] for name, k in INDEX.items()}
+        self.p = p
+        # Rows of the set-points, and how far behind each servo is, in samples.
+        behind = p["delay"] / dt
+        self.whole = behind.floor().to(torch.int64)
+        part = behind - self.whole
+        self.rows = (
+            torch.arange(points.shape[0])[:, None] * points.shape[1] + owner
+        ) * points.shape[2]
+        self.flat = points.reshape(-1)
+        # Within a sample the delayed set-point bends once: shares of its three knots a step.
+        self.shares = []
+        for s in range(steps):
+            x = 1 - part + (s + THETA) / steps
+            self.shares.append((x.clamp(max=1.0), (x - 1).clamp(min=0.0), x >= 1))
+        self.active = {
+            name: bool((p[name] != neutral).any())
+            for name, neutral in (("dead_zone", 0.0), ("stiction", 0.0), ("motor_share", 0.0))
+        }
+        self.clips = bool(p["clip"].isfinite().any())
+        self.stops = bool(p["stop_low"].isfinite().any() | p["stop_high"].isfinite().any())
+        self.touches = bool((plane[4] > 0).any())
+
+    def first_of(self, live: int) -> "_Run":
+        each = self.table.shape[0] > 1
+        return _Run(
+            self.table[:live] if each else self.table,
+            self.plane[:, :live] if each else self.plane,
+            self.points,
+            self.owner[:live] if each else self.owner,
+            self.begin[:live],
+            self.dt,
+            self.steps,
+        )
+
+    def knots(self, rows: Tensor) -> list[Tensor]:
+        """Three set-points (W, n, P) around the delayed instant of a sample."""
+        at = rows[:, None, None] - self.whole - 1
+        first = self.begin[:, None, None]
+        return [self.flat.take(self.rows + torch.maximum(at + k, first)) for k in range(3)]
+
+    def sample(self, state: _State, body: Body, rows: Tensor) -> None:
+        """Step a state from one sample to the next."""
+        p, h, dt = self.p, self.h, self.dt
+        x0, x1, x2 = self.knots(rows)
+        d0, d1 = x1 - x0, x2 - x1
+        v0, v1 = d0 / dt, d1 / dt
+        off, own = body.coupling[rows], body.inertia[rows]
+        # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
+        # equation, here with this step's acceleration, there with the last one's.
+        inertia = own[..., None] + p["armature"]
+        lacking = body.dominance[rows][..., None] - inertia
+        heavy = bool((lacking > 0).any())
+        if heavy:
+            lacking = lacking.clamp(min=0)
+            inertia = inertia + lacking
+        # Gravity in the middle of the sample.
+        ahead = state.q + state.v * (dt / 2) - body.q[rows][..., None]
+        load = body.bias[rows][..., None] + body.stiffness[rows] @ ahead
+        arm = self._reach(body, rows) if self.touches else None
+        lean = inertia / (THETA * h)
+        stiff = lean + p["kd"] + p["damping"] + p["kp"] * (THETA * h)
+        for near, far, second in self.shares:
+            x = torch.addcmul(torch.addcmul(x0, d0, near), d1, far)
+            dx = torch.where(second, v1, v0)
+            e = x - state.q
+            if self.active["dead_zone"]:
+                e = e - e.clamp(-p["dead_zone"], p["dead_zone"])
+            drive = torch.addcmul(p["kp"] * e, p["kd"], dx)
+            rest = p["offset"] - load - off @ state.a
+            if heavy:
+                rest = rest + lacking * state.a
+            outer, more = load, None
+            if arm is not None:
+                push, more = self._contact(state, arm)
+                rest = rest + push
+                outer = load - push
+            if self.stops:
+                stop, hard = self._stop(state)
+                rest, more = rest + stop, hard if more is None else more + hard
+            rest = torch.addcmul(rest, lean, state.v)
+            dry = self._dry(state, drive, outer)
+            total, d = rest + drive, stiff if more is None else stiff + more
+            w = (total - total.clamp(-dry, dry)) / d
+            if self.clips:
+                torque = drive - (p["kp"] * (THETA * h) + p["kd"]) * w
+                held = torque.clamp(-p["clip"], p["clip"])
+                total = rest + held
+                d = lean + p["damping"] if more is None else lean + p["damping"] + more
+                w = torch.where(torque == held, w, (total - total.clamp(-dry, dry)) / d)
+            v = (w - (1 - THETA) * state.v) / THETA
+            v = torch.where(w == 0, 0.0, v)
+            state.a = (v - state.v) / h
+            state.q = torch.add(state.q, w, alpha=h)
+            state.v = v
+
+    def _dry(self, state: _State, drive: Tensor, outer: Tensor) -> Tensor:
+        """The most that friction can hold now [N m]."""
+        p = self.p
+        dry = torch.addcmul(p["coulomb"], p["load_share"], outer.abs())
+        if self.active["stiction"]:
+            dry = torch.addcmul(dry, p["stiction"], (state.v.abs() / -p["stribeck_speed"]).exp())
+        if self.active["motor_share"]:
+            motor = (drive - p["kd"] * state.v).abs()
+            if self.clips:
+                motor = torch.minimum(motor, p["clip"])
+            dry = torch.addcmul(dry, p["motor_share"], motor)
+        return dry
+
+    def _stop(self, state: _State) -> tuple[Tensor, Tensor]:
+        """Torque of critically damped end stops, and what they add to the factor of w."""
+        p = self.p
+        beyond = state.q - state.q.clamp(p["stop_low"], p["stop_high"])
+        damping = 2 * (STOP_STIFFNESS * (p["armature"] + 1e-3)).sqrt()
+        hard = torch.where(beyond != 0, STOP_STIFFNESS * THETA * self.h + damping, 0.0)
+        return -STOP_STIFFNESS * beyond, hard
+
+    def _reach(self, body: Body, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Height of the point (W, 1, P) and its slopes (W, n, P), and where they were taken."""
+        assert body.height is not None
+        assert body.slope is not None
+        x, y, z = (self.plane[k][:, None] for k in range(3))
+        h, s = body.height[rows][:, None, :, None], body.slope[rows][..., None]
+        height = h[:, :, 0] * x + h[:, :, 1] * y + h[:, :, 2] * z + h[:, :, 3]
+        slope = s[:, :, 0] * x + s[:, :, 1] * y + s[:, :, 2] * z + s[:, :, 3]
+        return height, slope, body.q[rows][..., None]
+
+    def _contact(self, state: _State, arm: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Torque of the plane on the joints, and what it adds to the factor of w."""
+        height, slope, near = arm
+        level, k = (self.plane[PLANE.index(name)][:, None] for name in ("height", "stiffness"))
+        soon = state.q + state.v * (THETA * self.h) - near
+        depth = level - height - (slope * soon).sum(1, keepdim=True)
+        force = k * depth - CONTACT_DAMPING * (slope * state.v).sum(1, keepdim=True)
+        force = torch.where(depth > 0, force, 0.0).clamp(min=0)
+        return slope * force, slope * slope * (CONTACT_DAMPING * (force > 0))
