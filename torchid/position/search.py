@@ -28,6 +28,11 @@ TOUCHED = 0.02
 _ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
 """Limits to try, as shares of the largest acceleration that a joint shows."""
 _EARLIER = (0.01, 0.02)
+_SCANS = (
+    (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.7),
+    (0.9, 0.95, 1.0, 1.05, 1.1, 1.15),
+    (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04),
+)
 _QUANTILES = (5e-4, 5e-3, 2e-2)
 _STOP_INSIDE = (0.0, 0.004, 0.01)
 
@@ -77,6 +82,8 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
     ):  # fmt: skip
         say(what)
         now = attempt(data, now, windows)
+        if what in ("profile", "scale of commands"):
+            now = _scanned(data, now, windows)
     say("all together")
     servos = fit(data, now.servos, now.free, windows, plane=now.plane, profiles=True, iterations=4)
     return replace(now, servos=servos)
@@ -166,6 +173,25 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
             kept = Found(replace(servos, joint=joint), {**free, "acceleration": joints}, now.plane)
             best = total, kept
     return best[1]
+
+
+def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
+    """With limits of acceleration where simulations are best, farther and nearer about where they
+    are: motions that chase their commands have a loss with many small valleys, over which no slope
+    leads."""
+    if "acceleration" not in now.free:
+        return now
+    joints = now.free["acceleration"]
+    for factors in _SCANS:
+        sets = _batch(now.servos, len(factors))
+        column = sets.joint[:, :, INDEX["acceleration"]]
+        column *= torch.tensor(factors, dtype=torch.float64)[:, None]
+        best = _tried(data, sets, windows).argmin(1)
+        rows = torch.where(joints, best, torch.full_like(best, factors.index(1.0)))
+        joint = sets.joint[rows, torch.arange(data.robot.n)]
+        servos = fit(data, replace(now.servos, joint=joint), now.free, windows, iterations=2)
+        now = replace(now, servos=servos)
+    return now
 
 
 def _with_stops(data: PositionData, now: Found, windows: Windows) -> Found:
