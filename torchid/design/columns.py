@@ -142,7 +142,7 @@ class Columns:
                 strict=True,
             )
             new = {
-                e: self._felt(self._sampled([x.permute(2, 1, 0) for x in signals]))
+                e: self._felt(self._sampled([self._blurred(e, x) for x in signals]))
                 for e, signals in zip(some, found, strict=True)
             }
             if self._kept is not None:
@@ -228,7 +228,13 @@ class Columns:
             together = effect.torque_columns(self._together, robot).permute(2, 1, 0)
             return list(together.split([len(m.q) for m in self.motions], -1))
         motions = self._smooth if effect.smooth else self.motions
-        return [effect.torque_columns(m, robot).permute(2, 1, 0) for m in motions]
+        return [self._blurred(effect, effect.torque_columns(m, robot)) for m in motions]
+
+    def _blurred(self, effect: Effect, columns: Float[Tensor, "T n C"]) -> Float[Tensor, "C n T"]:
+        """Columns as a model with the effect has them."""
+        if effect.blurred:
+            columns = self.samples.low_passed(columns.flatten(1)).reshape(columns.shape)
+        return columns.permute(2, 1, 0)
 
     @cached_property
     def _all_the_time(self) -> list[Float[Tensor, "C n _"]]:
