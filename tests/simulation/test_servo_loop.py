@@ -97,7 +97,7 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     ],
 )
 def test_the_closed_loop_is_mujocos(name, cases, samples):
-    """Drawn servo arms, up to 10 s each: within 1.5 mrad, and within 3 mrad with dry friction, which
+    """Drawn servo arms, up to 10 s each: within 1.5 mrad; within 3 mrad with dry friction, which
     creeps in MuJoCo while it holds."""
     robot = arm(name)
     tracks = sines(robot.n, samples, cases, seed=robot.n)
