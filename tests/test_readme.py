@@ -34,6 +34,7 @@ PREPARE = """
 torchid export 3r_friction --to urdf --name my_arm
 sed 's/"link_3"/"wrist_3"/; s/"3r_friction"/"my_arm"/' my_arm.urdf > renamed
 mv renamed my_arm.urdf
+torchid export 3r --to mjcf --name my_arm
 for k in 1 2 3 4; do
   torchid excite my_arm.urdf --kind random --usage 1 --duration 8 --seed $k --max-acceleration 5 \\
     --to motion$k.csv

@@ -131,20 +131,12 @@ class Columns:
     ) -> Iterator[tuple[Place, Float[Tensor, "..."]]]:
         """Columns of effects of one kind, those of a joint side by side, as `of`: so many at once
         as memory bears."""
-        size = max(len(m.q) for m in self.motions) * self.n
-        at_once = max(1, AT_ONCE // size)
+        at_once = max(1, AT_ONCE // (sum(len(m.q) for m in self.motions) * self.n))
         for k in range(0, len(effects), at_once):
             asked = effects[k : k + at_once]
             some = [e for e in asked if self._kept is None or e not in self._kept]
-            motions = self._smooth if effects[0].smooth else self.motions
-            found = zip(
-                *(type(effects[0]).columns_of(some, m, self.model.robot) for m in motions),
-                strict=True,
-            )
-            new = {
-                e: self._felt(self._sampled([self._blurred(e, x) for x in signals]))
-                for e, signals in zip(some, found, strict=True)
-            }
+            found = zip(some, self._signals(some) if some else (), strict=True)
+            new = {e: self._felt(self._sampled(signals)) for e, signals in found}
             if self._kept is not None:
                 self._kept |= {e: (type(e), *x) for e, x in new.items()}
             yield from (new[e] if e in new else self.of(e) for e in asked)
@@ -154,7 +146,8 @@ class Columns:
             motions = [only(m, effect.joint) for m in self.motions]
             one = replace(effect, joint=0)
             return effect.joint, self._sampled([one.columns(m).T for m in motions])
-        return self._felt(self._sampled(self._signals(effect)))
+        assert isinstance(effect, ModelEffect)
+        return self._felt(self._sampled(next(self._signals([effect]))))
 
     def _felt(self, columns: Float[Tensor, "C n N"]) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns on the joint that alone feels them, or on all."""
@@ -218,33 +211,35 @@ class Columns:
             yield self.motions[first : first + count], slice(bounds[0].start, bounds[-1].stop)
             first += count
 
-    def _signals(self, effect: Effect) -> list[Float[Tensor, "C n _"]]:
-        """Columns of a model effect along every segment: in one call where time plays no part."""
-        robot = self.model.robot
-        if effect.windowed and effect != type(effect)():
-            gates = [effect.window(m.require("t", effect.name)) for m in self.motions]  # type: ignore[attr-defined]
-            return [x * gate for x, gate in zip(self._all_the_time, gates, strict=True)]
-        if effect.windowed or not effect.needs & {"t", "age"}:
-            together = effect.torque_columns(self._together, robot).permute(2, 1, 0)
-            return list(together.split([len(m.q) for m in self.motions], -1))
-        motions = self._smooth if effect.smooth else self.motions
-        return [self._blurred(effect, effect.torque_columns(m, robot)) for m in motions]
+    def _signals(self, effects: Sequence[ModelEffect]) -> Iterator[list[Float[Tensor, "C n _"]]]:
+        """Columns of model effects of one kind along every segment, one effect after the other; of
+        all segments in one call where time plays no part."""
+        kind, robot = type(effects[0]), self.model.robot
+        if kind.windowed and effects[0] != kind():
+            for effect in effects:
+                gates = [effect.window(m.require("t", kind.name)) for m in self.motions]  # type: ignore[attr-defined]
+                yield [x * gate for x, gate in zip(self._all_the_time, gates, strict=True)]
+            return
+        motions = self._smooth if kind.smooth else self.motions
+        lengths = [len(m.q) for m in motions]
+        if kind.windowed or not kind.needs & {"t", "age"}:
+            motions = [together(motions)]
+        for parts in zip(*(kind.columns_of(effects, m, robot) for m in motions), strict=True):
+            columns = [self._blurred(kind, x) for x in parts]
+            yield list(torch.cat(columns, -1).split(lengths, -1))
 
-    def _blurred(self, effect: Effect, columns: Float[Tensor, "T n C"]) -> Float[Tensor, "C n T"]:
-        """Columns as a model with the effect has them."""
-        if effect.blurred:
+    def _blurred(
+        self, kind: type[ModelEffect], columns: Float[Tensor, "T n C"]
+    ) -> Float[Tensor, "C n T"]:
+        """Columns as a model with such an effect has them."""
+        if kind.blurred:
             columns = self.samples.low_passed(columns.flatten(1)).reshape(columns.shape)
         return columns.permute(2, 1, 0)
 
     @cached_property
     def _all_the_time(self) -> list[Float[Tensor, "C n _"]]:
         """A contact that lasts, of which windows are parts."""
-        return self._signals(Contact())
-
-    @cached_property
-    def _together(self) -> Motion:
-        """The motion of all segments in one piece."""
-        return together(self.motions)
+        return next(self._signals([Contact()]))
 
     @cached_property
     def _smooth(self) -> list[Motion]:

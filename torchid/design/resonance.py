@@ -14,6 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -108,8 +109,7 @@ def swings(columns: Columns, keep: Bool[Tensor, "n N"], alpha: float) -> dict[in
         if best is None:
             break
         joint, pair, std = best
-        found[joint] = spectra.described(joint, pair, std)
-        spectra.take_out(joint, pair)
+        found[joint] = spectra.taken_out(joint, pair, std)
     return found
 
 
@@ -174,9 +174,11 @@ class _Spectra:
         counts = [len(range(edge, len(tau) - edge, step)) for tau in self.tau]
         bounds = self.samples.bounds[:some]
         keep = torch.cat([keep[:, b][:, :c] for b, c in zip(bounds, counts, strict=True)], 1)
-        # Octaves from half a hertz on; the last one ends at the top.
-        edges = [f for f in (0.5 * 2**k for k in range(12)) if f < 0.7 * self.top]
-        self.above = torch.tensor([f >= 0.9 * self.samples.cutoff for f in edges])
+        # Octaves from half a hertz on; what is left below the top belongs to the last one where it
+        # is less than half an octave. Above the fit's band are those of which more than half is.
+        middles = [0.5 * 2 ** (k + 0.5) for k in range(12)]
+        edges = [f / math.sqrt(2) for f in middles if f < self.top]
+        self.above = torch.tensor([f >= self.samples.cutoff for f in middles[: len(edges)]])
         bins = [np.fft.rfftfreq(len(tau), 1 / self.samples.rate) for tau in self.tau]
         self.octaves = [
             torch.from_numpy(np.digitize(f[f < self.top], edges) - 1).clamp(min=-1) for f in bins
@@ -242,29 +244,24 @@ class _Spectra:
 
     def late(self) -> list[float]:
         """The same by torques that are late, each joint's for itself, or all alike."""
-        gains = torch.stack([j.gain(j.freed(j.late())) for j in self.joints])
+        gains = torch.stack([j.gain(j.late) for j in self.joints])
         return [*gains.flatten().tolist(), *gains.sum(0).tolist()]
 
-    def described(self, joint: int, pair: Pair, std: float) -> Swing:
-        """A swing in numbers, `std` being the relative one of its compliance."""
+    def taken_out(self, joint: int, pair: Pair, std: float) -> Swing:
+        """A swing in numbers, `std` being the relative one of its compliance; from now on, what
+        every joint leaves is what the swing leaves."""
         gear = self.gear(joint, [pair])
         compliance = 1 / float(gear.stiffness[0])
         # On the joint where it explains most above the fit's band.
         most = (0.0, 0.0)
         for j, x in zip(self.joints, self.torques(joint, [pair]), strict=True):
-            before, after, whole = (
-                float(p[0, self.above].sum()) for p in (j.losses(), j.losses(x), j.torque)
-            )
-            if 0 < after < before and whole > 0:
-                size = math.sqrt((before - after) / whole)
-                most = max(most, (1 - math.sqrt(after / before), size))
+            before = j.squares
+            j.leave([a - b for a, b in zip(j.left, x, strict=True)])
+            was, now, whole = (float(p[0, self.above].sum()) for p in (before, j.squares, j.torque))
+            if 0 < now < was and whole > 0:
+                most = max(most, (1 - math.sqrt(now / was), math.sqrt((was - now) / whole)))
         std = compliance * math.hypot(std, INERTIA)
         return Swing(compliance, std, float(gear.damping[0]), pair[0], *most)
-
-    def take_out(self, joint: int, pair: Pair) -> None:
-        """Go on with what a swing leaves."""
-        for j, x in zip(self.joints, self.torques(joint, [pair]), strict=True):
-            j.left = [a - b for a, b in zip(j.left, x, strict=True)]
 
 
 class _Joint:
@@ -294,7 +291,7 @@ class _Joint:
         smooth = wiener(foretold, rate, spectra.top)
         self.laws = spectra.of([smooth(law) for law in laws])
         rest = [(t - smooth(p)).unsqueeze(0) for t, p in zip(tau, foretold, strict=True)]
-        self.left = spectra.of(rest)
+        self.leave(spectra.of(rest))
         self.torque = spectra.power(spectra.of([t.unsqueeze(0) for t in tau]))
         # What drives the link: the load that is signal, and the joint's column of M(q).
         driven = [joint_load(spectra.robot, m.state, joint) for m in spectra.motions]
@@ -312,34 +309,34 @@ class _Joint:
         pairs = zip(self.spectra.of(signals), self.laws, strict=True)
         return [spectrum - x @ law for spectrum, law in pairs]
 
-    def losses(self, torques: Sequence[Tensor] | None = None) -> Float[Tensor, "B O"]:
-        """Squares that are left in each octave, without torques or with each."""
-        if torques is None:
-            return self.spectra.power(self.left)
-        return self.spectra.power([a - b for a, b in zip(self.left, torques, strict=True)])
+    def leave(self, left: list[Tensor]) -> None:
+        """Spectra (1, F) of what is left, and its squares (1, O) in each octave."""
+        self.left, self.squares = left, self.spectra.power(left)
 
     def gain(self, torques: Sequence[Tensor]) -> Float[Tensor, " B"]:
         """Twice the rise of the log likelihood by each torque; rounding rises by nothing."""
         least = 1e-12 * self.torque + 1e-300
-        before, after = self.losses() + least, self.losses(torques) + least
-        return (self.spectra.count * (before / after).log()).sum(1)
+        after = self.spectra.power([a - b for a, b in zip(self.left, torques, strict=True)])
+        rise = ((self.squares + least) / (after + least)).log()
+        return (self.spectra.count * rise).sum(1)
 
-    def late(self) -> Signals:
-        """What the load would be less, were it delayed or filtered."""
+    @cached_property
+    def late(self) -> list[Tensor]:
+        """Spectra of what the load would be less, were it delayed or filtered."""
         out = []
         for (load, _), motion in zip(self.driven, self.spectra.motions, strict=True):
             t, rate = motion.require("t", "a delay"), self.spectra.samples.rate
             x, changes = load.numpy() - float(load[0]), []
             for late in LATE:
                 share = 1 - math.exp(-1 / (rate * late))
-                hertz = min(1 / (2 * math.pi * late), 0.4 * rate)
+                hertz = min(1 / (2 * math.pi * late), 0.4 * rate)  # what a discrete filter can be
                 changes += [
                     shifted(load.unsqueeze(1), t, -late)[:, 0].numpy() - load.numpy(),
                     lfilter([share], [1, share - 1], x) - x,
                     lfilter(*butter(2, hertz, fs=rate), x) - x,
                 ]
             out.append(torch.from_numpy(np.stack(changes)))
-        return out
+        return self.freed(out)
 
 
 def wiener(

@@ -138,7 +138,8 @@ def diagnose(
     data = replace(data, keep=keep)
 
     say("searching for effects", 0, 1)
-    if JointElasticity.name in wanted.names:
+    elastic = JointElasticity.name
+    if elastic in wanted.names and wanted.asks(elastic, range(robot.n)):
         data = data.with_swings(at_start, settings.alpha)
     block = _blocks(data, at_start)
     found = explained(at_start, data, wanted, settings, folds.parts, block)
