@@ -14,6 +14,8 @@ import pytest
 import torch
 
 from tests.documents import ROOT, blocks
+from tests.position.planted import planted, true_servos
+from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -35,6 +37,7 @@ torchid export 3r_friction --to urdf --name my_arm
 sed 's/"link_3"/"wrist_3"/; s/"3r_friction"/"my_arm"/' my_arm.urdf > renamed
 mv renamed my_arm.urdf
 torchid export 3r --to mjcf --name my_arm
+torchid export 3r --to urdf --name so101
 for k in 1 2 3 4; do
   torchid excite my_arm.urdf --kind random --usage 1 --duration 8 --seed $k --max-acceleration 5 \\
     --to motion$k.csv
@@ -93,6 +96,12 @@ def _raw_log(source: Path, target: Path) -> None:
             writer.writerow([1e3 * float(row["t"]), *degrees, *torque])
 
 
+def _servo_logs(folder: Path) -> None:
+    """Of an arm that logs commands and positions: run1.parquet to run4.parquet."""
+    for k, run in enumerate(planted(true_servos(3), motions=4).trajectories(), start=1):
+        write_log(run, folder / f"run{k}.parquet")
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With all files that the README's commands name."""
@@ -100,6 +109,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _shell(PREPARE, out)
     _raw_log(out / "run1.csv", out / "raw.csv")
     (out / "run1.csv").unlink()
+    _servo_logs(out)
     write_robot(load_robot(out / "my_arm.urdf").with_parameters(None), out / "kinematics.yaml")
     return out
 

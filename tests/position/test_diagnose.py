@@ -1,15 +1,12 @@
 """Planted causes are named on their joints, and a plain servo is named plain."""
 
-import json
-
 import pytest
 import torch
 
 from tests.position.planted import planted, robot, true_servos
-from torchid.json_data import plain as plain_json
 from torchid.position.diagnose import _parted, _some, diagnose_positions
-from torchid.position.record import record
 from torchid.report.position import position_tables, position_verdict
+from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
 
 CAUSES = {
@@ -22,7 +19,7 @@ CAUSES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", [*CAUSES, None])
-def test_a_planted_cause_is_named(cause):
+def test_a_planted_cause_is_named(cause, tmp_path):
     extra = CAUSES[cause] if cause else {}
     servos = true_servos(3, **extra)
     log = planted(servos, motions=6, seconds=16.0, seed=4)
@@ -38,11 +35,12 @@ def test_a_planted_cause_is_named(cause):
         joint = next(iter(extra.values()))[0]
         assert (cause, joint) in named
         assert {j for _, j in named} == {joint}
-        assert float(result.answered.whole[joint - 1]) < float(result.plain.whole[joint - 1])
+        assert float(result.answered.whole[joint - 1]) < float(result.plain_servo.whole[joint - 1])
     # Its answer can be read by people and programs.
-    data = plain_json(record(result))
-    assert json.loads(json.dumps(data, allow_nan=False))["schema"] == "torchid.position_gap/1"
-    assert data["how_far"]["answered"]["whole_mrad"] < data["how_far"]["commanded"]["whole_mrad"]
+    result.save(tmp_path / "gap.json")
+    again = load(tmp_path / "gap.json")
+    assert again.plain() == result.plain()
+    assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
     assert len(position_tables(result)) >= 2
     assert "mrad" in position_verdict(result)
 

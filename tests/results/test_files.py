@@ -20,7 +20,7 @@ from torchid.results.files import RECORDS
 
 __all__ = ["plant"]
 
-NO_RESULTS = ("correct", "effects", "excite", "export", "log_show", "robot", "simulate")
+NO_RESULTS = ("effects", "excite", "log_show", "robot", "simulate")
 """Documents of commands that say what there is, or what they wrote."""
 
 

@@ -93,7 +93,7 @@ def correct_command(
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
     output.verdict(verdict(result))
-    say_corrected(output, done, found)
+    say_corrected(output, done)
 
 
 def corrected_by(
@@ -116,7 +116,6 @@ def corrected_by(
             `torchid.export.correct.correct`.
     """
     from torchid.export.correct import correct
-    from torchid.report.correction import correction_record
 
     folder = output.out or Path()
     done = correct(
@@ -131,22 +130,17 @@ def corrected_by(
         with_effects=with_effects,
         keep=keep,
     )
-    output.write_json(correction_record(done, robot), "correction.json")
+    output.write_json(done.plain(), "correction.json")
     return done
 
 
-def say_corrected(output: Output, done: "Correction", robot: "Robot") -> None:
+def say_corrected(output: Output, done: "Correction") -> None:
     """Tell what a corrected file is worth."""
     from rich.markup import escape
 
     from torchid.report.correction import headline, tables
-    from torchid.report.robot import export_warnings
 
-    output.verdict(headline(done, robot))
-    output.say(*tables(done, robot))
-    output.warn(
-        dict.fromkeys((*done.warnings, *(w for x in done.exports for w in export_warnings(x))))
-    )
-    output.say(
-        f"\nwritten: {escape(', '.join(str(file) for x in done.exports for file in x.files))}"
-    )
+    output.verdict(headline(done))
+    output.say(*tables(done))
+    output.warn(dict.fromkeys((*done.warnings, *(w for x in done.exports for w in x.warnings))))
+    output.say(f"\nwritten: {escape(', '.join(map(str, done.files)))}")

@@ -57,6 +57,7 @@ def export_command(
 
     from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
+    from torchid.export.record import export_record
     from torchid.export.results import (
         CORRECTED,
         base_dynamics,
@@ -70,9 +71,8 @@ def export_command(
         comparison_table,
         effect_lines,
         export_headline,
-        export_record,
-        export_warnings,
     )
+    from torchid.results.record import as_plain
     from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 
     settings = GapSettings()
@@ -108,7 +108,7 @@ def export_command(
         assert read is not None
         whole = dynamics.robot
         made = corrected_by(output, original, whole, read, apart, to, name, keep, settings)
-        say_corrected(output, made, original)
+        say_corrected(output, made)
         return
     done = export_dynamics(
         dynamics,
@@ -122,7 +122,7 @@ def export_command(
         seed=seed,
         keep=keep,
     )
-    output.write_json({**export_record(done), "seed": seed}, f"export_{to}.json")
+    output.write_json({**as_plain(export_record(done)), "seed": seed}, f"export_{to}.json")
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
-    output.warn(export_warnings(done))
+    output.warn(done.warnings)
     output.say(f"\nwritten: {escape(export_headline(done))}")

@@ -114,7 +114,7 @@ def gap_command(
     output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
     output.warn(result.warnings)
     if done is not None:
-        say_corrected(output, done, found)
+        say_corrected(output, done)
 
 
 def _positions(
@@ -128,7 +128,6 @@ def _positions(
     """The diagnosis of logs that have commands and no torques."""
     from torchid.position.diagnose import diagnose_positions
     from torchid.position.model import accuracy, write_model
-    from torchid.position.record import record
     from torchid.report.position import position_tables, position_verdict
 
     default = GapSettings(seed=settings.seed)
@@ -143,7 +142,7 @@ def _positions(
         )
     with output.progress("reading") as progress:
         result = diagnose_positions(robot, log, progress=progress)
-    data = {**record(result), "seed": settings.seed}
+    data = {**result.plain(), "seed": settings.seed}
     said = None
     if apart is not None:
         whole, windows = accuracy(robot, result.servos, result.data.scale, apart)

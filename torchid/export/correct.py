@@ -8,6 +8,7 @@ Nothing is written before the engine has run the file on the log.
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,6 +22,7 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.export.dynamics import Dynamics
 from torchid.export.export import SUFFIXES, Export, export_dynamics, stem_of
 from torchid.export.projection import PRICE, Projection, Projector, Target
+from torchid.export.record import CorrectionRecord, correction_record
 from torchid.export.replay import InMujoco, simulator
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
@@ -31,6 +33,7 @@ from torchid.gap.diagnosis import Diagnosis, Trace
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.folds import make_folds, traces
 from torchid.log.model import Log
+from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.simulation.loads import changes_measurement
 from torchid.simulation.open_loop import true_torque
@@ -96,20 +99,35 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class Correction(Result):
     """A corrected file.
 
     Attributes:
+        nominal: the robot as given.
         projection: what is in it.
         judged: what it is worth.
         exports: what was written: the file, and the one with effects beside it.
         warnings: sentences for the user.
     """
 
+    nominal: Robot
     projection: Projection
     judged: Judged
     exports: tuple[Export, ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Correction('{self.nominal.name}', {', '.join(map(str, self.files))})"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What was written."""
+        return tuple(file for one in self.exports for file in one.files)
+
+    @cached_property
+    def record(self) -> CorrectionRecord:
+        """As the JSON has it."""
+        return correction_record(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +299,7 @@ def correct(
                 projector.with_effects(every), f"{stem}_effects", f"{words}, with effects beside it"
             )
         )
-    return Correction(projection, judged, tuple(files), _warnings(projection, judged, robot))
+    return Correction(robot, projection, judged, tuple(files), _warnings(projection, judged, robot))
 
 
 def _require_better(judged: Judged) -> None:

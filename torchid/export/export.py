@@ -12,6 +12,7 @@ from torchid.export.results import Exportable, dynamics_of
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.findings import by_percent
+from torchid.feasibility.plausibility import LEAD
 from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
 from torchid.robot.model import Robot
@@ -46,6 +47,26 @@ class Export:
     beside: tuple[str, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What must not be overlooked."""
+        said = list(self.dynamics.warnings) + list(self.notes)
+        if self.check is not None and not bool(self.check.feasibility.feasible[0]):
+            reasons = ", ".join(self.check.feasibility.reasons(0))
+            said.append(f"infeasible, and written all the same: {reasons}")
+        # Links that are bodies, but of no material: one sentence for all of them.
+        findings = () if self.check is None else self.check.findings[0]
+        dense = [f for f in findings if f.what == "density" and f.value > f.threshold == LEAD]
+        if dense:
+            links = ", ".join(str(f.link) for f in dense)
+            most = max(f.value for f in dense)
+            said.append(
+                f"not plausible, though not forbidden: the inertia of link {links} is that of a "
+                f"body denser than lead (up to {most:.2g} kg/m^3); `torchid check` says more"
+            )
+        said += [f"LEFT OUT of the {self.format} file: {words}" for words in self.left_out]
+        return tuple(said)
 
 
 def export_dynamics(

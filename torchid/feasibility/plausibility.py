@@ -45,7 +45,10 @@ from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, joint_points, link_lengths, reach
 from torchid.typing import Float, Tensor
 
-DENSITIES = (100.0, 12000.0)
+LEAD = 12000.0
+"""Density that nothing an arm is built of has [kg/m^3]."""
+
+DENSITIES = (100.0, LEAD)
 """Mean densities that a link of an arm may have [kg/m^3]."""
 SMALLEST_GYRATION = 1e-3
 """Radius of gyration below which a link is a point [m]."""

@@ -95,7 +95,7 @@ def diagnose_positions(
         gains=(servos.of("kp"), torch.tensor(interval)),
         ratio_only=_ratio_only(known),
         commanded=ways[0],
-        plain=ways[1],
+        plain_servo=ways[1],
         answered=ways[2],
         regimes=_regimes(data, *errors_of),
         motions=(log.names, _by_motion(data, errors_of[1])),

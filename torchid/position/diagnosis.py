@@ -1,8 +1,11 @@
 """What a diagnosis of commands and positions answers."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from torchid.position.data import PositionData
+from torchid.position.record import PositionRecord, position_record
+from torchid.results.record import Result
 from torchid.simulation.servo import Servos
 from torchid.typing import Bool, Float, Tensor
 
@@ -63,7 +66,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, eq=False)
-class PositionDiagnosis:
+class PositionDiagnosis(Result):
     """Where command and position part, what causes it, and how far it goes.
 
     Attributes:
@@ -73,7 +76,7 @@ class PositionDiagnosis:
         gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval.
         ratio_only: (n,) joints of which torques are known up to one factor.
         commanded: the position is the command.
-        plain: a servo with gain, damping, dry friction, inertia, delay and offset, held out.
+        plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.
         answered: the answered model, held out.
         regimes: by regime, (n,) whole-motion errors of the plain and of the answered model [mrad].
         motions: names, with (m, n) whole-motion errors of the answered model [mrad].
@@ -88,10 +91,19 @@ class PositionDiagnosis:
     gains: tuple[Float[Tensor, " n"], Float[Tensor, "n 2"]]
     ratio_only: Bool[Tensor, " n"]
     commanded: Accuracy
-    plain: Accuracy
+    plain_servo: Accuracy
     answered: Accuracy
     regimes: dict[str, tuple[Float[Tensor, " n"], Float[Tensor, " n"]]]
     motions: tuple[tuple[str, ...], Float[Tensor, "m n"]]
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
+
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"
+        return f"PositionDiagnosis('{self.data.robot.name}', {names})"
+
+    @cached_property
+    def record(self) -> PositionRecord:
+        """As the JSON has it."""
+        return position_record(self)

@@ -1,89 +1,192 @@
-"""A diagnosis of commands and positions as JSON."""
+"""A diagnosis of commands and positions as JSON: schema torchid.position_gap/1."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
-from torchid.json_data import plain
-from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding
+import msgspec
+from msgspec import UNSET, UnsetType
 
-SCHEMA = "torchid.position_gap/1"
+from torchid.results.record import Ends, Joint, Part, Real, Record, Rows, Values
+from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding
 
 
-def record(result: PositionDiagnosis) -> dict[str, Any]:
-    """The diagnosis as JSON-ready data: errors in mrad of the log's unit, joints from 1."""
-    low, high = result.gains[1].unbind(-1)
-    joints = [
-        {
-            "joint": j + 1,
-            "commanded_mrad": commanded,
-            "plain_mrad": before,
-            "answered_mrad": after,
-            "kp": k,
-            "kp_ci95": [a, b],
-            "ratio_only": ratio,
-            "never_moves": still,
-        }
-        for j, (commanded, before, after, k, a, b, ratio, still) in enumerate(
-            zip(
-                *(
-                    x.tolist()
-                    for x in (
-                        result.commanded.whole, result.plain.whole, result.answered.whole,
-                        result.gains[0], low, high, result.ratio_only, result.still,
-                    )
-                ),
-                strict=True,
-            )
+class JointRecord(Part, frozen=True, kw_only=True):
+    """One joint: errors of whole motions [mrad of the log's unit], and its gain [N m/rad]."""
+
+    joint: Joint
+    commanded_mrad: Real
+    plain_mrad: Real
+    answered_mrad: Real
+    kp: Real
+    kp_ci95: Ends
+    ratio_only: bool
+    never_moves: bool
+
+
+class RegimeRecord(Part, frozen=True, kw_only=True):
+    """Errors of one joint in one regime [mrad of the log's unit]."""
+
+    joint: Joint
+    regime: str
+    plain_mrad: Real
+    answered_mrad: Real
+
+
+class WhereRecord(Part, frozen=True, kw_only=True):
+    """Where command and position part."""
+
+    joints: tuple[JointRecord, ...]
+    regimes: tuple[RegimeRecord, ...]
+
+
+class EffectRecord(Part, frozen=True, kw_only=True):
+    """One effect; see `position.diagnosis.PositionFinding`. No joint: all feel it."""
+
+    effect: str
+    family: str
+    joints: tuple[Joint, ...]
+    ambiguous_with: tuple[str, ...]
+    parameters: dict[str, Real]
+    ci95: dict[str, Ends]
+    error_without_mrad: Real
+    error_with_mrad: Real
+    meaning: str
+    remedy: str
+
+
+class AccuracyRecord(Part, frozen=True, kw_only=True):
+    """Errors of one way to foretell a log, their mean and joint by joint [mrad]."""
+
+    whole_mrad: Real
+    windows_2s_mrad: Real
+    whole_per_joint: Float[Tensor, " n"]
+    windows_per_joint: Float[Tensor, " n"]
+
+
+class MotionRecord(Part, frozen=True, kw_only=True):
+    """Errors of one motion, joint by joint [mrad]."""
+
+    motion: str
+    answered_mrad: Float[Tensor, " n"]
+
+
+class HeldOutRecord(Part, frozen=True, kw_only=True):
+    """Errors of logs that took part in nothing, mean of the joints [mrad]."""
+
+    whole_mrad: Real
+    windows_2s_mrad: Real
+
+
+class HowFarRecord(Part, frozen=True, kw_only=True):
+    """How far the command, a plain servo and the answer foretell motions left out."""
+
+    commanded: AccuracyRecord
+    plain: AccuracyRecord
+    answered: AccuracyRecord
+    per_motion: tuple[MotionRecord, ...]
+
+
+class ServosRecord(Part, frozen=True, kw_only=True):
+    """The answered servos; see `simulation.servo.Servos`. Joints from 1."""
+
+    joints: tuple[dict[str, float], ...]
+    repeated_command_ends_profile: bool
+    plane: Values | None = None
+
+
+class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_gap/1"):
+    """Where command and position part, what causes it, and how far it goes.
+
+    Attributes:
+        robot: its name. motions: how many.
+        status: `explained` or `no_gap`.
+        where, which, how_far: the answer.
+        servos: its model. log_scale: (n,) from the log's unit to rad or m.
+        warnings: sentences for the user.
+        seconds: that it took.
+        seed, held_out: from a command.
+    """
+
+    robot: str
+    motions: int
+    status: str
+    where: WhereRecord
+    which: tuple[EffectRecord, ...]
+    how_far: HowFarRecord
+    servos: ServosRecord
+    log_scale: Float[Tensor, " n"]
+    warnings: tuple[str, ...]
+    seconds: float
+    seed: int | UnsetType = UNSET
+    held_out: HeldOutRecord | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[EffectRecord]:
+        """The effects."""
+        return Rows(self.which)
+
+
+def position_record(result: "PositionDiagnosis") -> PositionRecord:
+    """A diagnosis as its JSON has it."""
+    kp, intervals = result.gains
+    joints = tuple(
+        JointRecord(
+            joint=j,
+            commanded_mrad=float(result.commanded.whole[j]),
+            plain_mrad=float(result.plain_servo.whole[j]),
+            answered_mrad=float(result.answered.whole[j]),
+            kp=float(kp[j]),
+            kp_ci95=(float(intervals[j, 0]), float(intervals[j, 1])),
+            ratio_only=bool(result.ratio_only[j]),
+            never_moves=bool(result.still[j]),
         )
-    ]  # fmt: skip
-    regimes = [
-        {"joint": j + 1, "regime": name, "plain_mrad": before, "answered_mrad": after}
+        for j in range(result.servos.n)
+    )
+    regimes = tuple(
+        RegimeRecord(joint=j, regime=name, plain_mrad=float(before), answered_mrad=float(after))
         for name, both in result.regimes.items()
-        for j, (before, after) in enumerate(zip(*(x.tolist() for x in both), strict=True))
-    ]
-    return plain(
-        {
-            "schema": SCHEMA,
-            "robot": result.data.robot.name,
-            "motions": len(result.motions[0]),
-            "status": "explained" if result.findings else "no_gap",
-            "where": {"joints": joints, "regimes": regimes},
-            "which": [_finding(f) for f in result.findings],
-            "how_far": {
-                "commanded": _accuracy(result.commanded),
-                "plain": _accuracy(result.plain),
-                "answered": _accuracy(result.answered),
-                "per_motion": [
-                    {"motion": name, "answered_mrad": row}
-                    for name, row in zip(result.motions[0], result.motions[1].tolist(), strict=True)
-                ],
-            },
-            "servos": result.servos.record(),
-            "log_scale": result.data.scale,
-            "warnings": result.warnings,
-            "seconds": result.seconds,
-        }
+        for j, (before, after) in enumerate(zip(*both, strict=True))
+    )
+    names, errors = result.motions
+    return PositionRecord(
+        robot=result.data.robot.name,
+        motions=len(names),
+        status="explained" if result.findings else "no_gap",
+        where=WhereRecord(joints=joints, regimes=regimes),
+        which=tuple(map(_finding, result.findings)),
+        how_far=HowFarRecord(
+            commanded=_accuracy(result.commanded),
+            plain=_accuracy(result.plain_servo),
+            answered=_accuracy(result.answered),
+            per_motion=tuple(
+                MotionRecord(motion=name, answered_mrad=row)
+                for name, row in zip(names, errors, strict=True)
+            ),
+        ),
+        servos=msgspec.convert(result.servos.record(), ServosRecord),
+        log_scale=result.data.scale,
+        warnings=result.warnings,
+        seconds=result.seconds,
     )
 
 
-def _accuracy(way: Accuracy) -> dict[str, Any]:
-    return {
-        "whole_mrad": float(way.whole.mean()),
-        "windows_2s_mrad": float(way.windows.mean()),
-        "whole_per_joint": way.whole,
-        "windows_per_joint": way.windows,
-    }
+def _accuracy(way: "Accuracy") -> AccuracyRecord:
+    return AccuracyRecord(
+        whole_mrad=float(way.whole.mean()),
+        windows_2s_mrad=float(way.windows.mean()),
+        whole_per_joint=way.whole,
+        windows_per_joint=way.windows,
+    )
 
 
-def _finding(found: PositionFinding) -> dict[str, Any]:
-    return {
-        "effect": found.effect,
-        "family": found.family,
-        "joints": [] if found.joint is None else [found.joint],
-        "ambiguous_with": found.ambiguous_with,
-        "parameters": {s.name: s.value for s in found.sizes},
-        "ci95": {s.name: s.interval for s in found.sizes},
-        "error_without_mrad": found.error_without,
-        "error_with_mrad": found.error_with,
-        "meaning": found.meaning,
-        "remedy": found.remedy,
-    }
+def _finding(found: "PositionFinding") -> EffectRecord:
+    return EffectRecord.of(
+        found,
+        joints=() if found.joint is None else (found.joint - 1,),
+        parameters={s.name: s.value for s in found.sizes},
+        ci95={s.name: s.interval for s in found.sizes},
+        error_without_mrad=found.error_without,
+        error_with_mrad=found.error_with,
+    )

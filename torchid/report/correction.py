@@ -1,65 +1,13 @@
-"""A corrected file for people: what it is worth, what it keeps of each effect, its bodies; and the
-schema torchid.correction/1."""
+"""A corrected file for people: what it is worth, what it keeps of each effect, its bodies."""
 
 import math
-from typing import Any
 
 from torchid.export.correct import Correction
 from torchid.export.projection import Kept
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.json_data import picked, plain
-from torchid.report.robot import export_record
 from torchid.report.table import Table
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
-
-SCHEMA = "torchid.correction/1"
-
-
-def correction_record(done: Correction, nominal: Robot) -> dict[str, Any]:
-    """JSON-ready data."""
-    judged, projection = done.judged, done.projection
-    bodies = projection.robot.require_parameters("a correction")
-    return plain(
-        {
-            "schema": SCHEMA,
-            "robot": nominal.name,
-            "to": projection.to,
-            "judged": {
-                **picked(judged, "on=held_out engine=by band_hz=band"),
-                "torque_error_percent": {
-                    **picked(
-                        judged,
-                        "nominal full file_claimed=claim file_in_engine=engine "
-                        "with_effects=run_time",
-                    )
-                },
-                "forward": [
-                    picked(one, "horizon_s=horizon starts nominal full file_in_engine=engine")
-                    for one in judged.forward
-                ],
-            },
-            "no_field": [
-                {
-                    "effect": kept.effect.name,
-                    "joints": [j + 1 for j in kept.joints],
-                    "kept": kept.share,
-                    "by": kept.field,
-                    "joint": None if kept.joint is None else kept.joint + 1,
-                    "value": kept.value,
-                }
-                for kept in projection.kept
-            ],
-            "bodies": {
-                "believable": projection.believable,
-                **picked(projection, "price believable_price"),
-                **picked(bodies, "mass com inertia_about_com"),
-                "fields": list(projection.robot.effects),
-            },
-            "exports": [export_record(one) for one in done.exports],
-            "warnings": list(done.warnings),
-        }
-    )
 
 
 def _given(nominal: Robot) -> str:
@@ -67,20 +15,20 @@ def _given(nominal: Robot) -> str:
     return "robot as given" if nominal.parameters is not None else "base parameters alone"
 
 
-def headline(done: Correction, nominal: Robot) -> str:
+def headline(done: Correction) -> str:
     """What the file is worth, in one sentence."""
     judged = done.judged
     means = [float(x.mean()) for x in (judged.engine, judged.full, judged.nominal)]
     return (
         f"On {judged.held_out} {judged.by} with the corrected file misses {means[0]:.1f} % of the "
         f"joints' torque on average; with all effects it would be {means[1]:.1f} %, and with the "
-        f"{_given(nominal)} it is {means[2]:.0f} %."
+        f"{_given(done.nominal)} it is {means[2]:.0f} %."
     )
 
 
-def tables(done: Correction, nominal: Robot) -> list[Table]:
+def tables(done: Correction) -> list[Table]:
     """Errors, motion, effects without a field, and bodies."""
-    judged, n = done.judged, nominal.n
+    judged, nominal, n = done.judged, done.nominal, done.nominal.n
     joints = [str(j + 1) for j in range(n)]
     rows = [
         (_given(nominal), judged.nominal),

@@ -8,7 +8,7 @@ from torchid.report.table import Table
 
 def position_verdict(result: PositionDiagnosis) -> str:
     """How far, and by what, in two sentences."""
-    plain, answered = float(result.plain.whole.mean()), float(result.answered.whole.mean())
+    plain, answered = float(result.plain_servo.whole.mean()), float(result.answered.whole.mean())
     names = list(dict.fromkeys(f.effect for f in result.findings))
     said = (
         f"Whole motions are foretold to {answered:.1f} mrad (mean of the joints, held out), "
@@ -29,8 +29,8 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
             *(
                 f"{float(x[j]):.1f}"
                 for x in (
-                    result.commanded.whole, result.plain.whole, result.answered.whole,
-                    result.plain.windows, result.answered.windows,
+                    result.commanded.whole, result.plain_servo.whole, result.answered.whole,
+                    result.plain_servo.windows, result.answered.windows,
                 )
             ),
             f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),

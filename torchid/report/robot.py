@@ -1,11 +1,10 @@
-"""A robot as tables and as plain data, and what was exported of it (schema torchid.export/1)."""
+"""A robot as tables and as plain data, and what was exported of it."""
 
 from typing import Any
 
 from rich.text import Text
 
 from torchid.export.export import Export
-from torchid.feasibility.plausibility import DENSITIES
 from torchid.json_data import picked, plain
 from torchid.report.table import Table, count
 from torchid.robot.model import JointType, Robot
@@ -94,55 +93,6 @@ def _interval(limits: list[float | None] | None) -> str:
     if low is not None and high is not None and abs(low + high) < 1e-12:
         return f"±{high:.5g}"
     return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))
-
-
-SCHEMA = "torchid.export/1"
-
-
-def export_record(done: Export) -> dict[str, Any]:
-    """JSON-ready data; every number is finite or null."""
-    checks = [
-        {
-            **picked(one, "reader compared states largest_relative_difference=difference limit"),
-            "ok": None if one.difference is None else one.ok,
-            "note": one.note,
-        }
-        for one in done.comparisons
-    ]
-    return {
-        "schema": SCHEMA,
-        "robot": done.dynamics.robot.name,
-        "what": done.dynamics.kind,
-        "result": done.dynamics.title,
-        "format": done.format,
-        "files": [str(path) for path in done.files],
-        "original": None if done.original is None else str(done.original),
-        "feasible": None if done.check is None else bool(done.check.feasibility.feasible[0]),
-        "reasons": [] if done.check is None else list(done.check.feasibility.reasons(0)),
-        "checks": checks,
-        "effects": picked(done, "in_file beside left_out"),
-        "warnings": list(export_warnings(done)),
-    }
-
-
-def export_warnings(done: Export) -> tuple[str, ...]:
-    """What must not be overlooked."""
-    said = list(done.dynamics.warnings) + list(done.notes)
-    if done.check is not None and not bool(done.check.feasibility.feasible[0]):
-        reasons = ", ".join(done.check.feasibility.reasons(0))
-        said.append(f"infeasible, and written all the same: {reasons}")
-    # Links that are bodies, but of no material: one sentence for all of them.
-    findings = () if done.check is None else done.check.findings[0]
-    dense = [f for f in findings if f.what == "density" and f.value > f.threshold == DENSITIES[1]]
-    if dense:
-        links = ", ".join(str(f.link) for f in dense)
-        said.append(
-            f"not plausible, though not forbidden: the inertia of link {links} is that of a body "
-            f"denser than lead (up to {max(f.value for f in dense):.2g} kg/m^3); `torchid check` "
-            "says more"
-        )
-    said += [f"LEFT OUT of the {done.format} file: {words}" for words in done.left_out]
-    return tuple(said)
 
 
 def comparison_table(done: Export) -> Table:

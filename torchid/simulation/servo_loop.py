@@ -1,8 +1,8 @@
 """Arms that position servos move: many windows of logs and many sets of servos in one batch.
 
-The rigid body is linearised about a motion that is near the simulated one (the measured one where
-servos are fitted; the last simulated one where they are only run), once for all samples. What is
-left to step is a few products of small matrices and arithmetic on (windows, joints, sets).
+Where many sets are fitted, the rigid body is linearised about the measured motion, once for all
+samples; what is left to step is a few products of small matrices and arithmetic on (windows,
+joints, sets). Where one set is run, the rigid body is evaluated on the way.
 
 A step of length h solves for the mean velocity w of each joint, with the servo and the damping at
 w (a theta method) and dry friction as what it is, a bounded force that holds the joint if it can:
@@ -10,10 +10,13 @@ w (a theta method) and dry friction as what it is, a bounded force that holds th
     (J / (theta h) + kd + b + kp theta h) w = r - friction,   |friction| <= F, w = 0 if |r| <= F.
 
 No speed is regularised, so that a joint at rest stays where it is for as long as the command does.
-Inertial coupling between joints enters with the accelerations of the step before.
+Inertial coupling between joints enters with the accelerations of the step before; where one set is
+run, the step is solved again until they are its own.
 """
 
+import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +25,16 @@ from torch import Tensor
 
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.dynamics.newton_euler import keep_freed_memory
-from torchid.robot.model import Robot, link_poses
+from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
 from torchid.typing import Float, Int
 
 THETA = 0.55
 """Share of a step at which forces are taken [1]: 1/2 is of second order, more is damped."""
 STEP = 0.005
-"""Longest step [s]."""
+"""Longest step, and longest time for which the rigid body is what it is in its middle [s]."""
+SWEEPS = 30
+"""Most solutions of a step where one set is run."""
 STOP_STIFFNESS = 200.0
 """Of an end stop [N m/rad]: much more than a small servo's gain."""
 CONTACT_DAMPING = 20.0
@@ -38,6 +43,8 @@ PROFILE = ("scale", "acceleration", "speed")
 _TOGETHER = 4000
 _NUMBERS = 64000
 _STRETCH, _EARLY = 200, 25
+_SETTLED = 1e-8
+"""Change of positions by an acceleration in a step below which it stays as it is [rad]."""
 _SLIGHT = 1e-6
 """Step of a finite difference [rad]."""
 
@@ -66,6 +73,11 @@ class Body:
     height: Float[Tensor, "T 4"] | None = None
     slope: Float[Tensor, "T n 4"] | None = None
 
+    def at(self, rows: Int[Tensor, " W"]) -> "Body":
+        """It at some of the instants."""
+        fields = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return Body(*(None if x is None else x[rows] for x in fields))  # type: ignore[arg-type]
+
 
 def body_near(
     robot: Robot, q: Float[Tensor, "T n"], dq: Float[Tensor, "T n"], link: int | None
@@ -77,32 +89,60 @@ def body_near(
     """
     # In pieces that stay in the cache.
     pieces = zip(q.split(_TOGETHER), dq.split(_TOGETHER), strict=True)
-    parts = [_body_near(robot, *piece, link) for piece in pieces]
-    return Body(*(None if x[0] is None else torch.cat(x) for x in zip(*parts, strict=True)))  # type: ignore[arg-type]
+    bodies = [_with_stiffness(robot, body_at(robot, *piece, link)) for piece in pieces]
+    names = [field.name for field in dataclasses.fields(Body)]
+    parts = ([getattr(b, name) for b in bodies] for name in names)
+    return Body(*(None if x[0] is None else torch.cat(x) for x in parts))  # type: ignore[arg-type]
 
 
-def _body_near(robot: Robot, q: Tensor, dq: Tensor, link: int | None) -> tuple[Tensor | None, ...]:
-    gravity = gravity_torque(robot, q)
-    columns = [
-        (gravity_torque(robot, q + _SLIGHT * unit) - gravity) / _SLIGHT
-        for unit in torch.eye(robot.n, dtype=q.dtype)
-    ]
+def body_at(
+    robot: Robot, q: Float[Tensor, "T n"], dq: Float[Tensor, "T n"], link: int | None
+) -> Body:
+    """The rigid body at the instants of a motion: as `body_near`, with zeros for the stiffness.
+
+    Raises:
+        RobotError: the robot has no inertial parameters.
+    """
     mass = mass_matrix(robot, q)
     own = mass.diagonal(dim1=1, dim2=2)
     off = mass - torch.diag_embed(own)
-    body = q, bias_torque(robot, q, dq), torch.stack(columns, -1), own, off, off.abs().sum(2)
+    body = q, bias_torque(robot, q, dq), torch.zeros_like(mass), own, off, off.abs().sum(2)
     if link is None:
-        return *body, None, None
+        return Body(*body)
     # Upwards is against gravity; a robot without gravity has no floor, but z.
-    up = -robot.gravity.to(q) if bool(robot.gravity.any()) else q.new_tensor([0.0, 0.0, 1.0])
+    up = -robot.gravity.to(q) if bool(robot.gravity.any()) else torch.eye(3).to(q)[2]
     up = up / up.norm()
-    leaf = q.detach().clone().requires_grad_()
-    with torch.enable_grad():
-        rows = torch.einsum("c,tck->tk", up, link_poses(robot, leaf)[:, link, :3, :])
-        slopes = [
-            torch.autograd.grad(rows[:, k].sum(), leaf, retain_graph=True)[0] for k in range(4)
-        ]
-    return *body, rows.detach(), torch.stack(slopes, -1)
+    poses = link_poses(robot, q)
+    points = poses[:, link, :3]
+    # A joint turns points about its axis, or moves them along it (geometric Jacobian).
+    first = torch.eye(4).to(q).expand(len(q), 1, 4, 4)
+    joints = torch.cat([first, poses[:, :-1]], 1) @ robot.before.to(q)
+    axes, origins = joints[..., :3, 2], joints[..., :3, 3]
+    turning = torch.linalg.cross(up.expand_as(axes), axes)
+    slope = turning @ points
+    slope[..., 3] -= (turning * origins).sum(-1)
+    for j, kind in enumerate(robot.joint_types):
+        if kind is not JointType.REVOLUTE:
+            slope[:, j] = 0.0
+            slope[:, j, 3] = axes[:, j] @ up
+    slope[:, link + 1 :] = 0.0
+    return Body(*body, up @ points, slope)
+
+
+def _with_stiffness(robot: Robot, body: Body) -> Body:
+    gravity = gravity_torque(robot, body.q)
+    columns = [
+        (gravity_torque(robot, body.q + _SLIGHT * unit) - gravity) / _SLIGHT
+        for unit in torch.eye(robot.n, dtype=body.q.dtype)
+    ]
+    return dataclasses.replace(body, stiffness=torch.stack(columns, -1))
+
+
+BodyAt = Callable[[Tensor, Tensor], Body]
+"""The rigid body at positions and velocities (W, n)."""
+
+Shares = tuple[Tensor, Tensor, Tensor]
+"""Of a step: how far the set-point is from one knot to the next, and which side it is on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +291,7 @@ def _profile_step(
 @torch.inference_mode()
 def rollout(
     servos: Servos,
-    body: Body,
+    body: Body | BodyAt,
     tracks: Tracks,
     windows: Windows,
     q: Float[Tensor, "W n"],
@@ -265,7 +305,7 @@ def rollout(
 
     Args:
         servos: (P, n, K) for P sets on every window, or (W, 1, n, K) for one set a window.
-        body: of all rows of the tracks.
+        body: of all rows of the tracks; or what gives it at positions and velocities, where P is 1.
         tracks: the commands.
         windows: W stretches of them.
         q, dq: state at the first row of each window [rad, rad/s].
@@ -304,7 +344,8 @@ def rollout(
             pick(owner),
             tracks.first[windows.motion[some]],
             tracks.dt,
-            math.ceil(tracks.dt / longest_step - 1e-9),
+            longest_step,
+            None if isinstance(body, Body) else math.ceil(tracks.dt / STEP - 1e-9),
         )
         shape = (len(some), servos.n, sets)
         state = _State(*(x[some][..., None].expand(shape).clone() for x in (q, dq)))
@@ -325,6 +366,11 @@ class _State:
         self.q, self.v = q, v
         self.a = torch.zeros_like(q) if a is None else a
 
+    def soon(self, wait: float) -> tuple[Float[Tensor, "W n"], Float[Tensor, "W n"]]:
+        """Positions and velocities of the first set, a little later."""
+        v = self.v + self.a * wait
+        return (self.q + (self.v + v) * (wait / 2))[..., 0], v[..., 0]
+
     def first_of(self, live: int) -> "_State":
         return _State(self.q[:live], self.v[:live], self.a[:live])
 
@@ -340,10 +386,14 @@ class _Run:
         owner: Tensor,
         begin: Tensor,
         dt: float,
-        steps: int,
+        longest_step: float,
+        parts: int | None,
     ):
         self.table, self.plane, self.points, self.owner = table, plane, points, owner
-        self.begin, self.dt, self.steps = begin, dt, steps
+        self.begin, self.dt, self.longest_step, self.parts = begin, dt, longest_step, parts
+        # The body is evaluated once a part; where parts is None, it has been before.
+        each = math.ceil(dt / (parts or 1) / longest_step - 1e-9)
+        steps = (parts or 1) * each
         self.h = dt / steps
         p = {name: table[..., k] for name, k in INDEX.items()}
         self.p = p
@@ -356,10 +406,10 @@ class _Run:
         ) * points.shape[2]
         self.flat = points.reshape(-1)
         # Within a sample the delayed set-point bends once: shares of its three knots a step.
-        self.shares = []
-        for s in range(steps):
-            x = 1 - part + (s + THETA) / steps
-            self.shares.append((x.clamp(max=1.0), (x - 1).clamp(min=0.0), x >= 1))
+        at = [1 - part + (s + THETA) / steps for s in range(steps)]
+        shares = [(x.clamp(max=1.0), (x - 1).clamp(min=0.0), x >= 1) for x in at]
+        # Those of every part, in which the body stays the same.
+        self.shares = [shares[k : k + each] for k in range(0, steps, each)]
         self.active = {
             name: bool((p[name] != neutral).any())
             for name, neutral in (("dead_zone", 0.0), ("stiction", 0.0), ("motor_share", 0.0))
@@ -377,7 +427,8 @@ class _Run:
             self.owner[:live] if each else self.owner,
             self.begin[:live],
             self.dt,
-            self.steps,
+            self.longest_step,
+            self.parts,
         )
 
     def knots(self, rows: Tensor) -> list[Tensor]:
@@ -386,38 +437,45 @@ class _Run:
         first = self.begin[:, None, None]
         return [self.flat.take(self.rows + torch.maximum(at + k, first)) for k in range(3)]
 
-    def sample(self, state: _State, body: Body, rows: Tensor) -> None:
+    def sample(self, state: _State, body: Body | BodyAt, rows: Tensor) -> None:
         """Step a state from one sample to the next."""
+        knots = self.knots(rows)
+        for shares in self.shares:
+            wait = len(shares) * self.h / 2
+            now = body.at(rows) if isinstance(body, Body) else body(*state.soon(wait))
+            self._part(state, now, knots, shares, wait)
+
+    def _part(
+        self, state: _State, body: Body, knots: list[Tensor], shares: list[Shares], wait: float
+    ) -> None:
+        """Step a state through a part of a sample, `wait` being half of it [s]."""
         p, h, dt = self.p, self.h, self.dt
-        x0, x1, x2 = self.knots(rows)
+        x0, x1, x2 = knots
         d0, d1 = x1 - x0, x2 - x1
         v0, v1 = d0 / dt, d1 / dt
-        off, own = body.coupling[rows], body.inertia[rows]
+        off, own = body.coupling, body.inertia
         # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
         # equation, here with this step's acceleration, there with the last one's.
         inertia = own[..., None] + p["armature"]
-        lacking = body.dominance[rows][..., None] - inertia
+        lacking = body.dominance[..., None] - inertia
         heavy = bool((lacking > 0).any())
         if heavy:
             lacking = lacking.clamp(min=0)
             inertia = inertia + lacking
-        # Gravity in the middle of the sample.
-        ahead = state.q + state.v * (dt / 2) - body.q[rows][..., None]
-        load = body.bias[rows][..., None] + body.stiffness[rows] @ ahead
-        arm = self._reach(body, rows) if self.touches else None
+        # Gravity in the middle of the part.
+        ahead = state.q + state.v * wait - body.q[..., None]
+        load = body.bias[..., None] + body.stiffness @ ahead
+        arm = self._reach(body) if self.touches else None
         lean = inertia / (THETA * h)
         stiff = lean + p["kd"] + p["damping"] + p["kp"] * (THETA * h)
-        for near, far, second in self.shares:
+        for near, far, second in shares:
             x = torch.addcmul(torch.addcmul(x0, d0, near), d1, far)
             dx = torch.where(second, v1, v0)
             e = x - state.q
             if self.active["dead_zone"]:
                 e = e - e.clamp(-p["dead_zone"], p["dead_zone"])
             drive = torch.addcmul(p["kp"] * e, p["kd"], dx)
-            rest = p["offset"] - load - off @ state.a
-            if heavy:
-                rest = rest + lacking * state.a
-            outer, more = load, None
+            rest, outer, more = p["offset"] - load, load, None
             if arm is not None:
                 push, more = self._contact(state, arm)
                 rest = rest + push
@@ -427,19 +485,26 @@ class _Run:
                 rest, more = rest + stop, hard if more is None else more + hard
             rest = torch.addcmul(rest, lean, state.v)
             dry = self._dry(state, drive, outer)
-            total, d = rest + drive, stiff if more is None else stiff + more
-            w = (total - total.clamp(-dry, dry)) / d
-            if self.clips:
-                torque = drive - (p["kp"] * (THETA * h) + p["kd"]) * w
-                held = torque.clamp(-p["clip"], p["clip"])
-                total = rest + held
-                d = lean + p["damping"] if more is None else lean + p["damping"] + more
-                w = torch.where(torque == held, w, (total - total.clamp(-dry, dry)) / d)
-            v = (w - (1 - THETA) * state.v) / THETA
-            v = torch.where(w == 0, 0.0, v)
-            state.a = (v - state.v) / h
-            state.q = torch.add(state.q, w, alpha=h)
-            state.v = v
+            soft = lean + p["damping"] if more is None else lean + p["damping"] + more
+            d = stiff if more is None else stiff + more
+            a = state.a
+            for _ in range(SWEEPS):
+                free = rest - off @ a
+                if heavy:
+                    free = free + lacking * a
+                total = free + drive
+                w = (total - total.clamp(-dry, dry)) / d
+                if self.clips:
+                    torque = drive - (p["kp"] * (THETA * h) + p["kd"]) * w
+                    held = torque.clamp(-p["clip"], p["clip"])
+                    total = free + held
+                    w = torch.where(torque == held, w, (total - total.clamp(-dry, dry)) / soft)
+                v = torch.where(w == 0, 0.0, (w - (1 - THETA) * state.v) / THETA)
+                before, a = a, (v - state.v) / h
+                # Where one set is run, until the accelerations are those of this step.
+                if self.parts is None or float((a - before).abs().max()) * h * h < _SETTLED:
+                    break
+            state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
 
     def _dry(self, state: _State, drive: Tensor, outer: Tensor) -> Tensor:
         """The most that friction can hold now [N m]."""
@@ -462,15 +527,15 @@ class _Run:
         hard = torch.where(beyond != 0, STOP_STIFFNESS * THETA * self.h + damping, 0.0)
         return -STOP_STIFFNESS * beyond, hard
 
-    def _reach(self, body: Body, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _reach(self, body: Body) -> tuple[Tensor, Tensor, Tensor]:
         """Height of the point (W, 1, P) and its slopes (W, n, P), and where they were taken."""
         assert body.height is not None
         assert body.slope is not None
         x, y, z = (self.plane[k][:, None] for k in range(3))
-        h, s = body.height[rows][:, None, :, None], body.slope[rows][..., None]
+        h, s = body.height[:, None, :, None], body.slope[..., None]
         height = h[:, :, 0] * x + h[:, :, 1] * y + h[:, :, 2] * z + h[:, :, 3]
         slope = s[:, :, 0] * x + s[:, :, 1] * y + s[:, :, 2] * z + s[:, :, 3]
-        return height, slope, body.q[rows][..., None]
+        return height, slope, body.q[..., None]
 
     def _contact(self, state: _State, arm: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Torque of the plane on the joints, and what it adds to the factor of w."""

@@ -1,0 +1,193 @@
+"""What was exported or corrected, as JSON: schemas torchid.export/1 and torchid.correction/1."""
+
+from typing import TYPE_CHECKING
+
+from msgspec import UNSET, UnsetType
+
+from torchid.results.record import Joint, Part, Real, Record, Rows, Values
+from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.export.correct import Correction
+    from torchid.export.export import Export
+
+
+class Reader(Part, frozen=True, kw_only=True, rename={"difference": "largest_relative_difference"}):
+    """One reader of a file, against the result's model; see `export.checks.Comparison`."""
+
+    reader: str
+    compared: str
+    states: int
+    difference: float | None
+    limit: float
+    ok: bool | None
+    note: str
+
+
+class Places(Part, frozen=True, kw_only=True):
+    """Effects that are in the file, beside it and nowhere, in words."""
+
+    in_file: tuple[str, ...]
+    beside: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+class ExportRecord(Record, frozen=True, kw_only=True, tag="torchid.export/1"):
+    """What was written.
+
+    Attributes:
+        robot: its name. what, result: kind and title of what was exported.
+        format, files, original: as of `export.export.Export`.
+        feasible, reasons: of the physical parameters.
+        checks: by reader.
+        effects: where they are.
+        warnings: what must not be overlooked.
+        seed: of the states, from a command.
+    """
+
+    robot: str
+    what: str
+    result: str
+    format: str
+    files: tuple[str, ...]
+    original: str | None
+    feasible: bool | None
+    reasons: tuple[str, ...]
+    checks: tuple[Reader, ...]
+    effects: Places
+    warnings: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[Reader]:
+        """The readers."""
+        return Rows(self.checks)
+
+
+_ERRORS = {"claim": "file_claimed", "engine": "file_in_engine", "run_time": "with_effects"}
+
+
+class TorqueErrors(Part, frozen=True, kw_only=True, rename=_ERRORS):
+    """Errors of the torque (n,) [%]; see `export.correct.Judged`."""
+
+    nominal: Float[Tensor, " n"]
+    full: Float[Tensor, " n"]
+    claim: Float[Tensor, " n"]
+    engine: Float[Tensor, " n"]
+    run_time: Float[Tensor, " n"]
+
+
+class ForwardErrors(
+    Part, frozen=True, kw_only=True, rename={"horizon": "horizon_s", "engine": "file_in_engine"}
+):
+    """Errors of the motion (n,) [rad; m]; see `export.correct.Forward`."""
+
+    horizon: float
+    starts: int
+    nominal: Float[Tensor, " n"] | None
+    full: Float[Tensor, " n"] | None
+    engine: Float[Tensor, " n"] | None
+
+
+class JudgedRecord(
+    Part, frozen=True, kw_only=True, rename={"held_out": "on", "by": "engine", "band": "band_hz"}
+):
+    """What a file is worth; see `export.correct.Judged`."""
+
+    held_out: str
+    by: str
+    band: float
+    torque_error_percent: TorqueErrors
+    forward: tuple[ForwardErrors, ...]
+
+
+class KeptRecord(Part, frozen=True, kw_only=True, rename={"share": "kept", "field": "by"}):
+    """What the file keeps of an effect; see `export.projection.Kept`."""
+
+    effect: str
+    joints: tuple[Joint, ...]
+    share: Real
+    field: str
+    joint: Joint | None
+    value: float | None
+
+
+class BodiesRecord(Part, frozen=True, kw_only=True):
+    """Bodies in the file, and names of the effects that it says; see `export.projection`."""
+
+    believable: bool
+    price: Real
+    believable_price: Real
+    mass: Float[Tensor, " n"]
+    com: Float[Tensor, "n 3"]
+    inertia_about_com: Float[Tensor, "n 6"]
+    fields: tuple[Values, ...]
+
+
+class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correction/1"):
+    """A corrected file.
+
+    Attributes:
+        robot: name of the robot as given. to: format of the file.
+        judged: what it is worth.
+        no_field: what it keeps of effects that it has no field for.
+        bodies: that are in it.
+        exports: what was written.
+        warnings: sentences for the user.
+    """
+
+    robot: str
+    to: str
+    judged: JudgedRecord
+    no_field: tuple[KeptRecord, ...]
+    bodies: BodiesRecord
+    exports: tuple[ExportRecord, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def table(self) -> Rows[KeptRecord]:
+        """Effects that the file has no field for."""
+        return Rows(self.no_field)
+
+
+def export_record(done: "Export") -> ExportRecord:
+    """An export as its JSON has it."""
+    check = done.check
+    return ExportRecord(
+        robot=done.dynamics.robot.name,
+        what=done.dynamics.kind,
+        result=done.dynamics.title,
+        format=done.format,
+        files=tuple(map(str, done.files)),
+        original=None if done.original is None else str(done.original),
+        feasible=None if check is None else bool(check.feasibility.feasible[0]),
+        reasons=() if check is None else check.feasibility.reasons(0),
+        checks=tuple(
+            Reader.of(one, ok=None if one.difference is None else one.ok)
+            for one in done.comparisons
+        ),
+        effects=Places.of(done),
+        warnings=done.warnings,
+    )
+
+
+def correction_record(done: "Correction") -> CorrectionRecord:
+    """A correction as its JSON has it."""
+    judged, projection = done.judged, done.projection
+    return CorrectionRecord(
+        robot=done.nominal.name,
+        to=projection.to,
+        judged=JudgedRecord.of(
+            judged,
+            torque_error_percent=TorqueErrors.of(judged),
+            forward=tuple(map(ForwardErrors.of, judged.forward)),
+        ),
+        no_field=tuple(KeptRecord.of(kept, effect=kept.effect.name) for kept in projection.kept),
+        bodies=BodiesRecord.of(
+            projection,
+            projection.robot.require_parameters("a correction"),
+            fields=projection.robot.effects,
+        ),
+        exports=tuple(export_record(one) for one in done.exports),
+        warnings=done.warnings,
+    )
