@@ -25,6 +25,7 @@ SAID = {
         "identified.urdf",
         "gap.html",
     ),
+    "05_correct_a_simulator": ("65 % of it is kept", "\nexplained\n"),
 }
 """What the words around the cells rest on."""
 

@@ -235,6 +235,7 @@ def test_a_search_continues_where_it_was_interrupted(command, tmp_path, monkeypa
     monkeypatch.setattr(module, "save", interrupted)
     stopped = command("extract", "3r", *SMALL, "--out", halves)
     assert stopped.code == 130
+    assert f"{halves / 'checkpoint.npz'} is kept" in stopped.err
     assert "--resume" in stopped.err
     assert not (halves / "sets.json").exists()
     # Whoever forgets --resume is told; whoever gives it without need, too.

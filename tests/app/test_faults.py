@@ -113,7 +113,8 @@ def test_an_interrupted_search_says_how_to_go_on(command, tmp_path, monkeypatch)
     asked = ("extract", "3r", "--no-certificate", "--out", tmp_path)
     done = command(*asked)
     assert (done.code, done.out) == (130, "")
-    assert done.err == "interrupted; the same command with --resume continues\n"
+    kept = tmp_path / "checkpoint.npz"
+    assert done.err == f"interrupted; {kept} is kept: the same command with --resume continues\n"
 
 
 @pytest.mark.parametrize("module", ["typer", "rich.console", "torch.nn", "torchid.robot.library"])

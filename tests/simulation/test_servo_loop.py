@@ -209,14 +209,15 @@ def test_an_arm_stops_at_a_plane():
     servos = Servos.neutral(3, kp=300.0, damping=20.0, armature=0.5)
     start = low + torch.tensor([0.0, 0.6, 0.6])
     heights = []
-    for stiffness in (0.0, 1e6):
+    for stiffness in (0.0, 1e5):
         pressed = Servos(servos.joint, torch.tensor([0.0, 0.0, 0.0, 0.0, stiffness]).double())
         floor = float(link_poses(robot, start)[0, -1, 2, 3]) - 0.05
         pressed.plane[3] = floor
         q = replayed(robot, pressed, tracks, whole, start, torch.zeros(1, 3).double())
         heights.append(float(link_poses(robot, q[-1])[-1, 2, 3]) - floor)
-    assert abs(heights[0]) > 0.05
-    assert abs(heights[1]) < 2e-3
+    # 600 N press it 6 mm deep.
+    assert heights[0] < -0.2
+    assert -0.01 < heights[1] < 0.0
 
 
 def test_windows_cover_every_row_once():

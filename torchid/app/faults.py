@@ -49,14 +49,15 @@ def print_plainly() -> None:
 
 @contextmanager
 def resumable(checkpoint: Path | None) -> Iterator[None]:
-    """Where Ctrl-C loses little: it is said how to go on, if there is a checkpoint, a file or what
+    """Where Ctrl-C loses little: it is said what is kept and how to go on, if there is a checkpoint, a file or what
     is in a folder."""
     try:
         yield
     except KeyboardInterrupt as stop:
         if checkpoint is None or not (checkpoint.is_file() or any(checkpoint.glob("*"))):
             raise
-        raise KeyboardInterrupt("the same command with --resume continues") from stop
+        said = f"{checkpoint} is kept: the same command with --resume continues"
+        raise KeyboardInterrupt(said) from stop
 
 
 def report(error: BaseException, words: Callable[[str], str]) -> int:

@@ -1,7 +1,9 @@
 """What every figure is built of. matplotlib is imported when a figure is drawn, never before."""
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,10 +55,18 @@ def drawing(section: str, name: str, caption: str, draw: Callable[[], Figure]) -
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure that needs no display."""
+    """An empty figure that needs no display; a notebook shows it, with no backend chosen."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=90)
+    return stream.getvalue()
 
 
 def styled(axes: Any) -> Any:
