@@ -49,8 +49,8 @@ def print_plainly() -> None:
 
 @contextmanager
 def resumable(checkpoint: Path | None) -> Iterator[None]:
-    """Where Ctrl-C loses little: it is said what is kept and how to go on, if there is a checkpoint, a file or what
-    is in a folder."""
+    """Where Ctrl-C loses little: it is said what is kept and how to go on, if there is a
+    checkpoint, a file or what is in a folder."""
     try:
         yield
     except KeyboardInterrupt as stop:

@@ -101,6 +101,11 @@ class Backlash(OneJointEffect):
             for sign in (-2, -1, 1, 2)
         ]
 
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Plays for which the column at `at` is the nearest of those that are tried."""
+        return ((self.at / STEP, self.at * STEP),)
+
     def unsure(self, values: Sequence[float]) -> list[float]:
         """The columns' width and the coefficient are two estimates of one play."""
         return [abs(values[0] - self.at)]

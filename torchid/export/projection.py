@@ -199,7 +199,7 @@ class Projector:
         the file at run time, and those in the torque sensors as they were diagnosed."""
         others, sensed = [], []
         for effect, values in nominal_effects(self.full):
-            if isinstance(effect, BodyEffect) or not runs(self.nominal, effect, values):
+            if isinstance(effect, BodyEffect) or not runs(self.full, effect, values):
                 continue
             if changes_measurement(effect):
                 sensed.append((effect, values))
@@ -209,7 +209,7 @@ class Projector:
         at = {e.joints for e in others if isinstance(e, JointSpring)}
         own = [f for f in self.fields if not isinstance(f, JointSpring) or f.joints not in at]
         fields = [*own, *dict.fromkeys(others)]
-        true = undone(self.nominal, sensed, self.torque.T.unsqueeze(0))[0][0].T
+        true = undone(self.full, sensed, self.torque.T.unsqueeze(0))[0][0].T
         torque = self._quadratic(fields, fitted, true)
         found = nearest_bodies(torque, self.room, strength=self.found.strength)
         robot = self._robot(fields, found)

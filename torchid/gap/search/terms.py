@@ -75,8 +75,11 @@ class Term:
         """Of each coefficient: what the model has of it already, the least whole, and the largest
         correction. A term that stands in the place of the model's own is the whole of it."""
         known = [0.0] * len(self.known) if self.instead else self.known
-        least = [0.0 if c.non_negative else -math.inf for c in self.coefficients]
-        largest = [c.largest for c in self.coefficients]
+        if self.effects:
+            ranges = self.effects[0].ranges
+        else:
+            ranges = tuple((-math.inf, c.largest) for c in self.coefficients)
+        least, largest = zip(*ranges, strict=True)
         return torch.tensor([known, least, largest], dtype=torch.float64).T
 
     @cached_property
@@ -434,7 +437,7 @@ def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
             torch.stack([t.at for t in own]),
             torch.tensor([[c.non_negative for c in t.coefficients] for t in own]),
             torch.tensor([t.known for t in own], dtype=torch.float64),
-            torch.tensor([[c.largest for c in t.coefficients] for t in own], dtype=torch.float64),
+            torch.stack([t.limits[:, 2] for t in own]),
             torch.stack([t.ridge for t in own]),
             torch.stack([t.centre for t in own]),
             torch.tensor([t.shapes for t in own]),
