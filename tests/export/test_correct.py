@@ -23,6 +23,7 @@ from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.log.readers import write_log
+from torchid.report.correction import headline, tables
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -277,6 +278,28 @@ def test_an_engine_moves_as_torchid_does(tmp_path, monkeypatch):
     moved = (windows.q[use, step] - windows.q[use, 0]).square().mean(0).sqrt()
     assert bool(((error - own.rms_after).abs() < 0.03 * moved).all())
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_path):
+    """The sensor of joint 3 writes noise: no file can be fitted to it, or judged by it."""
+    given = {"effect": "viscous_friction", "joint": 3, "Fv": 0.7}
+    nominal = replace(arm("3r"), effects=(given,))
+    g = torch.Generator().manual_seed(5)
+    deaf = []
+    for log in logs:
+        tau = log.tau.clone()
+        tau[:, 2] = 0.3 * float(tau[:, 2].std()) * torch.randn(len(tau), generator=g).double()
+        deaf.append(replace(log, tau=tau))
+    done = correct(nominal, full, deaf[0], "mjcf", tmp_path, held_out=deaf[1])
+    wrist = [e for e in done.projection.robot.effects if e.get("joint") == 3]
+    assert wrist == [given]
+    assert "joint 3: the measured torque holds no signal" in done.warnings[0]
+    assert [bool(x.isnan()) for x in done.judged.engine] == [False, False, True]
+    assert all(bool(one.engine[2].isnan()) for one in done.judged.forward)
+    text = "\n".join(str(row) for table in tables(done) for row in table.rows)
+    assert "nan" not in text
+    assert "nan" not in headline(done)
+    assert done.plain()["judged"]["torque_error_percent"]["nominal"][2] is None
 
 
 def test_nothing_is_written_that_was_not_better_or_not_checked(full, logs, tmp_path, monkeypatch):

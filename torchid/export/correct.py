@@ -5,6 +5,7 @@
 Nothing is written before the engine has run the file on the log.
 """
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -77,7 +78,7 @@ class Judged:
     Attributes:
         held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
             `the log that was fitted`.
-        nominal: (n,) of the robot as given [%].
+        nominal: (n,) of the robot as given [%]; nan of joints whose torque holds no signal.
         full: (n,) of the diagnosed robot with all its effects.
         claim: (n,) of the file, by its own numbers.
         engine: (n,) of the file, by the engine that runs it.
@@ -260,11 +261,11 @@ def correct(
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
         judged = Judged(
             alone if apart is None else "a held-out log",
-            _percent(shown, [t.before for t in shown]),
-            _percent(shown, [t.after for t in shown]),
-            _percent(shown, [t.before for t in own]),
-            _percent(shown, [t.after for t in own]),
-            _percent(shown, [t.after for t in all_of_it]),
+            _percent(shown, [t.before for t in shown], data.silent),
+            _percent(shown, [t.after for t in shown], data.silent),
+            _percent(shown, [t.before for t in own], data.silent),
+            _percent(shown, [t.after for t in own], data.silent),
+            _percent(shown, [t.after for t in all_of_it], data.silent),
             engines[0].name,
             data.band,
             (),
@@ -272,7 +273,7 @@ def correct(
         _require_better(judged)
         if settings.rollout:
             inside = _in_file(projection.robot, whole, original)
-            forward = _forward(inside, whole, before, full, on, settings)
+            forward = _forward(inside, whole, before, full, on, settings, data.silent)
             judged = replace(judged, forward=forward)
     beside = [f"{one.effect.name}{_places(one.joints)}" for one in projection.kept]
     stem = f"{stem_of(robot)}_corrected" if name is None else name
@@ -299,12 +300,14 @@ def correct(
                 projector.with_effects(every), f"{stem}_effects", f"{words}, with effects beside it"
             )
         )
-    return Correction(robot, projection, judged, tuple(files), _warnings(projection, judged, robot))
+    return Correction(
+        robot, projection, judged, tuple(files), _warnings(projection, judged, robot, data.silent)
+    )
 
 
 def _require_better(judged: Judged) -> None:
     """Raise TorchidError for a file that is no better than the robot as given."""
-    found, given = float(judged.engine.mean()), float(judged.nominal.mean())
+    found, given = float(judged.engine.nanmean()), float(judged.nominal.nanmean())
     if found > NO_BETTER * given:
         raise TorchidError(
             "the corrected file is no better than the robot as given, so nothing was written.",
@@ -324,13 +327,16 @@ def _in_file(robot: Robot, path: Path, original: Robot | None) -> Robot:
     return written
 
 
-def _percent(shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
+def _percent(
+    shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]], silent: Sequence[int]
+) -> Tensor:
     """(n,) of torques (one a trajectory), while joints move."""
     left, whole = torch.zeros(2, shown[0].measured.shape[1], dtype=torch.float64)
     for trace, torque in zip(shown, torques, strict=True):
         counts = trace.counting.double()
         left = left + ((trace.measured - torque).square() * counts).sum(0)
         whole = whole + (trace.measured.square() * counts).sum(0)
+    left[list(silent)] = math.nan
     return 100 * (left / whole.clamp(min=1e-300)).sqrt()
 
 
@@ -341,9 +347,10 @@ def _forward(
     full: Robot | Diagnosis,
     on: Data,
     settings: GapSettings,
+    silent: Sequence[int],
 ) -> tuple[Forward, ...]:
     """Where the file, the robot as given and the diagnosed one are after each horizon, from the
-    same starts."""
+    same starts; of joints whose torque says nothing, nothing is known."""
     replayed = full.how_far.rollout if isinstance(full, Diagnosis) else None
     if replayed is None:
         corrected = full.corrected if isinstance(full, Diagnosis) else full
@@ -368,10 +375,10 @@ def _forward(
             apart = (positions[use, step] - windows.q[use, step]).abs()
             lost = torch.where(apart < DIVERGED, apart, DIVERGED)
             error = lost.square().mean(0).sqrt()
-        nominal, after = (
-            None if x is None else x.double() for x in (row.rms_before, row.rms_after)
-        )
-        out.append(Forward(row.horizon_s, int(use.sum()), nominal, after, error))
+        known = torch.ones(robot.n, dtype=torch.float64)
+        known[list(silent)] = math.nan
+        errors = (None if x is None else x * known for x in (row.rms_before, row.rms_after, error))
+        out.append(Forward(row.horizon_s, int(use.sum()), *errors))
     return tuple(out)
 
 
@@ -379,9 +386,16 @@ def _places(joints: Sequence[int]) -> str:
     return f" of joint {', '.join(str(j + 1) for j in joints)}" if joints else ""
 
 
-def _warnings(projection: Projection, judged: Judged, nominal: Robot) -> tuple[str, ...]:
+def _warnings(
+    projection: Projection, judged: Judged, nominal: Robot, silent: Sequence[int]
+) -> tuple[str, ...]:
     """What a person should know before using the file."""
     said = []
+    if silent:
+        said.append(
+            f"joint {', '.join(str(j + 1) for j in silent)}: the measured torque holds no signal, "
+            "so the file keeps the friction of the robot as given, and nothing is judged there"
+        )
     if not projection.believable:
         said.append(
             "masses within a factor 2 of the nominal ones, second moments of a fifth of theirs and "

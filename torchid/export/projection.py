@@ -119,7 +119,15 @@ class Projector:
         self.weight = huber_weights(left) * data.keep / rms
         self.torque = torque
         self.room = room_of(nominal)
-        self.fields: list[Effect] = [kind(j) for kind in FIELDS[to] for j in range(nominal.n)]  # type: ignore[call-arg]
+        # A joint whose torque says nothing keeps what the nominal robot has there.
+        silent = set(data.silent)
+        heard = [j for j in range(nominal.n) if j not in silent]
+        self.fields: list[Effect] = [kind(j) for kind in FIELDS[to] for j in heard]  # type: ignore[call-arg]
+        self.given = [
+            (effect, values)
+            for effect, values in nominal_effects(nominal)
+            if effect.joints and silent.issuperset(effect.joints)
+        ]
         self._settle(effects)
 
     def _settle(self, effects: Sequence[Valued]) -> None:
@@ -217,8 +225,9 @@ class Projector:
 
     def _has_field(self, effect: Effect, values: Sequence[float]) -> bool:
         """Whether the file says this effect as it is."""
-        own = (f for f in self.fields if f.identity == effect.identity)
-        return effect.attributes(values, self.to == "mjcf") is not None and any(own)
+        own = [*self.fields, *(given for given, _ in self.given)]
+        known = effect.attributes(values, self.to == "mjcf") is not None
+        return known and any(f.identity == effect.identity for f in own)
 
     def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:
         """Nominal kinematics, fitted bodies, and fields that carry anything."""
@@ -232,7 +241,7 @@ class Projector:
             if bool((torque.square().sum(1).sqrt() > NOTHING * sizes).any()):
                 pairs.append((field, own))
         robot = self.nominal.with_parameters(InertialParameters(found.pi))
-        return replace(robot, effects=records(pairs))
+        return replace(robot, effects=records([*pairs, *self.given]))
 
     def _kept(self) -> tuple[Kept, ...]:
         """Of every effect without a field, what the fit makes of its torque alone."""

@@ -18,7 +18,7 @@ def _given(nominal: Robot) -> str:
 def headline(done: Correction) -> str:
     """What the file is worth, in one sentence."""
     judged = done.judged
-    means = [float(x.mean()) for x in (judged.engine, judged.full, judged.nominal)]
+    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
     return (
         f"On {judged.held_out} {judged.by} with the corrected file misses {means[0]:.1f} % of the "
         f"joints' torque on average; with all effects it would be {means[1]:.1f} %, and with the "
@@ -42,7 +42,7 @@ def tables(done: Correction) -> list[Table]:
             f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]",
             ("", *joints, "mean"),
             [
-                (name, *(f"{x:.1f}" for x in v.tolist()), f"{float(v.mean()):.1f}")
+                (name, *(_percent(x) for x in v.tolist()), _percent(float(v.nanmean())))
                 for name, v in rows
             ],
             words=("",),
@@ -74,10 +74,16 @@ def tables(done: Correction) -> list[Table]:
     return [*out, _bodies(done.projection.robot, nominal)]
 
 
+def _percent(x: float) -> str:
+    return "-" if math.isnan(x) else f"{x:.1f}"
+
+
 def _away(error: Tensor, turns: list[bool]) -> list[str]:
     """Positions in degrees and millimetres."""
     pairs = zip(error.tolist(), turns, strict=True)
-    return [f"{math.degrees(x) if turn else 1e3 * x:.2g}" for x, turn in pairs]
+    return [
+        "-" if math.isnan(x) else f"{math.degrees(x) if turn else 1e3 * x:.2g}" for x, turn in pairs
+    ]
 
 
 def _kept(one: Kept, to: str) -> tuple[str, str, str]:
