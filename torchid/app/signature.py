@@ -169,11 +169,16 @@ def _inputs(options: list[Option], given: Mapping[str, Any]) -> list[Path]:
 
 
 def _require_apart(options: list[Option], given: Mapping[str, Any]) -> None:
-    """Raise a TorchidError where two results are to be written to one file."""
+    """Raise a TorchidError where two results are to be written to one file, or a result to what is
+    named as a folder."""
     taken: dict[str, str] = {}
-    for option in options:
-        if WRITTEN in option.said and (path := given[option.name]) is not None:
-            other = taken.setdefault(os.path.realpath(path), option.shown)
+    for option in sorted(options, key=lambda o: WRITTEN not in o.said):
+        path = given[option.name] if {WRITTEN, PLACE} & {*map(str, option.said)} else None
+        if path is not None:
+            real = os.path.realpath(path)
+            if WRITTEN in option.said:
+                taken.setdefault(real, option.shown)
+            other = taken.get(real, option.shown)
             if other != option.shown:
                 raise TorchidError(f"{option.shown} and {other} name the same file.", got=path)
 

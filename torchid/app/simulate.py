@@ -10,7 +10,7 @@ from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import PLACE, Switch, command
 from torchid.errors import TorchidError
-from torchid.files import require_writable
+from torchid.files import require_no_input, require_writable
 
 if TYPE_CHECKING:
     from torchid.excitation.synthetic import NoiseModel
@@ -176,11 +176,8 @@ def _replay(
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
-    if any(
-        (folder / name).exists() and (folder / name).samefile(path)
-        for name, path in zip(names, paths, strict=True)
-    ):
-        raise TorchidError("--to would write over the logs.", got=folder, expected="another folder")
+    for name in names:
+        require_no_input(folder / name, "--to")
     robot, servos, scale = read_model(arm.robot)
     logs = [read_log(path, columns=columns, joints=robot.joint_names) for path in paths]
     found = replay(robot, servos, scale, logs, windows)
