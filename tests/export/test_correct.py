@@ -140,7 +140,7 @@ def test_a_file_with_its_effects_has_the_full_models_error(done):
 def test_the_example_replays_a_log(done, logs, tmp_path, monkeypatch, capsys):
     """With the effects the arm is nearer to the log on each of the joints that have them."""
     write_log(logs[1], tmp_path / "run.csv")
-    script = ROOT / "examples" / "effects_in_mujoco.py"
+    script = ROOT / "docs" / "examples" / "effects_in_mujoco.py"
     words = [str(done.exports[0].files[0]), str(tmp_path / "run.csv"), "--seconds", "0.2"]
     monkeypatch.setattr("sys.argv", [str(script), *words, "--starts", "8"])
     runpy.run_path(str(script), run_name="__main__")

@@ -16,7 +16,7 @@ import torch
 from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
-from torchid.effects.registry import Valued, in_rounds, model_torque
+from torchid.effects.registry import Valued, in_rounds, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -44,6 +44,11 @@ class Model:
 
     robot: Robot
     effects: tuple[Valued, ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Model":
+        """A robot with the effects that it has."""
+        return cls(robot, tuple(nominal_effects(robot)))
 
     def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
         """Torque along a segment. Effects that differentiate the model's torque see the motion

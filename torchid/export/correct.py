@@ -230,7 +230,7 @@ def correct(
     data, apart = read(robot, log, held_out, settings)
     repeats = find_repeats(data.segments).groups(len(data.segments))
     folds = make_folds(data.samples, settings.folds, repeats)
-    data = data.without_silent(Columns(_model(before), data.samples), folds.parts)
+    data = data.without_silent(Columns(Model.of(before), data.samples), folds.parts)
     projector = Projector(robot, corrected, data, to)
     projection = projector.projection()
     # Fits without each fold judge the kind of file; one fit to all is written.
@@ -246,7 +246,7 @@ def correct(
     if diagnosis is not None:
         shown = diagnosis.traces
     else:
-        shown = traces(on.samples, None, [_model(before)], [_model(corrected)], data.band)
+        shown = traces(on.samples, None, [Model.of(before)], [Model.of(corrected)], data.band)
     original = robot if Path(robot.source).suffix.lower() == SUFFIXES[to] else None
     with TemporaryDirectory() as drafts:
         whole = Path(drafts) / f"whole{SUFFIXES[to]}"
@@ -255,7 +255,7 @@ def correct(
             path = whole.with_stem(f"fold_{k}")
             engines.append(simulator(path, _in_file(one, path, original)))
         split = folds if by_folds else None
-        own = traces(on.samples, split, [_model(one) for one in fitted], engines, data.band)
+        own = traces(on.samples, split, [Model.of(one) for one in fitted], engines, data.band)
         models = [AtRunTime.of(one) for one in running]
         all_of_it = traces(on.samples, split, models[:1], models, data.band)
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
@@ -314,10 +314,6 @@ def _require_better(judged: Judged) -> None:
             got=f"{found:.1f} % of the joints' torque in {judged.by}",
             expected=f"less than {given:.1f} %, on {judged.held_out}",
         )
-
-
-def _model(robot: Robot) -> Model:
-    return Model(robot, tuple(nominal_effects(robot)))
 
 
 def _in_file(robot: Robot, path: Path, original: Robot | None) -> Robot:

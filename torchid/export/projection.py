@@ -109,8 +109,8 @@ class Projector:
 
     def __init__(self, nominal: Robot, full: Robot, data: Data, to: Target):
         self.nominal, self.full, self.to, self.data = nominal, full, to, data
-        effects = tuple(nominal_effects(full))
-        self.columns = Columns(Model(full, effects), data.samples)
+        model = Model.of(full)
+        self.columns = Columns(model, data.samples)
         left = self.columns.gap * data.keep
         # Each joint in units of what the full model leaves; rows far out count as their limit.
         rms = (left.square().sum(1) / data.keep.sum(1).clamp(min=1)).sqrt().unsqueeze(1)
@@ -128,7 +128,7 @@ class Projector:
             for effect, values in nominal_effects(nominal)
             if effect.joints and silent.issuperset(effect.joints)
         ]
-        self._settle(effects)
+        self._settle(model.effects)
 
     def _settle(self, effects: Sequence[Valued]) -> None:
         """Which springs the file has, whether its bodies are believable, and how near they are."""

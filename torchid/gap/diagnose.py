@@ -16,7 +16,7 @@ from torchid.design.bands import SAME_RATE
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import Repeats, find_repeats
 from torchid.effects.phase import JointElasticity
-from torchid.effects.registry import EVENTS, KINDS, nominal_effects
+from torchid.effects.registry import EVENTS, KINDS
 from torchid.errors import LogError, TorchidError
 from torchid.gap.data import Data, prepare
 from torchid.gap.diagnosis import Diagnosis, HowFar, Trace
@@ -270,7 +270,7 @@ def start_of(robot: Robot) -> Model:
     if robot.parameters is None:
         zero = torch.zeros(robot.n, PARAMETERS_PER_LINK, dtype=torch.float64)
         robot = robot.with_parameters(InertialParameters(zero))
-    return Model(robot, tuple(nominal_effects(robot)))
+    return Model.of(robot)
 
 
 def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:

@@ -21,7 +21,7 @@ from torchid.design.columns import Columns, Model
 from torchid.design.gram import Normal
 from torchid.design.repeats import find_repeats
 from torchid.effects.base import Effect
-from torchid.effects.registry import KINDS, nominal_effects
+from torchid.effects.registry import KINDS
 from torchid.gap.data import prepare
 from torchid.gap.noise.floor import noise_of, sliding_only
 from torchid.gap.search.events import contacts
@@ -81,7 +81,7 @@ def data_of(robot: Robot, log: Log, settings: GapSettings) -> Data:
     """Samples and columns of a log, as the diagnosis has them."""
     given = prepare(robot, log, None)
     samples = given.samples
-    columns = Columns(Model(robot, tuple(nominal_effects(robot))), samples)
+    columns = Columns(Model.of(robot), samples)
     repeats = find_repeats(samples.segments)
     keep = sliding_only(columns, given.keep, samples.cutoff, repeats)
     given, gap = replace(given, keep=keep), columns.gap

@@ -348,7 +348,7 @@ def _withheld(bed: Bed, finding: Finding) -> Withheld:
     robbed = _without(bed.robot, finding)
     found = diagnose(robbed, bed.log, settings=bed.settings)
     given = prepare(robbed, bed.log, found.cutoff)
-    before, after = (Model(robot, tuple(nominal_effects(robot))) for robot in (robbed, bed.robot))
+    before, after = map(Model.of, (robbed, bed.robot))
     reach = stuck(Columns(after, given.samples), found.floor.high)
     shown = traces(given.samples, None, [before], [after], found.band, reach=reach)
     known = closing(shown, found.floor, bed.settings.seed)

@@ -22,7 +22,7 @@ from typing import Any
 import torch
 
 from torchid.design.columns import Model
-from torchid.effects.registry import EVENTS, KINDS, effect_from_record, nominal_effects
+from torchid.effects.registry import EVENTS, KINDS, effect_from_record
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
@@ -162,7 +162,7 @@ def closed_share(
     pi = torch.tensor(corrected["pi"], dtype=torch.float64)
     better = robot.with_parameters(InertialParameters(pi))
     effects = [effect_from_record(record, better) for record in corrected["effects"]]
-    before, after = Model(robot, tuple(nominal_effects(robot))), Model(better, tuple(effects))
+    before, after = Model.of(robot), Model(better, tuple(effects))
     losses = torch.zeros(2, dtype=torch.float64)
     # At a reversal the arm may stick, whatever its model: no effect closes that.
     for t in traces(given.samples, None, [before], [after], band):

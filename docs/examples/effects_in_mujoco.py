@@ -2,7 +2,7 @@
 file alone, and by the file whose other effects are added at run time.
 
     torchid correct my_arm.xml run1.csv run2.csv --to mjcf --with-effects --out corrected
-    python examples/effects_in_mujoco.py corrected/my_arm_corrected.xml run3.csv
+    python docs/examples/effects_in_mujoco.py corrected/my_arm_corrected.xml run3.csv
 """
 
 import argparse
