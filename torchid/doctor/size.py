@@ -73,7 +73,8 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         if x[:, 0].std() == 0.0 or owner.max() < 2:
             continue
         values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
-        found = fit_statistics(*(torch.from_numpy(a) for a in (x, y - x @ values, owner)))
+        left = torch.from_numpy(y - x @ values)
+        found = fit_statistics(torch.from_numpy(x), left, torch.from_numpy(owner))
         low, high = found.interval(torch.from_numpy(values))[0].tolist()
         rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)

@@ -8,6 +8,7 @@ from typing import Any
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, unit_of
 from torchid.gap.record import Experiment, NotTestable
+from torchid.gap.search.solve import NORMAL
 from torchid.report import gap_figures
 from torchid.report.gap_figures import joint_figure
 from torchid.report.gap_words import (
@@ -263,9 +264,6 @@ STATUS = {
 }
 """What a status says, in the fewest words."""
 
-_NORMAL = 1.96
-"""Half of a 95 % interval, in standard deviations."""
-
 
 def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     """The page of a diagnosis."""
@@ -296,7 +294,7 @@ def coefficient_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for f in diagnosis.findings:
         for c, value, std in zip(f.effect.coefficients, f.values, f.std, strict=True):
-            half = _NORMAL * std
+            half = NORMAL * std
             spread = (f"{std:.3g}", f"[{value - half:.6g}, {value + half:.6g}]")
             unit = unit_of(c.unit, f.located or f.joints, diagnosis.robot)
             rows.append(
@@ -311,7 +309,7 @@ def coefficient_table(diagnosis: Diagnosis) -> Table:
         ("effect", "place", "coefficient", "value", "std", "95 % interval", "unit"),
         rows,
         names=("effect", "place", "coefficient", "unit"),
-        note=f"Interval: value ± {_NORMAL} std; std over blocks of the log, because neighbouring "
+        note=f"Interval: value ± {NORMAL} std; std over blocks of the log, because neighbouring "
         "residuals are alike. A dash: the data do not tell.",
     )
 

@@ -151,6 +151,7 @@ def fit_statistics(
     residual: Float[Tensor, " R"],
     block: Int[Tensor, " R"],
     robust: Float[Tensor, " R"] | None = None,
+    variance: float | None = None,
 ) -> Jackknife:
     """Covariance of a least-squares fit from its columns and its residual.
 
@@ -160,6 +161,8 @@ def fit_statistics(
         block: (R,) block of each row, from 0; rows of several joints at an instant share theirs.
         robust: (R,) square roots of Huber's weights, 1 of rows that are not clipped; columns and
             residual without them.
+        variance: of a row, for parameters that one block alone determines; as if the residual were
+            white if None.
     """
     pull, informative = residual, columns
     if robust is not None:
@@ -168,7 +171,8 @@ def fit_statistics(
     count = int(block.max()) + 1
     hessians = block_products(informative, columns, block, count)
     gradients = block_products(columns, pull.unsqueeze(1), block, count).squeeze(-1)
-    variance = float((pull * residual).sum()) / max(1, len(residual) - columns.shape[1])
+    if variance is None:
+        variance = float((pull * residual).sum()) / max(1, len(residual) - columns.shape[1])
     return jackknife(hessians, gradients, variance=variance)
 
 

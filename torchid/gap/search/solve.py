@@ -27,6 +27,9 @@ SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
 another."""
 
+NORMAL = 1.96
+"""Standard deviations in half of a 95 % interval."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -36,7 +39,8 @@ class Solution:
         start: the model that is corrected.
         wanted: what was looked for.
         terms: fixed ones first, secants at the estimate.
-        values, std: per term (C,): coefficients, and standard deviations by a block jackknife.
+        values, std: per term (C,): coefficients, and standard deviations by a block jackknife, of
+            which `NORMAL` are the 95 % interval, however few blocks there are.
         model: corrected.
         weight: (n,) of the joints' squares.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
@@ -142,7 +146,12 @@ def solved(
     table = torch.cat([(best.a * weight).flatten(1).T, before])
     rest = torch.cat([(best.left * weight).flatten(), torch.ones(len(before)).double()])
     own = int(block.max()) + 1 + torch.arange(len(before))
-    std = fit_statistics(table, rest, torch.cat([block.repeat(len(best.left)), own])).std
+    # Few blocks tell little of a spread, and one alone nothing: rows are in units of what an
+    # independent sample leaves.
+    found = fit_statistics(
+        table, rest, torch.cat([block.repeat(len(best.left)), own]), variance=1.0
+    )
+    std = found.std * torch.where(found.by_one_block, 1.0, found.quantile() / NORMAL)
     # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
     std = torch.hypot(std, data.gain_std * whole)
     pairs = zip(best.terms, best.values, strict=True)
