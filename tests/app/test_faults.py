@@ -122,6 +122,7 @@ def test_ctrl_c_while_modules_are_loaded(module) -> None:
     """From the first moment on, and in the midst of torch, which would make other errors of it."""
     text = f"""
 import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by jobs in the background
 class Hook:
     def find_spec(self, name, path=None, target=None):
         if name == {module!r}:
