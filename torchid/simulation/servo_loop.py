@@ -395,6 +395,7 @@ class _Run:
         each = math.ceil(dt / (parts or 1) / longest_step - 1e-9)
         steps = (parts or 1) * each
         self.h = dt / steps
+        self.last: tuple[tuple[Tensor, Tensor], Body] | None = None
         p = {name: table[..., k] for name, k in INDEX.items()}
         self.p = p
         # Rows of the set-points, and how far behind each servo is, in samples.
@@ -442,8 +443,15 @@ class _Run:
         knots = self.knots(rows)
         for shares in self.shares:
             wait = len(shares) * self.h / 2
-            now = body.at(rows) if isinstance(body, Body) else body(*state.soon(wait))
+            now = body.at(rows) if isinstance(body, Body) else self._near(state, body, wait)
             self._part(state, now, knots, shares, wait)
+
+    def _near(self, state: _State, body: BodyAt, wait: float) -> Body:
+        """The body a little later; that of the last time, where nothing has moved since."""
+        soon = state.soon(wait)
+        if self.last is None or not all(map(torch.equal, soon, self.last[0])):
+            self.last = soon, body(*soon)
+        return self.last[1]
 
     def _part(
         self, state: _State, body: Body, knots: list[Tensor], shares: list[Shares], wait: float
