@@ -130,7 +130,7 @@ def test_a_stuck_joint_stays_for_minutes(share):
     servos = Servos.neutral(
         1, kp=kp, damping=1.0, armature=0.02, coulomb=0.3, stiction=0.1, stribeck_speed=1e-3
     )
-    tracks = steady(share * dry / kp, 120.0)
+    tracks = steady(share * dry / kp, 180.0)
     q = replayed(
         flywheel(), servos, tracks, windows_of(tracks, None), *torch.zeros(2, 1, 1).double()
     )
