@@ -16,7 +16,6 @@ delay, a wave number, ...). Its columns X are torque per unit coefficient. There
   needs the robot, and may act on all joints.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -184,7 +183,7 @@ class Effect(ABC):
     def ranges(self) -> tuple[tuple[float, float], ...]:
         """Least and largest that each coefficient can be: on any arm, unless the columns are those
         of one size alone."""
-        return tuple((0.0 if c.non_negative else -math.inf, c.largest) for c in self.coefficients)
+        return tuple(c.range for c in self.coefficients)
 
     def unsure(self, values: Sequence[float]) -> list[float]:
         """By how much coefficients are less sure than a fit of its columns says: nothing, unless

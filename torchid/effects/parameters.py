@@ -40,6 +40,11 @@ class Coefficient:
     meaning: str
     largest: float = math.inf
 
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and largest that it is on any arm, in `unit`."""
+        return (0.0 if self.non_negative else -math.inf), self.largest
+
     def unit_for(self, prismatic: bool) -> str:
         """The unit on this kind of joint."""
         if not prismatic:

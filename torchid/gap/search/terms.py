@@ -1,7 +1,6 @@
 """Candidates of a search: effects at their places, and the columns that each of them has."""
 
 import itertools
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -75,11 +74,8 @@ class Term:
         """Of each coefficient: what the model has of it already, the least whole, and the largest
         correction. A term that stands in the place of the model's own is the whole of it."""
         known = [0.0] * len(self.known) if self.instead else self.known
-        if self.effects:
-            ranges = self.effects[0].ranges
-        else:
-            ranges = tuple((-math.inf, c.largest) for c in self.coefficients)
-        least, largest = zip(*ranges, strict=True)
+        every = self.effects[0].ranges if self.effects else [c.range for c in self.coefficients]
+        least, largest = zip(*every, strict=True)
         return torch.tensor([known, least, largest], dtype=torch.float64).T
 
     @cached_property
