@@ -333,6 +333,9 @@ def rollout(
     # Long windows first, so that those that have ended can be left out; as many at a time as keep
     # the state in the cache.
     order = windows.length.argsort(descending=True, stable=True)
+    known = isinstance(body, Body)
+    if isinstance(body, Body) and not bool((plane[4] > 0).any()):
+        body = dataclasses.replace(body, height=None, slope=None)
     keep_freed_memory()
     for some in order.split(max(1, _NUMBERS // (servos.n * sets))):
         start, length = windows.start[some], windows.length[some]
@@ -345,7 +348,10 @@ def rollout(
             tracks.first[windows.motion[some]],
             tracks.dt,
             longest_step,
-            None if isinstance(body, Body) else math.ceil(tracks.dt / STEP - 1e-9),
+            # A body that is not known beforehand is evaluated in each part of a sample, and the
+            # steps are solved for their own accelerations.
+            1 if known else math.ceil(tracks.dt / STEP - 1e-9),
+            1 if known else SWEEPS,
         )
         shape = (len(some), servos.n, sets)
         state = _State(*(x[some][..., None].expand(shape).clone() for x in (q, dq)))
@@ -387,13 +393,14 @@ class _Run:
         begin: Tensor,
         dt: float,
         longest_step: float,
-        parts: int | None,
+        parts: int,
+        sweeps: int,
     ):
         self.table, self.plane, self.points, self.owner = table, plane, points, owner
-        self.begin, self.dt, self.longest_step, self.parts = begin, dt, longest_step, parts
-        # The body is evaluated once a part; where parts is None, it has been before.
-        each = math.ceil(dt / (parts or 1) / longest_step - 1e-9)
-        steps = (parts or 1) * each
+        self.begin, self.dt, self.longest_step = begin, dt, longest_step
+        self.parts, self.sweeps = parts, sweeps
+        each = math.ceil(dt / parts / longest_step - 1e-9)
+        steps = parts * each
         self.h = dt / steps
         self.last: tuple[tuple[Tensor, Tensor], Body] | None = None
         p = {name: table[..., k] for name, k in INDEX.items()}
@@ -430,6 +437,7 @@ class _Run:
             self.dt,
             self.longest_step,
             self.parts,
+            self.sweeps,
         )
 
     def knots(self, rows: Tensor) -> list[Tensor]:
@@ -493,10 +501,11 @@ class _Run:
                 rest, more = rest + stop, hard if more is None else more + hard
             rest = torch.addcmul(rest, lean, state.v)
             dry = self._dry(state, drive, outer)
-            soft = lean + p["damping"] if more is None else lean + p["damping"] + more
             d = stiff if more is None else stiff + more
+            if self.clips:
+                soft = lean + p["damping"] if more is None else lean + p["damping"] + more
             a = state.a
-            for _ in range(SWEEPS):
+            for _ in range(self.sweeps):
                 free = rest - off @ a
                 if heavy:
                     free = free + lacking * a
@@ -509,8 +518,8 @@ class _Run:
                     w = torch.where(torque == held, w, (total - total.clamp(-dry, dry)) / soft)
                 v = torch.where(w == 0, 0.0, (w - (1 - THETA) * state.v) / THETA)
                 before, a = a, (v - state.v) / h
-                # Where one set is run, until the accelerations are those of this step.
-                if self.parts is None or float((a - before).abs().max()) * h * h < _SETTLED:
+                # Until the accelerations are those of this step.
+                if self.sweeps > 1 and float((a - before).abs().max()) * h * h < _SETTLED:
                     break
             state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
 
