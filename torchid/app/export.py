@@ -57,7 +57,6 @@ def export_command(
 
     from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
-    from torchid.export.record import export_record
     from torchid.export.results import (
         CORRECTED,
         base_dynamics,
@@ -72,7 +71,6 @@ def export_command(
         effect_lines,
         export_headline,
     )
-    from torchid.results.record import as_plain
     from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 
     settings = GapSettings()
@@ -122,7 +120,7 @@ def export_command(
         seed=seed,
         keep=keep,
     )
-    output.write_json({**as_plain(export_record(done)), "seed": seed}, f"export_{to}.json")
+    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
     output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
     output.warn(done.warnings)
     output.say(f"\nwritten: {escape(export_headline(done))}")

@@ -259,13 +259,19 @@ def correct(
         models = [AtRunTime.of(one) for one in running]
         all_of_it = traces(on.samples, split, models[:1], models, data.band)
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
+
+        def percent(torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
+            error = _percent(shown, torques)
+            error[list(data.silent)] = math.nan
+            return error
+
         judged = Judged(
             alone if apart is None else "a held-out log",
-            _percent(shown, [t.before for t in shown], data.silent),
-            _percent(shown, [t.after for t in shown], data.silent),
-            _percent(shown, [t.before for t in own], data.silent),
-            _percent(shown, [t.after for t in own], data.silent),
-            _percent(shown, [t.after for t in all_of_it], data.silent),
+            percent([t.before for t in shown]),
+            percent([t.after for t in shown]),
+            percent([t.before for t in own]),
+            percent([t.after for t in own]),
+            percent([t.after for t in all_of_it]),
             engines[0].name,
             data.band,
             (),
@@ -323,16 +329,13 @@ def _in_file(robot: Robot, path: Path, original: Robot | None) -> Robot:
     return written
 
 
-def _percent(
-    shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]], silent: Sequence[int]
-) -> Tensor:
+def _percent(shown: Sequence[Trace], torques: Sequence[Float[Tensor, "T n"]]) -> Tensor:
     """(n,) of torques (one a trajectory), while joints move."""
     left, whole = torch.zeros(2, shown[0].measured.shape[1], dtype=torch.float64)
     for trace, torque in zip(shown, torques, strict=True):
         counts = trace.counting.double()
         left = left + ((trace.measured - torque).square() * counts).sum(0)
         whole = whole + (trace.measured.square() * counts).sum(0)
-    left[list(silent)] = math.nan
     return 100 * (left / whole.clamp(min=1e-300)).sqrt()
 
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
+from torchid.export.record import ExportRecord, export_record
 from torchid.export.results import Exportable, dynamics_of
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
@@ -15,6 +17,7 @@ from torchid.feasibility.findings import by_percent
 from torchid.feasibility.plausibility import LEAD
 from torchid.feasibility.record import Check, check_sets
 from torchid.feasibility.sets import nominal_set
+from torchid.results.record import Result
 from torchid.robot.model import Robot
 
 Format = Literal["urdf", "mjcf", "yaml", "csv", "c"]
@@ -22,7 +25,7 @@ SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "csv": ".csv", "c"
 
 
 @dataclass(frozen=True, eq=False)
-class Export:
+class Export(Result):
     """What was written.
 
     Attributes:
@@ -47,6 +50,14 @@ class Export:
     beside: tuple[str, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Export({self.format}, {', '.join(map(str, self.files))})"
+
+    @cached_property
+    def record(self) -> ExportRecord:
+        """As the JSON has it."""
+        return export_record(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:

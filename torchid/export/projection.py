@@ -126,7 +126,9 @@ class Projector:
         self.given = [
             (effect, values)
             for effect, values in nominal_effects(nominal)
-            if effect.joints and silent.issuperset(effect.joints)
+            if effect.joints
+            and silent.issuperset(effect.joints)
+            and effect.attributes(values, to == "mjcf") is not None
         ]
         self._settle(model.effects)
 

@@ -188,6 +188,6 @@ def correction_record(done: "Correction") -> CorrectionRecord:
             projection.robot.require_parameters("a correction"),
             fields=projection.robot.effects,
         ),
-        exports=tuple(export_record(one) for one in done.exports),
+        exports=tuple(one.record for one in done.exports),
         warnings=done.warnings,
     )
