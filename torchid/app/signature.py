@@ -171,16 +171,17 @@ def _inputs(options: list[Option], given: Mapping[str, Any]) -> list[Path]:
 def _require_apart(options: list[Option], given: Mapping[str, Any]) -> None:
     """Raise a TorchidError where two results are to be written to one file, or a result to what is
     named as a folder."""
+    named = [option for option in options if given[option.name] is not None]
+    results = [option for option in named if WRITTEN in option.said]
     taken: dict[str, str] = {}
-    for option in sorted(options, key=lambda o: WRITTEN not in o.said):
-        path = given[option.name] if {WRITTEN, PLACE} & {*map(str, option.said)} else None
-        if path is not None:
-            real = os.path.realpath(path)
-            if WRITTEN in option.said:
-                taken.setdefault(real, option.shown)
-            other = taken.get(real, option.shown)
-            if other != option.shown:
-                raise TorchidError(f"{option.shown} and {other} name the same file.", got=path)
+    for option in [*results, *(o for o in named if PLACE in o.said)]:
+        path = os.path.realpath(given[option.name])
+        # Two places may be one folder.
+        found = taken.setdefault if option in results else taken.get
+        if (other := found(path, option.shown)) != option.shown:
+            raise TorchidError(
+                f"{option.shown} and {other} name the same file.", got=given[option.name]
+            )
 
 
 def _options(kind: type, changed: dict[str, Any] | None, own: dict[str, str]) -> Iterator[Option]:
