@@ -119,11 +119,13 @@ def noise_of(
     unpredicted = (predicted + beyond).sqrt()
     if floor is None:
         # Without repeats the bracket: what lies beyond the cut-off, continued as white; and what
-        # cannot be predicted. The predictor sees the positions' own noise, which is none the less.
+        # cannot be predicted.
         white = white_level(segments, residual, samples.cutoff)
         low = torch.minimum((white * bandwidth(report)).sqrt(), unpredicted)
-        low, high = (torch.maximum(x, data.positions) for x in (low, unpredicted))
-        floor = NoiseFloor(low, high, "bracket")
+        floor = NoiseFloor(low, unpredicted, "bracket")
+    # The positions' own noise is noise, even where the predictor sees it or an encoder repeats it.
+    low, high = (torch.maximum(x, data.positions) for x in (floor.low, floor.high))
+    floor = replace(floor, low=low, high=high)
     # Of a joint without a signal all is noise.
     silent, all_of_it = ~keep.any(1), report.of([r.T for r in residual]).square().mean(1).sqrt()
     low, high = (torch.where(silent, all_of_it, x) for x in (floor.low, floor.high))
