@@ -12,10 +12,12 @@ from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.search.climb import (
+    CLOSELY,
     allowed,
     climbed,
     fitted,
     held_out_losses,
+    moves,
     swapped,
     worthy,
 )
@@ -110,8 +112,8 @@ def explained(
         # Laws, from the last model's or from several starts.
         start = tuple(t for t in (_again(question.candidates, s) for s in start) if t is not None)
         fit = best_explanation(question, start)
-        # Shapes between those of the grid, and the search once more with them.
-        finer = refined(question, fit)
+        # Shapes between those of the grid, secants of rivals, and the search once more with both.
+        finer = refined(question, fit) + at_their_size(question, fit)
         if finer:
             extra += finer
             again = fit.terms[len(question.fixed) :]
@@ -245,6 +247,22 @@ def refined(question: Question, fit: Fitted) -> list[Effect]:
         if best is not None and best != effect:
             out.append(best)
     return out
+
+
+def at_their_size(question: Question, fit: Fitted) -> list[Effect]:
+    """What is likeliest in the place of each term, with its secant at its own estimate: at any
+    other place a large true cause leaves more than rivals that are linear."""
+    moved: dict[object, Effect] = {}
+    own = fit.terms[len(question.fixed) :]
+    for term in own:
+        rest = [t for t in own if t is not term]
+        without = fit_terms(question, rest, fit.effective, fit.weight)
+        for net, (rival, *_) in moves(question, without, term)[:CLOSELY]:
+            effect = rival.effects[0] if len(rival.effects) == 1 else None
+            if net > 0 and effect and effect.linearised and effect.identity not in moved:
+                there = fit_terms(question, (*rest, rival), fit.effective, fit.weight)
+                moved[effect.identity] = at_estimate(rival, there.values()[-1]).effects[0]
+    return list(moved.values())
 
 
 def _closest(
