@@ -123,13 +123,11 @@ def explained(
         # What is worth a name on data that was not fitted; bodies beside it, last.
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
-        # Where a cause has left, another one may say better what a third one said beside it.
-        while (other := swapped(question, fit, every=True)) is not None:
-            other, more = worthy(question, folds, other)
-            if better(question, [fit, other]) is fit:
-                break
-            fit, left = other, [*left, *more]
-        fit = with_bodies(question, folds, fit)
+        # Where a cause has left or bodies have joined, another one may say the rest better.
+        fit, left = exchanged(question, folds, fit, left)
+        whole = with_bodies(question, folds, fit)
+        if whole is not fit:
+            fit, left = exchanged(question, folds, whole, left)
         # Once more with the columns of the model found, if they are others.
         latest = corrected(model, fit.terms, fit.values(), wanted)
         # What scales with the torque must not see the friction that it is to be told from.
@@ -176,6 +174,23 @@ def better(question: Question, found: Sequence[Fitted]) -> Fitted:
         its, mine = apart(question, other, best)
         best = other if its.evidence > mine.evidence else best
     return best
+
+
+def exchanged(
+    question: Question,
+    folds: Sequence[tuple[Normal, Normal]],
+    fit: Fitted,
+    left: Sequence[Term],
+) -> tuple[Fitted, list[Term]]:
+    """Causes that are worth a name, changed for others as long as the evidence rises; and those
+    that are not worth one."""
+    out = list(left)
+    while (other := swapped(question, fit, every=True)) is not None:
+        other, more = worthy(question, folds, other)
+        if better(question, [fit, other]) is fit:
+            break
+        fit, out = other, [*out, *more]
+    return fit, out
 
 
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:

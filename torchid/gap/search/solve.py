@@ -154,10 +154,14 @@ def solved(
     std = found.std * torch.where(found.by_one_block, 1.0, found.quantile() / NORMAL)
     # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
     std = torch.hypot(std, data.gain_std * whole)
-    pairs = zip(best.terms, best.values, strict=True)
-    unsure = [t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v) for t, v in pairs]
-    std = torch.hypot(std, torch.tensor([u for own in unsure for u in own], dtype=torch.float64))
-    return replace(best, std=tuple(std.split([len(v) for v in best.values])))
+    # A coefficient that is estimated twice, by the columns' size or by another sensor, is not surer
+    # than the two differ.
+    out = []
+    for t, v, own in zip(best.terms, best.values, std.split([len(v) for v in values]), strict=True):
+        twice = t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v)
+        apart = v * 0 if t.seen is None else v - t.centre
+        out.append(own.hypot(torch.tensor(twice, dtype=torch.float64)).hypot(apart))
+    return replace(best, std=tuple(out))
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:
