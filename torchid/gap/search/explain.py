@@ -231,16 +231,19 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
 def without_terms(
     found: Explanation, gone: Sequence[Term], data: Data, block: Tensor
 ) -> Explanation:
-    """The same explanation without some terms."""
-    question, fit = found.question, found.fit
-    # The other terms are fitted anew.
+    """The same explanation without some terms, which are offered no more."""
+    barred = found.question.barred.union(t.key for t in gone)
+    question, fit = replace(found.question, barred=barred), found.fit
+    # The other terms are fitted anew, and what they say in the place of those said better.
     kept = [t for t in found.terms if all(t is not g for g in gone)]
     less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight, 10))
+    folds = question.candidates.gram.folds()
+    less, left = exchanged(question, folds, less, found.unworthy)
     start = found.solution.start
     columns = question.candidates.columns.at(start)
     wanted = found.solution.wanted
     solution = solved(columns, less.terms, less.values(), data, wanted, block, less.effective)
-    return Explanation(question, found.empty, less, found.unworthy, solution)
+    return Explanation(question, found.empty, less, tuple(left), solution)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:
