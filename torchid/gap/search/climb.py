@@ -77,14 +77,14 @@ def climbed(question: Question, start: Sequence[Term]) -> Fitted:
             lighter = _lighter(question, fit)
 
 
-def allowed(question: Question, fit: Fitted) -> Fitted:
-    """Without the terms that physics refuses beside the others."""
+def allowed(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
+    """Without the terms that physics refuses beside the others; `rounds` as for `fit_terms`."""
     while fit.evidence == -math.inf:
         gone = refused(fit.terms, Solved(fit.x, fit.root))
         own = [t for t in _own(question, fit) if all(t is not g for g in gone)]
         if len(own) == len(_own(question, fit)):
             break
-        fit = fit_terms(question, own, fit.effective, fit.weight)
+        fit = fit_terms(question, own, fit.effective, fit.weight, rounds)
     return fit
 
 

@@ -84,7 +84,6 @@ class Question:
         candidates: with their normal equations.
         normal: of the samples that are explained.
         settings: how it is decided: the level, the least worth of a cause, the most causes.
-        barred: effects and places that did harm on data that was not fitted, which are not offered.
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
     """
@@ -92,7 +91,6 @@ class Question:
     candidates: Candidates
     normal: Normal
     settings: GapSettings
-    barred: frozenset[tuple[object, ...]] = frozenset()
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
     seen: dict[int, int] = field(default_factory=dict, repr=False)
 
@@ -416,7 +414,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         held.append(h)
         pulls.append(b)
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
-    present = question.barred.union(t.key for t in fit.terms if t.effects)
+    present = {t.key for t in fit.terms if t.effects}
     out: list[Offer] = []
     for batch in question.candidates.batches:
         if places is not None and batch.place not in places:

@@ -141,9 +141,16 @@ def explained(
         moved = [at_estimate(t, v) for t, v in pairs]
         start = tuple(t for t in moved[len(question.fixed) :] if t.name != BASE)
         extra += [e for t in start for e in t.effects if e.linearised and len(t.effects) == 1]
-    fit = fit_terms(question, fit.terms[len(question.fixed) :], fit.effective, fit.weight, 10)
+    fit = settled(question, fit.terms, fit)
     solution = solved(given, fit.terms, fit.values(), data, wanted, block, fit.effective)
     return Explanation(question, fitted(question), fit, tuple(left), solution)
+
+
+def settled(question: Question, terms: Sequence[Term], fit: Fitted) -> Fitted:
+    """What is told: terms, the fixed ones first, fitted until the joints' weights settle, without
+    those that physics then refuses; samples and first weights are those of a fit."""
+    own = terms[len(question.fixed) :]
+    return allowed(question, fit_terms(question, own, fit.effective, fit.weight, 10), 10)
 
 
 def best_explanation(question: Question, start: Sequence[Term]) -> Fitted:
@@ -206,12 +213,12 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
     one, other = apart(question, more, fit)
     if one.evidence <= other.evidence:
         return fit
-    # They must be worth it on some joint, on data that was not fitted.
+    # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
     rows = question.normal.rows.clamp(min=1.0)
     without = held_out_losses(question, folds, more, own) / rows
     then = held_out_losses(question, folds, more, more.terms[len(question.fixed) :]) / rows
-    fall = without.sqrt() - then.sqrt()
-    if not bool((fall >= question.least(without)).any()):
+    fall = (without.sqrt() - then.sqrt()) / question.least(without)
+    if not bool((fall >= 1).any()) or bool((fall <= -1).any()):
         return fit
     # Beside them the causes that the evidence is better without leave, the least needed first; a
     # load stays, for they hold whatever it does.
@@ -231,19 +238,15 @@ def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit:
 def without_terms(
     found: Explanation, gone: Sequence[Term], data: Data, block: Tensor
 ) -> Explanation:
-    """The same explanation without some terms, which are offered no more."""
-    barred = found.question.barred.union(t.key for t in gone)
-    question, fit = replace(found.question, barred=barred), found.fit
-    # The other terms are fitted anew, and what they say in the place of those said better.
-    kept = [t for t in found.terms if all(t is not g for g in gone)]
-    less = allowed(question, fit_terms(question, kept, fit.effective, fit.weight, 10))
-    folds = question.candidates.gram.folds()
-    less, left = exchanged(question, folds, less, found.unworthy)
+    """The same explanation without some terms."""
+    question, fit = found.question, found.fit
+    # The other terms are fitted anew.
+    less = settled(question, [t for t in fit.terms if all(t is not g for g in gone)], fit)
     start = found.solution.start
     columns = question.candidates.columns.at(start)
     wanted = found.solution.wanted
     solution = solved(columns, less.terms, less.values(), data, wanted, block, less.effective)
-    return Explanation(question, found.empty, less, tuple(left), solution)
+    return Explanation(question, found.empty, less, found.unworthy, solution)
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:

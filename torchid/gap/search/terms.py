@@ -341,12 +341,15 @@ def _model_effects(
     wanted: Wanted, data: Data, columns: Columns, extra: Sequence[Effect]
 ) -> Iterator[list[ModelEffect]]:
     """Effects of the whole arm at all their places, where the log holds what they need; kind by
-    kind, then those that were refined or found in a window."""
+    kind, then those that were refined or found in a window. Nothing is told of joints whose torque
+    holds no signal, for nothing there could speak against it."""
+    silent = frozenset(data.silent)
     for name in wanted.names:
         kind = KINDS[name]
         unknown = kind.inertial or kind.windowed or kind.needs & data.missing
         if issubclass(kind, ModelEffect) and not unknown:
-            yield [_swinging(e, data) for e in kind.starts(columns.model.robot)]
+            found = [_swinging(e, data) for e in kind.starts(columns.model.robot)]
+            yield [e for e in found if not e.joints or not silent.issuperset(e.joints)]
     yield from ([e] for e in extra if isinstance(e, ModelEffect))
 
 
