@@ -6,8 +6,7 @@ The arm is the report's 3R as a URDF; its logs are simulated, with friction that
 import csv
 import math
 import os
-import subprocess
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ import torch
 
 from tests.documents import ROOT, blocks
 from tests.position.planted import planted, true_servos
+from tests.shell import Shell, shell
 from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
@@ -56,25 +56,6 @@ torchid identify my_arm.urdf run2.csv --out tuesday
 """
 
 
-def _shell(script: str, folder: Path) -> str:
-    """Run a script in bash, where `torchid` is this one; its output."""
-    command = folder / "bin" / "torchid"
-    if not command.exists():
-        command.parent.mkdir()
-        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m torchid "$@"\n')
-        command.chmod(0o755)
-    environment = os.environ | {
-        "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", script],
-        cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=3600,
-    )  # fmt: skip
-    assert done.returncode == 0, f"{script}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-    return done.stdout
-
-
 def _small(block: str) -> str:
     for long, short in SMALLER.items():
         block = block.replace(long, short)
@@ -103,25 +84,26 @@ def _servo_logs(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With all files that the README's commands name."""
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
+    """A folder with all files that the README's commands name."""
     out = tmp_path_factory.mktemp("readme")
-    _shell(PREPARE, out)
-    _raw_log(out / "run1.csv", out / "raw.csv")
-    (out / "run1.csv").unlink()
-    _servo_logs(out)
-    write_robot(load_robot(out / "my_arm.urdf").with_parameters(None), out / "kinematics.yaml")
-    return out
+    with shell(out) as place:
+        place.run(PREPARE)
+        _raw_log(out / "run1.csv", out / "raw.csv")
+        (out / "run1.csv").unlink()
+        _servo_logs(out)
+        write_robot(load_robot(out / "my_arm.urdf").with_parameters(None), out / "kinematics.yaml")
+        yield place
 
 
 @pytest.mark.slow
-def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
+def test_commands_and_python_of_the_readme_run(place: Shell) -> None:
     found = [
         block for block in blocks(README, "") if block.lstrip().startswith(("torchid ", "for "))
     ]
     assert len(found) >= 10
     for block in found:
-        _shell(_small(block), folder)
+        place.run(_small(block))
     for name in (
         "run1.csv",
         "mended.parquet",
@@ -130,10 +112,10 @@ def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
         "gap.html",
         "corrected.yaml",
     ):
-        assert (folder / name).stat().st_size > 0, name
+        assert (place.folder / name).stat().st_size > 0, name
     code = "\n".join(blocks(README, "python"))
     before = Path.cwd()
-    os.chdir(folder)
+    os.chdir(place.folder)
     try:
         names = dict(
             zip(("q", "dq", "ddq"), torch.zeros(3, 5, 3, dtype=torch.float64), strict=True)
