@@ -1,7 +1,8 @@
 """A bash in which `torchid` is this one, and no command waits for torch to be imported.
 
-One process imports everything and waits at a socket. For each command it forks: the child takes the
-caller's streams, folder, environment and arguments, and runs the program from its entry point.
+One process imports everything and waits at a socket for as long as its parent lives. For each
+command it forks: the child takes the caller's streams, folder, environment and arguments, and runs
+the program from its entry point.
 """
 
 import json
@@ -80,9 +81,15 @@ def _serve(address: str) -> None:
     with socket.socket(socket.AF_UNIX) as waiting:
         waiting.bind(address)
         waiting.listen()
+        waiting.settimeout(1.0)
+        parent = os.getppid()
         os.write(1, b"ready\n")
-        while True:
-            caller, _ = waiting.accept()
+        while os.getppid() == parent:
+            try:
+                caller, _ = waiting.accept()
+            except TimeoutError:
+                continue
+            caller.setblocking(True)
             if os.fork() == 0:
                 waiting.close()
                 _answer(caller)
