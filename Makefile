@@ -13,16 +13,16 @@ demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m "not slow and not real and not calibration"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not real and not calibration"
 
 test-all: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m "not calibration"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not calibration"
 
 test-real: $(VENV)/.dev
 	$(BIN)/python -m pytest -m real
 
 calibration: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m calibration
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m calibration
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

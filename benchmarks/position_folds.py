@@ -17,7 +17,7 @@ from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.position.diagnose import answer
 from torchid.position.judge import folds_of
-from torchid.position.model import replay
+from torchid.position.model import ServoArm, replay
 from torchid.robot.library import load_robot
 
 
@@ -41,9 +41,9 @@ def main() -> None:
         kept = [p for p, f in zip(parts, folds, strict=True) if f == fold]
         print(f"fold {fold}: fitted in {took[0]:.0f} s ({took[1]:.0f} s of one core)", flush=True)
         for name, seconds in (("whole", None), ("2 s", 2.0)):
-            for real, far in zip(
-                kept, replay(robot, found.servos, data.scale, kept, seconds), strict=True
-            ):
+            arm = ServoArm(robot, found.servos, data.scale)
+            far_ones = replay(arm, kept, windows=seconds).simulated
+            for real, far in zip(kept, far_ones, strict=True):
                 square = (far.q - real.q).square()
                 squares[name].append((real.names[0], square))
                 rms = 1e3 * square.mean(0).sqrt()

@@ -34,6 +34,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", type=str, default="cpu", help="where the tests' tensors live")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test begins first, or one process would end long after the others."""
+    items.sort(key=lambda item: item.path.name != "test_readme.py")
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_thread() -> None:
     torch.set_num_threads(1)
@@ -47,12 +52,23 @@ def fixed_seeds() -> None:
 
 
 @pytest.fixture
-def types_unchecked() -> Iterator[None]:
-    """For tests of how arguments are refused that the annotations, checked, refuse before."""
+def types_unchecked() -> None:
+    """For tests of how arguments are refused that the annotations, checked, refuse before, and for
+    tests whose fixtures compute for long."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Types are checked in quick tests alone, for checks make long computations half as long again;
+    in the fixtures of a test, also those that it shares with others, as in the test itself."""
     before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", before)
+    names: list[str] = getattr(item, "fixturenames", [])
+    unchecked = before or "types_unchecked" in names or item.get_closest_marker("slow") is not None
+    jaxtyping.config.update("jaxtyping_disable", unchecked)
+    try:
+        return (yield)
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(scope="session")

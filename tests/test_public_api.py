@@ -21,7 +21,7 @@ from torchid.app import excite as excite_command
 from torchid.robot.model import Robot
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
-LONG = ("withheld_own",)
+LONG = ("withheld_own", "diagnose_positions")
 """Names whose example takes more than a few seconds."""
 
 

@@ -6,8 +6,7 @@ The arm is the report's 3R as a URDF; its logs are simulated, with friction that
 import csv
 import math
 import os
-import subprocess
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,10 @@ import torch
 
 from tests.documents import ROOT, blocks
 from tests.position.planted import planted, true_servos
+from tests.shell import Shell, shell
+from torchid.excitation.synthetic import simulate
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.log.model import Log
 from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
@@ -23,7 +26,7 @@ README = ROOT / "README.md"
 SMALLER = {
     " --cases 40": " --cases 1",
     " --runs 10": " --runs 2 --stages 2",
-    "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 8",
+    "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 5",
     "torchid withheld leave-out": "true leave-out",  # long, and tested elsewhere
     # In a folder of its own: a project file holds for every command below it.
     "torchid init  ": "mkdir short; cp my_arm.urdf run[234].csv short; cd short; torchid init  ",
@@ -38,41 +41,12 @@ sed 's/"link_3"/"wrist_3"/; s/"3r_friction"/"my_arm"/' my_arm.urdf > renamed
 mv renamed my_arm.urdf
 torchid export 3r --to mjcf --name my_arm
 torchid export 3r --to urdf --name so101
-for k in 1 2 3 4; do
-  torchid excite my_arm.urdf --kind random --usage 1 --duration 8 --seed $k --max-acceleration 5 \\
-    --to motion$k.csv
-done
-E="--effect load_dependent_friction:joint=2,mu=0.05"
-k=0
-for run in run1 run2 run3 run4 run1_again; do
-  k=$((k+1))
-  torchid simulate my_arm.urdf motion$((k % 5 + k / 5)).csv $E --rate 200 --seed $k --to $run.csv
-done
-LOAD=payload:m=0.5,mx=0,my=0,mz=0,Jxx=0,Jxy=0,Jxz=0,Jyy=0,Jyz=0,Jzz=0
-torchid simulate my_arm.urdf motion1.csv --effect $LOAD --rate 200 --seed 9 --to full.csv
-torchid simulate my_arm.urdf motion1.csv --closed-loop --rate 200 --seed 8 --to empty.csv
+"""
+LOAD = ("mx", "my", "mz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
+IDENTIFY = """
 torchid identify my_arm.urdf run1.csv --out monday
 torchid identify my_arm.urdf run2.csv --out tuesday
 """
-
-
-def _shell(script: str, folder: Path) -> str:
-    """Run a script in bash, where `torchid` is this one; its output."""
-    command = folder / "bin" / "torchid"
-    if not command.exists():
-        command.parent.mkdir()
-        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m torchid "$@"\n')
-        command.chmod(0o755)
-    environment = os.environ | {
-        "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", script],
-        cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=3600,
-    )  # fmt: skip
-    assert done.returncode == 0, f"{script}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-    return done.stdout
 
 
 def _small(block: str) -> str:
@@ -96,6 +70,24 @@ def _raw_log(source: Path, target: Path) -> None:
             writer.writerow([1e3 * float(row["t"]), *degrees, *torque])
 
 
+def _logs(folder: Path) -> None:
+    """Five runs of the arm with friction that its file lacks, which are stepped together; two of
+    it without and with a payload."""
+    robot = load_robot(folder / "my_arm.urdf").with_limits(acceleration=5)
+    motion = trajectory_log(random_trajectory(robot, 1, count=4, duration=8.0, fill=True), 200.0)
+    runs = motion.trajectories()
+    runs.append(runs[0])
+    friction = {"effect": "load_dependent_friction", "joint": 2, "mu": 0.05}
+    real = simulate(robot, Log.concatenate(runs), effects=[friction], seed=1)
+    names = ("run1", "run2", "run3", "run4", "run1_again")
+    for name, run in zip(names, real.trajectories(), strict=True):
+        write_log(run, folder / f"{name}.csv")
+    load = {"effect": "payload", "m": 0.5} | dict.fromkeys(LOAD, 0.0)
+    for name, effects in (("empty", []), ("full", [load])):
+        log = simulate(robot, runs[0], effects=effects, seed=9)
+        write_log(log, folder / f"{name}.csv")
+
+
 def _servo_logs(folder: Path) -> None:
     """Of an arm that logs commands and positions: run1.parquet to run4.parquet."""
     for k, run in enumerate(planted(true_servos(3), motions=4).trajectories(), start=1):
@@ -103,25 +95,28 @@ def _servo_logs(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With all files that the README's commands name."""
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
+    """A folder with all files that the README's commands name."""
     out = tmp_path_factory.mktemp("readme")
-    _shell(PREPARE, out)
-    _raw_log(out / "run1.csv", out / "raw.csv")
-    (out / "run1.csv").unlink()
-    _servo_logs(out)
-    write_robot(load_robot(out / "my_arm.urdf").with_parameters(None), out / "kinematics.yaml")
-    return out
+    with shell(out) as place:
+        place.run(PREPARE)
+        _logs(out)
+        place.run(IDENTIFY)
+        _raw_log(out / "run1.csv", out / "raw.csv")
+        (out / "run1.csv").unlink()
+        _servo_logs(out)
+        write_robot(load_robot(out / "my_arm.urdf").with_parameters(None), out / "kinematics.yaml")
+        yield place
 
 
 @pytest.mark.slow
-def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
+def test_commands_and_python_of_the_readme_run(place: Shell) -> None:
     found = [
         block for block in blocks(README, "") if block.lstrip().startswith(("torchid ", "for "))
     ]
     assert len(found) >= 10
     for block in found:
-        _shell(_small(block), folder)
+        place.run(_small(block))
     for name in (
         "run1.csv",
         "mended.parquet",
@@ -130,10 +125,10 @@ def test_commands_and_python_of_the_readme_run(folder: Path) -> None:
         "gap.html",
         "corrected.yaml",
     ):
-        assert (folder / name).stat().st_size > 0, name
+        assert (place.folder / name).stat().st_size > 0, name
     code = "\n".join(blocks(README, "python"))
     before = Path.cwd()
-    os.chdir(folder)
+    os.chdir(place.folder)
     try:
         names = dict(
             zip(("q", "dq", "ddq"), torch.zeros(3, 5, 3, dtype=torch.float64), strict=True)

@@ -13,6 +13,7 @@ from torchid.export.correct import correct as correct
 from torchid.export.export import export_dynamics as export_dynamics
 from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
+from torchid.extraction.found import best_set as best_set
 from torchid.extraction.from_identification import problem_of as problem_of
 from torchid.extraction.settings import SearchSettings as SearchSettings
 from torchid.feasibility.record import check as check
@@ -27,6 +28,9 @@ from torchid.log.model import Log as Log
 from torchid.log.readers import read_log as read_log
 from torchid.log.readers import write_log as write_log
 from torchid.next_motion.design import excite_for as excite_for
+from torchid.position.diagnose import diagnose_positions as diagnose_positions
+from torchid.position.model import ServoArm as ServoArm
+from torchid.position.model import replay as replay
 from torchid.report.plots import draw as draw
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
@@ -36,6 +40,7 @@ from torchid.robot.model import tool_pose as tool_pose
 from torchid.robot.writer import write_robot as write_robot
 from torchid.simulation.sensors import HonestNoise as HonestNoise
 from torchid.study.equal_torque.given_sets import compare_wrenches as compare_wrenches
+from torchid.study.equal_torque.study import equal_torque_study as equal_torque_study
 from torchid.withheld.own import withheld_own as withheld_own
 
 __version__: str

@@ -159,7 +159,9 @@ def test_names_that_are_hard_to_write(command, place) -> None:
     assert read_project(Path("torchid.toml")).robot == name
 
 
-def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(command, place) -> None:
+def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(
+    command, place, types_unchecked
+) -> None:
     """All of them read the raw logs; each is at most 60 characters long."""
     assert command("init", "--gain", "2,4,5").code == 0
     few = "--effects load_dependent_friction,viscous_friction"

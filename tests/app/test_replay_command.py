@@ -7,7 +7,8 @@ import torch
 
 from tests.position.planted import planted, robot, true_servos
 from torchid.log.readers import read_log, write_log
-from torchid.position.model import read_model, write_model
+from torchid.position.model import ServoArm
+from torchid.results.files import load
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -18,7 +19,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("position")
     servos = true_servos(3)
     ones = torch.ones(3, dtype=torch.float64)
-    write_model(robot(), servos, ones, folder / "model.yaml")
+    ServoArm(robot(), servos, ones).write(folder / "model.yaml")
     for k, part in enumerate(planted(servos, motions=2, seconds=12.0).trajectories()):
         write_log(part, folder / f"run{k}.csv")
     write_robot(robot(), folder / "plain.yaml")
@@ -26,10 +27,10 @@ def folder(tmp_path_factory):
 
 
 def test_a_model_is_a_robot_too(folder):
-    again, servos, scale = read_model(folder / "model.yaml")
-    assert torch.equal(servos.joint, true_servos(3).joint)
-    assert scale.tolist() == [1.0, 1.0, 1.0]
-    assert load_robot(folder / "model.yaml").n == again.n == 3
+    again = ServoArm.read(folder / "model.yaml")
+    assert torch.equal(again.servos.joint, true_servos(3).joint)
+    assert again.scale.tolist() == [1.0, 1.0, 1.0]
+    assert load_robot(folder / "model.yaml").n == again.robot.n == 3
 
 
 @pytest.mark.parametrize("windows", [None, 2])
@@ -49,6 +50,9 @@ def test_replay_writes_what_the_model_foretells(command, folder, tmp_path, windo
         # The log is of the same servos: what differs is the encoder's count at the starts.
         assert float((simulated.q - real.q).abs().max()) < 5e-3
     assert json.loads(record.read_text())["schema"] == "torchid.replay/1"
+    again = load(record)
+    assert [one.file for one in again.logs] == ["run0.csv", "run1.csv"]
+    assert all(bool((one.error_mrad < 5).all()) for one in again.logs)
 
 
 @pytest.mark.parametrize(

@@ -164,10 +164,11 @@ def test_every_fault_on_arms_of_six_and_seven_joints(fault, name):
 @pytest.mark.parametrize("nominal", [False, True])
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4", "ur10e", "panda"])
 def test_clean_logs_are_silent(name, nominal):
+    """Three logs, with gears and without in turn; those of an arm with nominal parameters have
+    gears where those without have none."""
     for seed in range(3):
-        for gears in (False, True):
-            result = examine(*clean(name, seed, nominal=nominal, gears=gears))
-            assert result.silent, alarms(result)
+        result = examine(*clean(name, seed, nominal=nominal, gears=(seed % 2 == 0) ^ nominal))
+        assert result.silent, alarms(result)
 
 
 def test_gravity_says_how_the_arm_is_mounted():

@@ -5,6 +5,7 @@ import torch
 
 from tests.position.planted import planted, robot, true_servos
 from torchid.position.diagnose import _parted, _some, diagnose_positions
+from torchid.position.model import replay
 from torchid.report.position import position_tables, position_verdict
 from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
@@ -23,7 +24,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     extra = CAUSES[cause] if cause else {}
     servos = true_servos(3, **extra)
     log = planted(servos, motions=6, seconds=16.0, seed=4)
-    result = diagnose_positions(robot(), log)
+    result = diagnose_positions(robot(), log, held_out=next(iter(log.trajectories())))
     named = {
         (f.effect, f.joint)
         for f in result.findings
@@ -42,7 +43,12 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert again.plain() == result.plain()
     assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
     assert len(position_tables(result)) >= 2
-    assert "mrad" in position_verdict(result)
+    assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in position_verdict(result)
+    assert [len(found.plot("where").axes) for found in (result, again)] == [1, 1]
+    # Its model, moved by the commands, goes where the arm went.
+    moved = replay(result.corrected, log)
+    assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad
+    assert len(moved.plot("positions").axes) == 3
 
 
 def test_one_motion_is_taken_in_parts():

@@ -74,19 +74,19 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     data = mujoco.MjData(model)
     data.qpos[:] = u[0]
     steps = round(DT / step)
+    # Delays are whole samples: the command is the line between two of them.
+    now = (np.arange((len(u) - 1) * steps) / steps)[:, None] - p["delay"] / DT
+    low = np.floor(now + 1e-9).astype(int)
+    a, b = (u[np.clip(low + i, 0, None), range(robot.n)] for i in (0, 1))
+    x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
+    kp, kd, clip, offset = (p[name] for name in ("kp", "kd", "clip", "offset"))
     out = [u[0]]
-    for k in range(len(u) - 1):
-        for s in range(steps):
-            # Delays are whole samples: the command is the line between two of them.
-            now = k + s / steps - p["delay"] / DT
-            low = np.floor(now + 1e-9).astype(int)
-            a, b = (u[np.clip(low + i, 0, None), range(robot.n)] for i in (0, 1))
-            x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
-            error, rate = x - data.qpos, dx - data.qvel
-            torque = p["kp"] * error + p["kd"] * rate
-            data.qfrc_applied[:] = np.clip(torque, -p["clip"], p["clip"]) + p["offset"]
-            mujoco.mj_step(model, data)
-        out.append(data.qpos.copy())
+    for k in range(len(x)):
+        torque = kp * (x[k] - data.qpos) + kd * (dx[k] - data.qvel)
+        data.qfrc_applied[:] = torque.clip(-clip, clip) + offset
+        mujoco.mj_step(model, data)
+        if (k + 1) % steps == 0:
+            out.append(data.qpos.copy())
     return np.array(out)
 
 

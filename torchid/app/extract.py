@@ -16,7 +16,6 @@ from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
 
 if TYPE_CHECKING:
-    from torchid.extraction.convex.certificate import Certificate
     from torchid.extraction.problem import LossName, Problem
     from torchid.identification.values import BaseValues
     from torchid.report.extraction import Found
@@ -112,7 +111,7 @@ def extract_command(
     """
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
-    from torchid.extraction.found import Found, judged
+    from torchid.extraction.found import Found, best_set, judged
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import headline, loss_notes, search_figure, tables
@@ -129,7 +128,7 @@ def extract_command(
         notes = (*notes, *told)
     if method == "sdp":
         with output.progress("the best set"):
-            found = _convex(problem, proven, search_anyway)
+            found = best_set(problem, proof=proven, search_anyway=search_anyway)
     elif method == "log-cholesky":
         began = time.monotonic()
         with output.progress("descending"):
@@ -155,36 +154,6 @@ def extract_command(
     output.say(*tables(found, proven))
     output.warn(notes)
     output.say(f"\n{escape(headline(found, proven))}")
-
-
-def _convex(problem: "Problem", proof: "Certificate | None", anyway: bool) -> "Found":
-    from torchid.extraction.convex.certificate import certificate
-    from torchid.extraction.found import Found, judged
-    from torchid.extraction.polish.polish import polish
-    from torchid.extraction.polish.region import region
-
-    proof = certificate(problem) if proof is None else proof
-    if not (proof.feasible or proof.conflict):
-        raise TorchidError(
-            "the convex solver failed on this problem.",
-            got=proof.status,
-            hint="--method cma-es, or log-cholesky",
-        )
-    if proof.sets is None or not (proof.with_conditions or anyway):
-        raise TorchidError(
-            "no feasible set exists within these bounds.",
-            got=", ".join(proof.conflict) or proof.status,
-            hint="other --bounds, --geometry or --total-mass; --search-anyway leaves the "
-            "conditions out",
-        )
-    inside = region(problem, conditions=proof.with_conditions)
-    start = problem.search_vector(proof.sets)
-    # Bounds of barycentric inertias count in the program by a relaxation only: a descent within
-    # the true ones can still lower the loss of its set.
-    polished = problem.sets(polish(problem, inside, start), proof.sets.ids)
-    own, lower = judged(problem, proof.sets), judged(problem, polished)
-    better = bool(lower[-1].feasible[0]) and float(lower[1][0]) < float(own[1][0])
-    return Found(problem, "sdp", *(lower if better else own), None, proof.seconds)
 
 
 def _searched(

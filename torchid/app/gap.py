@@ -127,7 +127,6 @@ def _positions(
 ) -> None:
     """The diagnosis of logs that have commands and no torques."""
     from torchid.position.diagnose import diagnose_positions
-    from torchid.position.model import accuracy, write_model
     from torchid.report.position import position_tables, position_verdict
 
     default = GapSettings(seed=settings.seed)
@@ -141,17 +140,11 @@ def _positions(
             expected="of the options on how to search and report, none",
         )
     with output.progress("reading") as progress:
-        result = diagnose_positions(robot, log, progress=progress)
-    data = {**result.plain(), "seed": settings.seed}
-    said = None
-    if apart is not None:
-        whole, windows = accuracy(robot, result.servos, result.data.scale, apart)
-        data["held_out"] = {"whole_mrad": whole, "windows_2s_mrad": windows}
-        said = f"held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad"
-    output.write_json(data, "gap.json")
+        result = diagnose_positions(robot, log, held_out=apart, progress=progress)
+    output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
     if save_model is not None:
-        write_model(robot, result.servos, result.data.scale, save_model)
+        result.corrected.write(save_model)
         output.written.append(save_model)
     output.verdict(position_verdict(result))
-    output.say(*position_tables(result), *([said] if said else []))
+    output.say(*position_tables(result))
     output.warn(result.warnings)

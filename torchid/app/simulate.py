@@ -1,6 +1,7 @@
 """`torchid simulate`: a synthetic log along a trajectory."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -165,40 +166,25 @@ def _replay(
 ) -> None:
     """Simulated positions of logs, one file each."""
     from torchid.log.readers import is_written, read_log, write_log
-    from torchid.position.model import read_model, replay
+    from torchid.position.model import ServoArm
+    from torchid.position.model import replay as replayed
 
     folder = to or output.out
     if folder is None or folder.is_file():
         raise TorchidError("--replay writes one file a log.", got=folder, expected="--to DIR")
-    if windows is not None and not windows > 0:
-        raise TorchidError("--windows is a time.", got=windows, expected="> 0 s")
     names = [path.name if is_written(path.suffix) else f"{path.stem}.parquet" for path in paths]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
     for name in names:
         require_no_input(folder / name, "--to")
-    robot, servos, scale = read_model(arm.robot)
-    logs = [read_log(path, columns=columns, joints=robot.joint_names) for path in paths]
-    found = replay(robot, servos, scale, logs, windows)
+    model = ServoArm.read(arm.robot)
+    logs = [read_log(path, columns=columns, joints=model.robot.joint_names) for path in paths]
+    found = replace(replayed(model, logs, windows=windows), files=tuple(names))
     folder.mkdir(parents=True, exist_ok=True)
-    errors = []
-    for name, log, simulated in zip(names, logs, found, strict=True):
+    for name, simulated in zip(names, found.simulated, strict=True):
         write_log(simulated.replace(u=None), folder / name)
         output.written.append(folder / name)
-        errors.append((1e3 * (simulated.q - log.q).square().mean(0).sqrt()).tolist())
-    output.write_json(
-        {
-            "schema": "torchid.replay/1",
-            "robot": robot.name,
-            "windows_s": windows,
-            "logs": [
-                {"file": name, "error_mrad": error}
-                for name, error in zip(names, errors, strict=True)
-            ],
-            "seed": seed,
-        },
-        "replay.json",
-    )
-    for name, error in zip(names, errors, strict=True):
-        output.say(f"{name}: {sum(error) / robot.n:.2f} mrad from the measured positions")
+    output.write_json({**found.plain(), "seed": seed}, "replay.json")
+    for name, error in zip(names, found.error.mean(1).tolist(), strict=True):
+        output.say(f"{name}: {error:.2f} mrad from the measured positions")

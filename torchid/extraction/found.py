@@ -5,9 +5,12 @@ from functools import cached_property
 
 import torch
 
-from torchid.extraction.convex.certificate import Certificate
+from torchid.errors import TorchidError
+from torchid.extraction.convex.certificate import Certificate, certificate
 from torchid.extraction.extract import Extraction
 from torchid.extraction.penalty import gamma
+from torchid.extraction.polish.polish import polish
+from torchid.extraction.polish.region import region
 from torchid.extraction.problem import Problem, torque_error
 from torchid.extraction.record import (
     ExtractedSet,
@@ -109,6 +112,55 @@ def judged(
         torque_error(problem, sets),
         feasibility(sets, problem.conditions),
     )
+
+
+def best_set(
+    problem: Problem, *, proof: Certificate | None = None, search_anyway: bool = False
+) -> Found:
+    """The feasible set nearest to what was identified: a semidefinite program, whose loss no search
+    can beat.
+
+    Args:
+        problem: loss, bounds and conditions, from `problem_of`.
+        proof: its `certificate`, if that is known already.
+        search_anyway: leave conditions out that no set of the bounds meets.
+
+    Returns:
+        One set; `proof` says what its loss is at least, and which conditions hold it there.
+
+    Raises:
+        TorchidError: no feasible set exists within the bounds, or the solver failed.
+
+    >>> import torchid
+    >>> from torchid.identification.values import nominal_base
+    >>> robot = torchid.load_robot("3r")
+    >>> problem, _ = torchid.problem_of(robot, nominal_base(robot))
+    >>> found = best_set(problem)
+    >>> found.sets.parameters.mass.shape, bool(found.verdict.feasible[0])
+    (torch.Size([1, 3]), True)
+    """
+    proof = certificate(problem) if proof is None else proof
+    if not (proof.feasible or proof.conflict):
+        raise TorchidError(
+            "the convex solver failed on this problem.",
+            got=proof.status,
+            hint='`torchid extract` searches without it: `method="cma-es"`',
+        )
+    if proof.sets is None or not (proof.with_conditions or search_anyway):
+        raise TorchidError(
+            "no feasible set exists within these bounds.",
+            got=", ".join(proof.conflict) or proof.status,
+            hint="other `bounds=...`, `geometry=...` or `total_mass=...`; `search_anyway=True` "
+            "leaves the conditions out",
+        )
+    inside = region(problem, conditions=proof.with_conditions)
+    start = problem.search_vector(proof.sets)
+    # Bounds of barycentric inertias count in the program by a relaxation only: a descent within
+    # the true ones can still lower the loss of its set.
+    polished = problem.sets(polish(problem, inside, start), proof.sets.ids)
+    own, lower = judged(problem, proof.sets), judged(problem, polished)
+    better = bool(lower[-1].feasible[0]) and float(lower[1][0]) < float(own[1][0])
+    return Found(problem, "sdp", *(lower if better else own), None, proof.seconds, proof)
 
 
 def at_bounds(found: Found) -> list[str]:

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from torchid.position.data import PositionData
-from torchid.position.record import PositionRecord, position_record
-from torchid.results.record import Result
+from torchid.position.model import ServoArm
+from torchid.position.record import EffectRecord, PositionRecord, position_record
+from torchid.results.record import Result, Rows
 from torchid.simulation.servo import Servos
 from torchid.typing import Bool, Float, Tensor
 
@@ -83,6 +84,8 @@ class PositionDiagnosis(Result):
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
+        held_out: errors of a log that took part in nothing, mean of the joints: whole motions and
+            windows of 2 s [mrad]; None without one.
     """
 
     data: PositionData
@@ -98,6 +101,7 @@ class PositionDiagnosis(Result):
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
+    held_out: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"
@@ -107,3 +111,13 @@ class PositionDiagnosis(Result):
     def record(self) -> PositionRecord:
         """As the JSON has it."""
         return position_record(self)
+
+    @property
+    def corrected(self) -> ServoArm:
+        """The answered model: what `replay` moves, and `write` keeps."""
+        return ServoArm(self.data.robot, self.servos, self.data.scale)
+
+    @property
+    def effects(self) -> Rows[EffectRecord]:
+        """What was found, one row an effect and joint."""
+        return self.record.table

@@ -1,24 +1,27 @@
-"""A robot with its servos as one file, and what it says about a log."""
+"""A robot with its servos, as one file too, and what it says about a log."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import torch
 import yaml
-from torch import Tensor
+from msgspec import UNSET, UnsetType
 
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write
 from torchid.log.model import Log
 from torchid.position.data import STILL, tracks_of
+from torchid.results.record import Part, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.robot.writer import robot_yaml
 from torchid.robot.yaml_file import read_yaml
 from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import Servos
+from torchid.simulation.servo import NAMES, Servos
 from torchid.simulation.servo_loop import Tracks, Windows, windows_of
-from torchid.typing import Float
+from torchid.typing import Float, Tensor
 
 KEY = "servos"
 SAME_RATE = 0.01
@@ -27,72 +30,179 @@ _BEFORE = 4
 """Samples before a start from which its velocity is told [1]."""
 
 
-def write_model(robot: Robot, servos: Servos, scale: Float[Tensor, " n"], path: str | Path) -> None:
-    """Write a robot's yaml with its servos, which `torchid simulate --replay` reads.
+@dataclass(frozen=True, eq=False)
+class ServoArm:
+    """A robot with its position servos: what moves when it is commanded.
 
-    Args:
-        robot: as it is.
+    Attributes:
+        robot: with inertial parameters.
         servos: one set.
-        scale: (n,) radians of the model per unit of the logs.
-        path: the file, *.yaml.
+        scale: (n,) radians (m) of the model per unit of the logs, 1 but where a log has a joint in
+            another unit.
 
-    Raises:
-        TorchidError: the file cannot be written.
+    >>> import torchid
+    >>> arm = ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
+    >>> arm.servos.of("kp").tolist()
+    [260.0, 260.0, 260.0]
     """
-    block = {KEY: {**servos.record(), "log_scale": scale.tolist()}}
-    text = robot_yaml(robot) + yaml.safe_dump(block, sort_keys=False, width=200)
-    with atomic_write(Path(path)) as file:
-        file.write(text)
+
+    robot: Robot
+    servos: Servos
+    scale: Float[Tensor, " n"]
+
+    def __repr__(self) -> str:
+        return f"ServoArm('{self.robot.name}')"
+
+    @classmethod
+    def of(cls, robot: Robot, **values: float) -> "ServoArm":
+        """The same servo on every joint.
+
+        Args:
+            robot: with inertial parameters.
+            values: of `torchid.simulation.servo.PARAMETERS` by name, as kp [N m/rad]; those that
+                are not given have no effect.
+
+        Raises:
+            TorchidError: no such parameter.
+        """
+        for name in values:
+            if name not in NAMES:
+                raise TorchidError("a servo has no such parameter.", got=name, available=NAMES)
+        return cls(
+            robot, Servos.neutral(robot.n, **values), torch.ones(robot.n, dtype=torch.float64)
+        )
+
+    @classmethod
+    def read(cls, path: str | Path) -> "ServoArm":
+        """A robot's yaml with servos, as `write` and `torchid gap --save-model` make it.
+
+        Raises:
+            TorchidError: the file has no servos, or servos of another robot.
+            RobotError: it is no robot's yaml.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in (".yaml", ".yml"):
+            raise TorchidError(
+                f"'{path}' has no servos.", expected="a .yaml that `torchid gap --save-model` wrote"
+            )
+        robot, data = read_yaml(path), parsed_yaml(path).get(KEY)
+        if not isinstance(data, dict):
+            raise TorchidError(
+                f"'{path}' has no servos.",
+                expected=f"a block `{KEY}`, as `torchid gap --save-model` writes it",
+            )
+        scale = data.get("log_scale", [1.0] * robot.n)
+        servos = Servos.from_record(
+            {key: value for key, value in data.items() if key != "log_scale"}, robot.n, str(path)
+        )
+        if not isinstance(scale, list) or len(scale) != robot.n or not all(s > 0 for s in scale):
+            raise TorchidError(
+                f"'{path}': log_scale is wrong.", got=scale, expected=f"{robot.n} > 0"
+            )
+        return cls(robot, servos, torch.tensor(scale, dtype=torch.float64))
+
+    def write(self, path: str | Path) -> None:
+        """The robot's yaml with its servos, whole or not at all.
+
+        Args:
+            path: the file, *.yaml.
+
+        Raises:
+            TorchidError: the file cannot be written.
+        """
+        block = {KEY: {**self.servos.record(), "log_scale": self.scale.tolist()}}
+        text = robot_yaml(self.robot) + yaml.safe_dump(block, sort_keys=False, width=200)
+        with atomic_write(Path(path)) as file:
+            file.write(text)
 
 
-def read_model(path: str | Path) -> tuple[Robot, Servos, Float[Tensor, " n"]]:
-    """A robot, its servos and the scale of its logs, as `write_model` writes them.
+class ReplayedLog(Part, frozen=True, kw_only=True):
+    """RMS errors of one log, joint by joint [mrad of its unit]."""
 
-    Raises:
-        TorchidError: the file has no servos, or servos of another robot.
-        RobotError: it is no robot's yaml.
+    file: str
+    error_mrad: Float[Tensor, " n"]
+
+
+class ReplayRecord(Record, frozen=True, kw_only=True, tag="torchid.replay/1"):
+    """A replay as its JSON has it; see Replay."""
+
+    robot: str
+    windows_s: float | None
+    logs: tuple[ReplayedLog, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[ReplayedLog]:
+        """The logs."""
+        return Rows(self.logs)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay(Result):
+    """Where servos would have gone with the commands of logs.
+
+    Attributes:
+        robot: its name.
+        measured: the logs as given.
+        simulated: the same with simulated q and commanded u alone, in the logs' units.
+        windows: after how many seconds it began again at the measured position; None if only where
+            a motion begins.
+        files: what the logs are called.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        raise TorchidError(
-            f"'{path}' has no servos.", expected="a .yaml that `torchid gap --save-model` wrote"
+
+    robot: str
+    measured: tuple[Log, ...]
+    simulated: tuple[Log, ...]
+    windows: float | None
+    files: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Replay('{self.robot}', {float(self.error.mean()):.2f} mrad)"
+
+    @cached_property
+    def error(self) -> Float[Tensor, "logs n"]:
+        """RMS position errors of each log and joint [mrad of the log's unit]."""
+        both = zip(self.measured, self.simulated, strict=True)
+        return torch.stack([1e3 * (far.q - log.q).square().mean(0).sqrt() for log, far in both])
+
+    @cached_property
+    def record(self) -> ReplayRecord:
+        """As the JSON has it."""
+        errors = zip(self.files, self.error, strict=True)
+        return ReplayRecord(
+            robot=self.robot,
+            windows_s=self.windows,
+            logs=tuple(ReplayedLog(file=file, error_mrad=error) for file, error in errors),
         )
-    robot, data = read_yaml(path), parsed_yaml(path).get(KEY)
-    if not isinstance(data, dict):
-        raise TorchidError(
-            f"'{path}' has no servos.",
-            expected=f"a block `{KEY}`, as `torchid gap --save-model` writes it",
-        )
-    scale = data.get("log_scale", [1.0] * robot.n)
-    servos = Servos.from_record(
-        {key: value for key, value in data.items() if key != "log_scale"}, robot.n, str(path)
-    )
-    if not isinstance(scale, list) or len(scale) != robot.n or not all(s > 0 for s in scale):
-        raise TorchidError(f"'{path}': log_scale is wrong.", got=scale, expected=f"{robot.n} > 0")
-    return robot, servos, torch.tensor(scale, dtype=torch.float64)
 
 
-def replay(
-    robot: Robot,
-    servos: Servos,
-    scale: Float[Tensor, " n"],
-    logs: Sequence[Log],
-    windows_s: float | None = None,
-) -> list[Log]:
+def replay(arm: ServoArm, logs: Log | Sequence[Log], *, windows: float | None = None) -> Replay:
     """Where the arm would have gone with the commands of logs.
 
     Args:
-        robot, servos, scale: the model.
-        logs: with q and u; every motion begins at its measured start.
-        windows_s: begin again at the measured position every so many seconds.
+        arm: the model: `corrected` of a diagnosis of positions, or `ServoArm.read`.
+        logs: t, u and q; every motion begins at its measured start.
+        windows: begin again at the measured position every so many seconds; never if None.
 
     Returns:
-        The logs with simulated q and commanded u alone, in their own units.
+        The simulated logs, with their errors.
 
     Raises:
         LogError: other joints than the robot's, no commands, or uneven sampling.
-        TorchidError: the arm runs away.
+        TorchidError: the arm runs away, or windows that are no time.
+
+    >>> import numpy as np, torchid
+    >>> arm = ServoArm.of(torchid.load_robot("3r"), kp=260.0, damping=22.0, armature=0.8)
+    >>> t = 0.02 * np.arange(100)
+    >>> u = 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))  # commands [rad]
+    >>> far = replay(arm, torchid.Log(t, q=u, u=u))
+    >>> far.simulated[0].q.shape, bool((far.error < 150).all())
+    (torch.Size([100, 3]), True)
     """
+    logs = (logs,) if isinstance(logs, Log) else tuple(logs)
+    robot, scale = arm.robot, arm.scale
+    if windows is not None and not windows > 0:
+        raise TorchidError("windows is a time.", got=windows, expected="> 0 s")
     for log in logs:
         if log.n != robot.n:
             raise LogError(
@@ -102,33 +212,29 @@ def replay(
             )
     tracks = [tracks_of(log, scale) for log in logs]
     # Logs of one rate are simulated side by side.
-    out: list[Log | None] = [None] * len(logs)
+    out: dict[int, Log] = {}
     waiting = list(range(len(logs)))
     while waiting:
         rate = tracks[waiting[0]].dt
         alike = [k for k in waiting if abs(tracks[k].dt - rate) <= SAME_RATE * rate]
         waiting = [k for k in waiting if k not in alike]
         together = _side_by_side([tracks[k] for k in alike])
-        found = _replayed(robot, servos, scale, [logs[k] for k in alike], together, windows_s)
+        found = _replayed(arm, [logs[k] for k in alike], together, windows)
         for k, q in zip(alike, found, strict=True):
             plain = logs[k].replace(**dict.fromkeys([s for s in logs[k].signals if s != "q"]))
             out[k] = plain.replace(q=q / scale, u=logs[k].u)
-    return [log for log in out if log is not None]
+    simulated = tuple(out[k] for k in range(len(logs)))
+    return Replay(robot.name, logs, simulated, windows, tuple(log.source for log in logs))
 
 
 def _replayed(
-    robot: Robot,
-    servos: Servos,
-    scale: Tensor,
-    logs: Sequence[Log],
-    tracks: Tracks,
-    windows_s: float | None,
+    arm: ServoArm, logs: Sequence[Log], tracks: Tracks, seconds: float | None
 ) -> Sequence[Tensor]:
     """Simulated positions (T, n) of each of some logs of one rate [rad]."""
-    windows = windows_of(tracks, windows_s)
-    q = torch.cat([log.q for log in logs]) * scale
+    windows = windows_of(tracks, seconds)
+    q = torch.cat([log.q for log in logs]) * arm.scale
     start = _velocities(q, tracks, windows)
-    found = replayed(robot, servos, tracks, windows, q[windows.start], start)
+    found = replayed(arm.robot, arm.servos, tracks, windows, q[windows.start], start)
     return found.split([log.samples for log in logs])
 
 
@@ -143,20 +249,15 @@ def _side_by_side(tracks: Sequence[Tracks]) -> Tracks:
     )
 
 
-def accuracy(
-    robot: Robot, servos: Servos, scale: Float[Tensor, " n"], log: Log
-) -> tuple[float, float]:
+def accuracy(arm: ServoArm, log: Log) -> tuple[float, float]:
     """RMS position error, mean of the joints [mrad of the log's unit]: whole motions from their
     measured start, and windows of 2 s.
 
     Raises:
         LogError, TorchidError: as `replay`.
     """
-    out = []
-    for seconds in (None, 2.0):
-        (found,) = replay(robot, servos, scale, [log], seconds)
-        out.append(1e3 * float((found.q - log.q).square().mean(0).sqrt().mean()))
-    return out[0], out[1]
+    whole, short = (float(replay(arm, log, windows=w).error.mean()) for w in (None, 2.0))
+    return whole, short
 
 
 def _velocities(q: Tensor, tracks: Tracks, windows: Windows) -> Tensor:

@@ -106,7 +106,8 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
         servos: its model. log_scale: (n,) from the log's unit to rad or m.
         warnings: sentences for the user.
         seconds: that it took.
-        seed, held_out: from a command.
+        held_out: errors of a log that took part in nothing.
+        seed: from a command.
     """
 
     robot: str
@@ -126,6 +127,11 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
     def table(self) -> Rows[EffectRecord]:
         """The effects."""
         return Rows(self.which)
+
+    @property
+    def effects(self) -> Rows[EffectRecord]:
+        """The same."""
+        return self.table
 
 
 def position_record(result: "PositionDiagnosis") -> PositionRecord:
@@ -169,6 +175,11 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
         log_scale=result.data.scale,
         warnings=result.warnings,
         seconds=result.seconds,
+        held_out=(
+            UNSET
+            if result.held_out is None
+            else HeldOutRecord(whole_mrad=result.held_out[0], windows_2s_mrad=result.held_out[1])
+        ),
     )
 
 

@@ -20,11 +20,15 @@ from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
+from torchid.position.diagnosis import PositionDiagnosis
+from torchid.position.model import Replay
+from torchid.position.record import PositionRecord
 from torchid.report import compare_figures as compare
 from torchid.report import gap_figures as gap
 from torchid.report import identification, log, withheld_figures
 from torchid.report.extraction import atlas_figure, search_figure
 from torchid.report.panels import Figure
+from torchid.report.position import error_figure, replay_figure
 from torchid.report.study.page import drawings
 from torchid.report.table import joint_unit
 from torchid.report.wrenches import figures as wrenches
@@ -45,7 +49,7 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
         result: in memory, or read back: that has no torque over time.
         kind: which figure; the first of its kinds if None.
         which: what else it asks for: `joint` (from 0) of a gap's `gap` and `torque`, `trajectory`
-            (from 0) of an identification's `torque`.
+            (from 0) of an identification's `torque`, `log` (from 0) of a replay's `positions`.
 
     Returns:
         A matplotlib Figure, which needs no display.
@@ -88,6 +92,12 @@ def kinds(result: Result) -> Kinds:
             return _gap(result)
         case GapRecord():
             return _gap(_diagnosis(result))
+        case PositionDiagnosis():
+            return kinds(result.record)
+        case PositionRecord():
+            return {"where": partial(error_figure, result)}
+        case Replay():
+            return {"positions": partial(replay_figure, result)}
         case Identification():
             return _identification(result)
         case IdentificationRecord():

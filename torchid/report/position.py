@@ -1,8 +1,16 @@
-"""A diagnosis of commands and positions for people: the verdict, and tables."""
+"""A diagnosis of commands and positions for people: the verdict, tables and figures."""
 
 import math
 
+import numpy as np
+import torch
+
+from torchid.errors import TorchidError
 from torchid.position.diagnosis import PositionDiagnosis, Size
+from torchid.position.model import Replay
+from torchid.position.record import PositionRecord
+from torchid.report.colours import AFTER, BEFORE, GREY, INK
+from torchid.report.panels import Figure, finish, joint_lines, panel, thin
 from torchid.report.table import Table
 
 
@@ -15,6 +23,9 @@ def position_verdict(result: PositionDiagnosis) -> str:
         f"a plain servo reaches {plain:.1f}, the command alone "
         f"{float(result.commanded.whole.mean()):.1f}."
     )
+    if result.held_out is not None:
+        whole, windows = result.held_out
+        said += f" Held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad."
     if not names:
         return f"{said} Nothing beside a plain servo is needed."
     return f"{said} What closes it: {', '.join(names)}."
@@ -82,3 +93,45 @@ def _size(size: Size) -> str:
     if math.isnan(low):
         return f"{size.name} {size.value:.3g}{unit}"
     return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}"
+
+
+def error_figure(record: PositionRecord) -> Figure:
+    """RMS position errors of motions left out, joint by joint: the command, a plain servo and the
+    answer."""
+    joints = record.where.joints
+    figure, axes = panel(2.4 + 0.85 * len(joints), 3.6)
+    place = np.arange(len(joints))
+    ways = (
+        ("the command", GREY, [j.commanded_mrad for j in joints]),
+        ("a plain servo", BEFORE, [j.plain_mrad for j in joints]),
+        ("with the effects found", AFTER, [j.answered_mrad for j in joints]),
+    )
+    for k, (label, colour, errors) in enumerate(ways):
+        axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=label)
+    axes.set_xticks(place, [f"joint {j.joint + 1}" for j in joints])
+    axes.grid(axis="x", visible=False)
+    axes.set_ylabel("position error, RMS [mrad]")
+    return finish(figure, f"{record.robot}: whole motions, left out of the fit", axes, columns=3)
+
+
+def replay_figure(result: Replay, log: int = 0) -> Figure:
+    """Command, measured and simulated position of every joint over one log's time.
+
+    Raises:
+        TorchidError: no such log.
+    """
+    if not 0 <= log < len(result.measured):
+        raise TorchidError("there is no such log.", got=log, expected=f"0..{len(result.files) - 1}")
+    real, far = result.measured[log], result.simulated[log]
+    assert real.u is not None
+    curves = {
+        "commanded": (thin(real.u), {"color": GREY, "linewidth": 1.0}),
+        "measured": (thin(real.q), {"color": INK, "linewidth": 2.0}),
+        "simulated": (thin(far.q), {"color": AFTER, "linewidth": 1.0}),
+    }
+    title = f"{result.files[log] or result.robot}: {float(result.error[log].mean()):.1f} mrad RMS"
+    # Motions one after the other, each from its own beginning.
+    samples = thin(torch.arange(real.samples))
+    alone = real.trajectory_count == 1
+    t, x = (thin(real.t - real.t[0]), "time [s]") if alone else (samples, "sample")
+    return joint_lines(title, "position [rad]", t, curves, x)[0]

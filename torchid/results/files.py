@@ -23,6 +23,7 @@ RECORDS = {
     "torchid.payload/1": "torchid.identification.payload:PayloadRecord",
     "torchid.gap/1": "torchid.gap.record:GapRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
+    "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
     "torchid.export/1": "torchid.export.record:ExportRecord",
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
