@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from torchid.errors import visible
 from torchid.robot.model import JointType, Robot
 
 Cell = str | Text
@@ -46,22 +47,22 @@ class Table:
 
     def __rich__(self) -> RichTable:
         """For the terminal."""
-        table = compact(escape(self.title))
+        table = compact(escape(visible(self.title)))
         table.show_header = any(name.strip() for name in self.columns)
-        table.caption = escape(self.note) or None
+        table.caption = escape(visible(self.note)) or None
         table.caption_justify = "left"
         table.min_width = self.least_width
         for name in self.columns:
             breaks = name in self.words
             table.add_column(
-                Text(name),
+                Text(visible(name)),
                 justify="left" if name in self.left else "right",
                 no_wrap=not breaks,
                 overflow="fold" if breaks else "ellipsis",
             )
         for row in self.rows:
             if row:
-                table.add_row(*(Text.assemble(cell) for cell in row))
+                table.add_row(*(c if isinstance(c, Text) else Text(visible(c)) for c in row))
             else:
                 table.add_section()
         return table
