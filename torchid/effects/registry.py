@@ -79,7 +79,7 @@ COLUMN_KINDS: dict[str, type[JointEffect]] = {
 }
 """Effects whose columns depend on the present motion alone: those that identification fits."""
 
-_BEYOND = 10.0
+_BEYOND = 100.0
 """How much larger than on any arm a coefficient in a file may be, to see what it would do."""
 
 EVENTS = tuple(name for name, kind in KINDS.items() if kind.event)
