@@ -226,8 +226,8 @@ def _files() -> Iterator[tuple[str, bytes]]:
     yield "cut.mat", arrays[: len(arrays) // 2]
     yield "head.mat", arrays[:128]
     for k, (place, word) in enumerate(
-        [(128, 0xFFFFFFFF), (132, 0x7FFFFFFF), (136, 0), (144, 0), (144, 99), (148, 0xFF),
-         (160, 0xFFFFFFFF), (164, 0), (168, 0), (176, 99), (176, 0xFFFF0001), (184, 0x7FFFFFFF)]
+        [(128, 0xFFFFFFFF), (132, 0x7FFFFFFF), (144, 0), (144, 99), (164, 0), (168, 0),
+         (176, 99), (176, 0xFFFF0001)]
     ):  # fmt: skip
         yield f"word{k}.mat", arrays[:place] + struct.pack("<I", word) + arrays[place + 4 :]
     yield "v7_3.mat", b"MATLAB 7.3 MAT-file" + bytes(600)
@@ -263,18 +263,11 @@ def write_all(folder: Path) -> dict[str, Path]:
             target = folder / f"lerobot_{k}" / part
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(content)
-    for k, text in enumerate(
-        (
-            b"",
-            b"[" * 3000,
-            b"rosbag2_bagfile_information: 7",
-            b"\xff\xfe",
-            b"rosbag2_bagfile_information: {version: 5, storage_identifier: sqlite3, relative_file_paths: [../../x]}",
-        )
-    ):
+    outside = b"{version: 5, storage_identifier: sqlite3, relative_file_paths: [../../x]}"
+    for k, text in enumerate((b"", b"[" * 300, b"7", b"\xff\xfe", outside)):
         bag = folder / f"bag_{k}"
         bag.mkdir()
-        (bag / "metadata.yaml").write_bytes(text)
+        (bag / "metadata.yaml").write_bytes(b"rosbag2_bagfile_information: " + text)
         found[f"bag {k}"] = bag
     found["folder"] = folder
     found["absent"] = folder / "absent.csv"

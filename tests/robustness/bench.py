@@ -51,7 +51,7 @@ class Outcome:
             "no message": not self.err.strip(),
             f"{len(said)} letters": len(said) > MOST_SAID,
             "control characters": any(not c.isprintable() and c != "\n" for c in said),
-            "not one error": self.code == 1 and said.count("error: ") != 1,
+            "not one error": self.code == 1 and f"\n{said}".count("\nerror: ") != 1,
         }
         wrong = [text for text, bad in checks.items() if bad]
         return f"{'; '.join(wrong)}: {ended[:400]}" if wrong else None
