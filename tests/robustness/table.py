@@ -60,11 +60,12 @@ class Table:
             (good / f"{name}.csv").write_bytes(bad_logs.csv(bad_logs.motion(seed=seed)))
         sets, identified = bad_results.good(good)
         diagnosis(good / "gap.json", named(Fc=0.5))
+        log, other = good / "log.csv", good / "other.csv"
         by_name = {
-            "robot": "3r", "params": "3r", "name": "3r",
-            "result": identified, "results": identified, "logs": good / "log.csv", "trajectory": good / "log.csv", "loaded": good / "other.csv",
-            "held_out": good / "third.csv", "sets": sets, "seed": 1, "cases": 1, "to": "urdf",
-            "folder": good, "on": good / "other.csv", "log": good / "other.csv",
+            "robot": "3r", "params": "3r", "name": "3r", "seed": 1, "cases": 1, "to": "urdf",
+            "result": identified, "results": identified, "sets": sets, "folder": good,
+            "logs": log, "trajectory": log, "loaded": other, "held_out": good / "third.csv",
+            "on": other, "log": other,
         }  # fmt: skip
         results = bad_results.write_all(folder / "results", sets, identified)
         return cls(

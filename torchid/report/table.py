@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from rich import box
-from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -47,9 +46,9 @@ class Table:
 
     def __rich__(self) -> RichTable:
         """For the terminal."""
-        table = compact(escape(visible(self.title)))
+        table = compact(self.title)
         table.show_header = any(name.strip() for name in self.columns)
-        table.caption = escape(visible(self.note)) or None
+        table.caption = Text(visible(self.note), "table.caption") if self.note else None
         table.caption_justify = "left"
         table.min_width = self.least_width
         for name in self.columns:
@@ -105,7 +104,8 @@ def pipe_table(
 
 def compact(title: str) -> RichTable:
     """An empty table in the house style."""
-    return RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    shown = Text(visible(title), "table.title")
+    return RichTable(title=shown, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
 
 
 def unit_words(unit: str) -> str:
