@@ -61,8 +61,8 @@ def files() -> Iterator[tuple[str, bytes]]:
     yield "binary.yaml", bytes(range(256))
     yield "zeros.yaml", bytes(500)
     yield "tab.yaml", b"name:\t[\n\t:"
-    yield "deep.yaml", b"name: x\ndh: " + b"[" * 5000
-    yield "deep_map.yaml", b"{a: " * 3000
+    yield "deep.yaml", b"name: x\ndh: " + b"[" * 1500
+    yield "deep_map.yaml", b"{a: " * 1500
     yield (
         "laughs.yaml",
         b"a0: &a0 [x, x]\n"

@@ -14,8 +14,8 @@ from unittest import mock
 
 from torchid.app.commands import run
 
-SECONDS, BYTES = 10, 1 << 30
-"""What one bad input may take, and how much memory beside what the process has."""
+SECONDS, BYTES = 30, 1 << 30
+"""What one bad input may take on a busy machine, and how much memory beside the process's."""
 MOST_SAID = 6000
 """Letters of a clear error."""
 

@@ -97,7 +97,7 @@ def read(path: Path) -> None:
 def fault(path: Path) -> str | None:
     """What is wrong with how reading a file ends; None where all is right."""
     try:
-        with limited():
+        with limited(10):
             read(path)
     except TorchidError as error:
         text = str(error)

@@ -1,5 +1,6 @@
 """The table of bad inputs: which command is given what, and whether it may still succeed."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -17,7 +18,7 @@ EVERY = 20
 """Of all bad files one in so many goes to each command beside those that get all of a kind."""
 _ROBOTS = ("robot", "params")
 _LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
-_WHOLE = {"check": 1, "log show": 1, "export": 5}
+_WHOLE = {"check": 3, "log show": 1, "export": 10}
 """Commands that get all of the first kind of file that they take, or one in so many of them."""
 _QUIET = ("log doctor", "log show", "init")
 """Commands that say what is wrong with a log, which is no failure."""
@@ -81,8 +82,8 @@ class Table:
         work = self.folder / "work"
         found = outcome(case.arguments, (work, self.folder / "good"))
         if not case.refused and found.code == 0:
-            for file in work.iterdir():
-                file.unlink()
+            for made in work.iterdir():
+                shutil.rmtree(made) if made.is_dir() else made.unlink()
             found = Outcome(1, found.out, f"{found.err}error: ", ())
         return (
             found.fault and f"{case.name}: torchid {' '.join(case.arguments)[:200]}: {found.fault}"

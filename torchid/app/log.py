@@ -110,10 +110,10 @@ def show_command(
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)
-    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     log = reading.with_torque(seen.log, seen.log.n)
     if log.tau is None and log.current is not None and found is not None:
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
+    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     if out is not None:
         write_log(log, out)
         output.written.append(out)
