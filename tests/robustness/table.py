@@ -14,11 +14,11 @@ from tests.robustness.bad_logs import DEEP, ESCAPE, LONG, MARKUP
 from tests.robustness.bench import Outcome, outcome
 from torchid.app.signature import PLACE, WRITTEN, Option
 
-EVERY = 20
+EVERY = 40
 """Of all bad files one in so many goes to each command beside those that get all of a kind."""
 _ROBOTS = ("robot", "params")
 _LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
-_WHOLE = {"check": 3, "log show": 1, "export": 10}
+_WHOLE = {"check": 5, "log show": 4, "export": 15}
 """Commands that get all of the first kind of file that they take, or one in so many of them."""
 _QUIET = ("log doctor", "log show", "init")
 """Commands that say what is wrong with a log, which is no failure."""
@@ -139,15 +139,15 @@ class Table:
                 continue  # it computes for long before there is anything to name
             bad: dict[Any, bool] = {}
             if int in kinds:
-                bad = dict.fromkeys(("x", "1.5", "-1", "nan", "1" * 30, "", "0x1"), True)
+                bad = dict.fromkeys(("x", "1.5", "-1", "1" * 30), True)
             elif float in kinds:
-                bad = dict.fromkeys(("x", "nan", "inf", "-inf", "1e300", ""), True)
+                bad = dict.fromkeys(("x", "nan", "-inf", "1e300"), True)
             elif WRITTEN in option.said:
                 bad = {"absent/x.csv": True, str(self.folder / "good"): True, "n" * 300: True}
             elif option.takes[0] and PLACE not in option.said:
                 bad = {"absent.csv": True, "/dev/null": True, "\udcff.json": True}
             elif str in kinds and bool not in kinds and PLACE not in option.said:
-                texts = (LONG, ESCAPE, MARKUP, "[" * 999, "=", ",", "1e999", "nan,nan,nan")
+                texts = (LONG, f"{ESCAPE}{MARKUP}", "=", "nan,nan,nan")
                 bad = dict.fromkeys(texts, False)
             for value, refused in bad.items():
                 text = f"{option.shown} {str(value)[:20]!r}"
