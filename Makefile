@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test test-all test-real calibration lint format docs docs-site bench clean
+.PHONY: demo test test-all test-real calibration fuzz lint format docs docs-site bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -20,6 +20,10 @@ test-all: $(VENV)/.dev
 
 test-real: $(VENV)/.dev
 	$(BIN)/python -m pytest -m real
+
+# Damaged files for every reader; what fails is kept in tests/robustness/corpus.
+fuzz: $(VENV)/.dev
+	$(BIN)/python -m tests.robustness.fuzz --minutes $(or $(MINUTES),60) --seed $(or $(SEED),0)
 
 calibration: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m calibration

@@ -42,7 +42,7 @@ NAVIGATION = {
     "How to": ("your-log", "robots", "log-doctor", "python", "export", "report", "compare",
                "next-experiment"),
     "What it means": ("concepts", "effects", "equal-torque"),
-    "How good it is": ("results", "gap-results", "position-results", "withheld"),
+    "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),
     "Python": ("api/*",),
     "The project": ("design", "../CONTRIBUTING", "../CHANGELOG"),
 }  # fmt: skip

@@ -4,7 +4,44 @@ Every error a user can cause is a TorchidError. The command line prints its text
 a library user can read the parts.
 """
 
-from collections.abc import Sequence
+import re
+import reprlib
+import unicodedata
+from collections.abc import Mapping, Sequence
+
+LARGEST = 1e21
+"""Size of numbers that nothing measured or built has in any unit, not even time in nanoseconds:
+beyond it, products of a few of them are none any more."""
+
+_BEGINNING = reprlib.Repr()
+_BEGINNING.maxlevel, _BEGINNING.maxlist, _BEGINNING.maxtuple, _BEGINNING.maxdict = 4, 40, 40, 40
+_BEGINNING.maxstring, _BEGINNING.maxother = 300, 300
+_LONG_WORD, _LONG_LINE = re.compile(r"(\S{150})\S{100,}(\S{50})"), 2000
+
+
+def visible(text: str) -> str:
+    """A text as a terminal may show it, whatever file its words come from: without control
+    characters, which terminals obey, and without words and lines of thousands of letters.
+
+    >>> visible("joint \\x1b[31mred")
+    'joint \ufffd[31mred'
+    """
+    safe = "".join(
+        c if c in "\n\t" or unicodedata.category(c)[0] != "C" else "\ufffd" for c in text
+    )
+    lines = (_LONG_WORD.sub(r"\1…\2", line) for line in safe.split("\n"))
+    return "\n".join(
+        line if len(line) <= _LONG_LINE else f"{line[: _LONG_LINE - 1]}…" for line in lines
+    )
+
+
+def _brief(value: object) -> str:
+    """A value as text: of what is long, deep or holds itself the beginning."""
+    if isinstance(value, Mapping | list | tuple):
+        return _BEGINNING.repr(dict(value) if isinstance(value, Mapping) else value)
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"{value:#x}"[:40]
+    return str(value)
 
 
 class TorchidError(Exception):
@@ -44,14 +81,14 @@ class TorchidError(Exception):
     def _text(self) -> str:
         parts = [self.problem]
         if self.got is not None:
-            parts.append(f"  got: {self.got}")
+            parts.append(f"  got: {_brief(self.got)}")
         if self.expected is not None:
-            parts.append(f"  expected: {self.expected}")
+            parts.append(f"  expected: {_brief(self.expected)}")
         if self.available is not None:
             parts.append(f"  available: {', '.join(str(a) for a in self.available)}")
         if self.hint is not None:
             parts.append(f"  hint: {self.hint}")
-        return "\n".join(parts)
+        return visible("\n".join(parts))
 
 
 class RobotError(TorchidError):

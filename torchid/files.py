@@ -67,14 +67,17 @@ def require_writable(path: Path, what: str) -> None:
     Raises:
         TorchidError: it is an input or a folder, or its folder does not exist or takes no file.
     """
-    if str(path) == "-" or _is_device(path):
-        return
-    if path.is_dir():
-        raise TorchidError(f"{what} needs a file, and '{path}' is a folder.")
-    if not path.parent.is_dir():
-        raise TorchidError(f"{what}: the folder of '{path}' does not exist.")
-    require_no_input(path, what)
-    probe(path.parent)
+    try:
+        if str(path) == "-" or _is_device(path):
+            return
+        if path.is_dir():
+            raise TorchidError(f"{what} needs a file, and '{path}' is a folder.")
+        if not path.parent.is_dir():
+            raise TorchidError(f"{what}: the folder of '{path}' does not exist.")
+        require_no_input(path, what)
+        probe(path.parent)
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a zero byte
+        raise TorchidError(f"{what}: '{path}' is no name of a file.", got=error) from error
 
 
 def probe(folder: Path) -> None:

@@ -64,7 +64,7 @@ def read_json(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:
         ) from error
     try:
         data = json.loads(content)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise TorchidError(
             f"'{path}' is not JSON.", got=str(error), expected=what, hint=hint
         ) from error

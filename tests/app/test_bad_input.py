@@ -168,7 +168,7 @@ def test_output_that_cannot_be_written(command, folder, tmp_path):
     [
         ("--cutoff", "fast", ("--cutoff", "auto")),
         ("--cutoff", "-3", ("positive",)),
-        ("--error-cutoff", "nan", ("cut-off",)),
+        ("--error-cutoff", "nan", ("--error-cutoff",)),
         ("--error-cutoff", "-2", ("cut-off",)),
         ("--effects", "viscous_friction,viscous_friction", ("twice",)),
         ("--cutoff", "500", ("band",)),

@@ -44,7 +44,6 @@ def check_command(
         bounds: Also tell which parameters lie on these bounds.
         nearest: Write the feasible set nearest in torque to each infeasible one.
     """
-    from rich.markup import escape
 
     from torchid.export.nearest import nearest_sets
     from torchid.feasibility.asked import asked_about
@@ -87,7 +86,7 @@ def check_command(
         output.written.append(nearest)
     output.write_json(data, "feasibility.json")
     output.verdict(headline(check))
-    output.say(escape(conditions_line(check)), *tables(check))
+    output.say(conditions_line(check), *tables(check))
     if repaired is not None:
         output.say(nearest_table(repaired))
     output.say(DEGREE)
@@ -97,4 +96,4 @@ def check_command(
         output.say("\nnot plausible, though not forbidden:")
         output.warn(findings)
     if repaired is None and nearest is not None:
-        output.say(f"all sets are feasible: {escape(str(nearest))} was not written")
+        output.say(f"all sets are feasible: {nearest} was not written")

@@ -136,11 +136,10 @@ def corrected_by(
 
 def say_corrected(output: Output, done: "Correction") -> None:
     """Tell what a corrected file is worth."""
-    from rich.markup import escape
 
     from torchid.report.correction import headline, tables
 
     output.verdict(headline(done))
     output.say(*tables(done))
     output.warn(dict.fromkeys((*done.warnings, *(w for x in done.exports for w in x.warnings))))
-    output.say(f"\nwritten: {escape(', '.join(map(str, done.files)))}")
+    output.say(f"\nwritten: {', '.join(map(str, done.files))}")

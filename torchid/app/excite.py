@@ -67,7 +67,7 @@ class Motion:
     basis: Literal["report", "conditioned"] | None = None
     duration: float = DURATION
     rate: float = 100.0
-    harmonics: opt.Count = HARMONICS
+    harmonics: Annotated[int, typer.Option(min=1, max=100)] = HARMONICS
     restarts: opt.Count = RESTARTS
     usage: float = USAGE
     speed: float = 1.0

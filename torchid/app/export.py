@@ -53,7 +53,6 @@ def export_command(
         held_out: Whole trajectories that judge what was refitted.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-    from rich.markup import escape
 
     from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
@@ -121,6 +120,6 @@ def export_command(
         keep=keep,
     )
     output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
-    output.say(comparison_table(done), *(escape(line) for line in effect_lines(done)))
+    output.say(comparison_table(done), *effect_lines(done))
     output.warn(done.warnings)
-    output.say(f"\nwritten: {escape(export_headline(done))}")
+    output.say(f"\nwritten: {export_headline(done)}")

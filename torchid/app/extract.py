@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.markup import escape
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
@@ -153,7 +152,7 @@ def extract_command(
         output.draw(lambda: {"search": search_figure(search, proven)})
     output.say(*tables(found, proven))
     output.warn(notes)
-    output.say(f"\n{escape(headline(found, proven))}")
+    output.say(f"\n{headline(found, proven)}")
 
 
 def _searched(
@@ -185,7 +184,13 @@ def _searched(
 
 
 @command
-def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, output: Computed) -> None:
+def atlas_command(
+    *,
+    arm: opt.Arm,
+    sought: Sought,
+    level: Annotated[float, typer.Option(min=0.01, max=0.9999)] = 0.95,
+    output: Computed,
+) -> None:
     """The range of every physical parameter over all feasible sets with the same torque.
 
     Example: `torchid atlas kuka_lwr4 --bounds normal --out atlas`
@@ -206,4 +211,4 @@ def atlas_command(*, arm: opt.Arm, sought: Sought, level: float = 0.95, output: 
     output.draw(lambda: {"atlas": atlas_figure(ranges.record)})
     output.say(atlas_table(ranges))
     output.warn(notes)
-    output.say(f"\n{escape(atlas_headline(ranges, problem))}")
+    output.say(f"\n{atlas_headline(ranges, problem)}")

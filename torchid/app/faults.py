@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from torchid import __version__
-from torchid.errors import TorchidError
+from torchid.errors import TorchidError, visible
 
 INTERRUPTED, FAULT = 130, 70
 """Exit codes: of a shell for Ctrl-C; EX_SOFTWARE of sysexits.h."""
@@ -72,6 +72,9 @@ def report(error: BaseException, words: Callable[[str], str]) -> int:
     """
     if isinstance(error, TorchidError):
         said, code = f"error: {words(str(error))}", 1
+    elif isinstance(error, OSError) and error.errno is not None:  # a file system's, not torchid's
+        what = f"'{error.filename}': " if error.filename is not None else ""
+        said, code = visible(f"error: {what}{error.strerror}."), 1
     elif isinstance(error, KeyboardInterrupt):
         said, code = "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED
     else:
@@ -99,7 +102,7 @@ def _fault(error: BaseException) -> str:
         where = f"the traceback is in {name}: please send that file with your report"
     except OSError:
         where = "please report it with what --debug shows"
-    return f"fault: torchid failed in `{command[:200]}` ({what}); {where}"
+    return visible(f"fault: torchid failed in `{command[:200]}` ({what}); {where}")
 
 
 def flush() -> None:

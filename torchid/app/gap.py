@@ -79,7 +79,6 @@ def gap_command(
     if log.u is not None and log.tau is None and (log.current is None or found.drive_gain is None):
         _positions(output, found, log, apart, save_model, settings)
         return
-    from rich.markup import escape
 
     from torchid.gap.diagnose import diagnose
     from torchid.report.gap import gap_page, remarks, tables
@@ -111,7 +110,7 @@ def gap_command(
         done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
         output.written.extend(beside.written)
     output.verdict(verdict(result))
-    output.say(*tables(result), *(escape(remark) for remark in remarks(result)))
+    output.say(*tables(result), *remarks(result))
     output.warn(result.warnings)
     if done is not None:
         say_corrected(output, done)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from torchid.app import options as opt
 from torchid.app.output import Output
@@ -64,9 +63,9 @@ def init(
     output.written.append(to)
     read(to)
     output.say(
-        f"robot: {escape(found.name)}, {n} joints",
-        f"logs: {escape(', '.join(map(str, found.logs)) or 'none')}",
-        f"held out: {escape(', '.join(map(str, found.held_out)) or 'none')}",
+        f"robot: {found.name}, {n} joints",
+        f"logs: {', '.join(map(str, found.logs)) or 'none'}",
+        f"held out: {', '.join(map(str, found.held_out)) or 'none'}",
     )
     output.warn(found.warnings)
     if gains is None and found.needs_gains:

@@ -3,10 +3,9 @@
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from torchid.app import options as opt
-from torchid.app.output import Computed, Printed
+from torchid.app.output import Computed, Printed, shown
 from torchid.app.project import ProjectCommand
 from torchid.app.signature import command
 
@@ -58,16 +57,16 @@ def doctor_command(
         flag = columns_flag(result.repairs, found.n, set.intersection(*own))
     output.write_json({**record(result, flag).plain(), "seed": seed}, "doctor.json")
     output.draw(lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure})
-    output.say(*doctor_tables(result), fine(result), f"\n{escape(conclusion(result))}")
+    output.say(*doctor_tables(result), fine(result), f"\n{conclusion(result)}")
     if result.undecided:
-        output.say(escape(choices(result)))
+        output.say(choices(result))
     if apply is not None:
         count = len(result.repairs)
-        output.say(f"{escape(str(apply))} is a copy with {count} fix{'es' if count != 1 else ''}")
+        output.say(f"{apply} is a copy with {count} fix{'es' if count != 1 else ''}")
     elif result.repairs:
         output.say("--apply FILE writes a copy with the fixes that can be applied")
     if flag is not None:
-        output.say(escape(f'or read the log with --columns "{flag}"'))
+        output.say(f'or read the log with --columns "{flag}"')
 
 
 @log_app.command("show", cls=ProjectCommand)
@@ -111,10 +110,10 @@ def show_command(
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)
-    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     log = reading.with_torque(seen.log, seen.log.n)
     if log.tau is None and log.current is not None and found is not None:
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
+    output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     if out is not None:
         write_log(log, out)
         output.written.append(out)
@@ -126,10 +125,10 @@ def show_command(
     if repeats:
         output.say(repeats_table(repeats))
     if seen.unused:
-        output.say(f"not used: {escape(', '.join(seen.unused[:40]))}")
+        output.say(f"not used: {', '.join(seen.unused[:40])}")
     output.warn(seen.warnings)
     if seen.problem is not None:
-        output.say(f"[red]this log cannot be used as it is:[/] {escape(seen.problem)}")
+        output.say(shown("this log cannot be used as it is: ", "red") + shown(seen.problem))
     if out is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")

@@ -128,7 +128,7 @@ TotalMass = Annotated[tuple[float, float] | None, typer.Option(metavar="LO,HI"),
 Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[tuple[str, ...], typer.Option(metavar="A,B,C"), Parsed(names, "none")]
 Searched = Annotated[tuple[str, ...] | None, typer.Option(), Parsed(searched, "all")]
-Count = Annotated[int, typer.Option(min=1)]
+Count = Annotated[int, typer.Option(min=1, max=100_000)]
 LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
 Share = Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)]
 Excited = Annotated[tuple[str, ...], typer.Option(), Parsed(effect_names, "none")]
@@ -254,9 +254,12 @@ class Trials(ArmAndLogs):
 
 def load(name: str, tip: str | None) -> "Robot":
     """A robot; one that the project file names with the limits and the payload that it says."""
+    from torchid.effects.registry import nominal_effects
     from torchid.robot.library import load_robot
 
-    return current().on(load_robot(name, tip=tip))
+    robot = current().on(load_robot(name, tip=tip))
+    nominal_effects(robot)  # known, complete and in range, also where they are not used
+    return robot
 
 
 def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.text import Text
 
 from torchid.app import begun
 from torchid.app.signature import PLACE, WRITTEN, Fields
-from torchid.errors import TorchidError
+from torchid.errors import TorchidError, visible
 from torchid.files import probe
 from torchid.json_data import write_json
 
@@ -53,7 +54,7 @@ class Output:
     out: Annotated[Path | None, typer.Option(metavar="DIR"), PLACE] = None
     report: Annotated[Path | None, typer.Option(metavar="FILE.html"), WRITTEN] = None
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
-    threads: Annotated[int | None, typer.Option(min=1)] = None
+    threads: Annotated[int | None, typer.Option(min=1, max=1024)] = None
     started: float = field(default_factory=time.monotonic, init=False)
     written: list[Path] = field(default_factory=list, init=False)
     unsaid: list[OSError] = field(default_factory=list, init=False)
@@ -109,7 +110,7 @@ class Output:
         others = [str(f) for f in self.written if f.parent != self.out]
         inside = ", ".join(f.name for f in self.written if f.parent == self.out)
         files = "; ".join([*others, *([f"{inside} in {self.out}"] if inside else [])])
-        self.say(*([escape(f"written: {files}")] if files else []))
+        self.say(*([f"written: {files}"] if files else []))
         if self.unsaid:
             raise TorchidError(
                 f"what is printed could not be: {self.unsaid[0].strerror or self.unsaid[0]}.",
@@ -196,22 +197,22 @@ class Output:
         self.written.append(self.report)
 
     def say(self, *objects: Any) -> None:
-        """Print for people, one after another, unless quiet."""
+        """Print for people, one after another, unless quiet: texts as they are, without markup."""
         for one in () if self.silent or self.unsaid else objects:
             try:
-                self.console.print(in_options(one) if isinstance(one, str) else one)
+                self.console.print(shown(one) if isinstance(one, str) else one)
             except OSError as error:  # a full disk; the work goes on
                 self.unsaid.append(error)
                 return
 
     def verdict(self, text: str) -> None:
         """Print the answer, which stands out."""
-        self.say(f"[bold]{escape(text)}[/]\n")
+        self.say(shown(f"{text}\n", "bold"))
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
-            self.say(f"[yellow]![/] {escape(warning)}")
+            self.say(shown("! ", "yellow") + shown(warning))
 
     @contextmanager
     def progress(self, first: str = "") -> Iterator[Progress | None]:
@@ -237,13 +238,13 @@ class Output:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         times = (TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn())
         with Bars(*columns, *times, console=console, transient=True) as bars:
-            task, running = bars.add_task(escape(first), total=None), first
+            task, running = bars.add_task(escape(visible(first)), total=None), first
 
             def report(stage: str, done: int, total: int) -> None:
                 nonlocal task, running
                 if stage != running:  # a new bar: how long the last stage took foretells nothing
                     bars.remove_task(task)
-                    task, running = bars.add_task(escape(stage), total=None), stage
+                    task, running = bars.add_task(escape(visible(stage)), total=None), stage
                 bars.update(task, completed=done, total=total or None)
 
             yield report
@@ -255,6 +256,11 @@ Computed = Annotated[Output, Fields("json_file", "out", "quiet", "threads")]
 Reported = Annotated[Output, Fields("json_file", "out", "report", "quiet", "threads")]
 
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
+
+
+def shown(text: str, style: str = "") -> Text:
+    """A text of the library for the terminal."""
+    return Text(visible(in_options(text)), style)
 
 
 def in_options(text: str) -> str:

@@ -33,8 +33,8 @@ class Room:
         workspace: Box that no moving link leaves, in the base frame [m].
     """
 
-    clearance: float = CLEARANCE
-    floor: float | None = None
+    clearance: Annotated[float, typer.Option(min=0, max=10)] = CLEARANCE
+    floor: Annotated[float | None, typer.Option(min=-100, max=100)] = None
     workspace: Annotated[str | None, typer.Option(metavar=_BOX)] = None
 
     def of(self, robot: "Robot", usage: float) -> "tuple[Clearance | None, tuple[str, ...]]":

@@ -38,6 +38,8 @@ _Project = Annotated[
 _Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
 ]
+LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
+"""Of counts, and of sizes in SI units, times and frequencies."""
 _LAST = (
     "held_out", "columns", "topic", "gain", "jobs", "tip", "json_file", "out", "report", "seed",
     "quiet", "threads", "device_name", "project_file", "debug",
@@ -96,7 +98,18 @@ class Option:
         return Path in kinds, any(k is list or get_origin(k) is list for k in kinds)
 
     def value(self, given: Any) -> Any:
-        """What the command gets for what typer gives."""
+        """What the command gets for what typer gives.
+
+        Raises:
+            TorchidError: a number that is none, or beyond all that an option without a range of
+                its own can mean; or a text that cannot be read.
+        """
+        most = LARGEST_WHOLE if isinstance(given, int) else LARGEST_REAL
+        own = getattr(get_args(self.parameter.annotation)[1], "max", None)
+        if isinstance(given, int | float) and not abs(given) <= (own or most):
+            raise TorchidError(
+                f"{self.shown} is out of range.", got=given, expected=f"at most {most:g} in size"
+            )
         parsed = next((one for one in self.said if isinstance(one, Parsed)), None)
         return given if parsed is None or given is None else parsed.read(given)
 

@@ -127,14 +127,13 @@ def _keep(found: "Study", folder: Path | None, figures: bool) -> dict[str, Any]:
 
 
 def _say(found: "Study", output: Output) -> None:
-    from rich.markup import escape
 
     from torchid.report.study.facts import headline
     from torchid.report.study.tables import all_tables
 
     output.say(*all_tables(found))
     output.warn(found.warnings)
-    output.say(f"\n{escape(headline(found))}\n")
+    output.say(f"\n{headline(found)}\n")
     if output.out is not None:
         output.say(f"results of {found.settings.name} are in {output.out / found.settings.name}")
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
@@ -22,13 +21,13 @@ def wrenches_command(
     *,
     arm: opt.Arm,
     sets: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
-    per_kind: Annotated[int, typer.Option(min=15)] = 200,
+    per_kind: Annotated[int, typer.Option(min=15, max=100_000)] = 200,
     reference: Annotated[str | None, typer.Option(metavar="ID")] = None,
     trajectory: Annotated[Path | None, typer.Option(metavar="LOG")] = None,
     max_acceleration: opt.Accelerations = None,
     geometry: Annotated[str | None, typer.Option(metavar="GROUP")] = None,
     total_mass: opt.TotalMass = None,
-    margin: float = MARGIN,
+    margin: Annotated[float, typer.Option(min=0, max=100)] = MARGIN,
     variants: bool = True,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
@@ -84,7 +83,7 @@ def wrenches_command(
     output.draw(lambda: figures(study))
     output.say(*tables(study))
     output.warn(study.warnings)
-    output.say("\n" + "\n".join(f"- {escape(sentence)}" for sentence in told))
+    output.say("\n" + "\n".join(f"- {sentence}" for sentence in told))
 
 
 def _given(
@@ -124,4 +123,4 @@ def _given(
     output.draw(lambda: figures(found))
     output.say(*tables(found))
     output.warn(told)
-    output.say(f"\n{escape(headline(found))}")
+    output.say(f"\n{headline(found)}")

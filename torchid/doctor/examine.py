@@ -44,6 +44,8 @@ from torchid.log.model import Log
 from torchid.results.record import Result
 from torchid.robot.model import Robot
 
+LEAST_SAMPLES = 10
+"""Of the longest trajectory: fewer have no usual step, nor a usual change."""
 MODEL_CHECKS = (
     "torque explained", "joint order", "torque sign", "position sign", "gain of a joint", "gravity",
     "lag", "torque unit", "torque side", "excitation",
@@ -120,8 +122,8 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
         fixes: names of the choices to take where explanations are equally good.
 
     Raises:
-        LogError: another number of joints than the robot's, no usable row, or a fix that is not
-            among the choices.
+        LogError: another number of joints than the robot's, too few samples, no usable row, or a
+            fix that is not among the choices.
 
     >>> import numpy as np, torchid
     >>> robot = torchid.load_robot("3r")
@@ -140,6 +142,13 @@ def examine(robot: Robot, log: Log, fixes: Sequence[str] = ()) -> Examination:
             f"log '{log.source}' has another number of joints than robot '{robot.name}'.",
             got=f"{log.n} (q1..q{log.n})",
             expected=f"{robot.n} (q1..q{robot.n})",
+        )
+    longest = max(rows.stop - rows.start for rows in log.slices())
+    if longest < LEAST_SAMPLES:
+        raise LogError(
+            f"log '{log.source}' is too short to be examined.",
+            got=f"{longest} samples",
+            expected=f"at least {LEAST_SAMPLES} in a trajectory",
         )
     if log.tau is None and log.current is not None and robot.drive_gain is not None:
         log = log.with_torque(robot.drive_gain)

@@ -1,5 +1,6 @@
 """The library of effects: one line a kind."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -77,6 +78,9 @@ COLUMN_KINDS: dict[str, type[JointEffect]] = {
     if issubclass(kind, JointEffect) and not (kind.shapes or kind.needs or kind.memory)
 }
 """Effects whose columns depend on the present motion alone: those that identification fits."""
+
+_BEYOND = 100.0
+"""How much larger than on any arm a coefficient in a file may be, to see what it would do."""
 
 EVENTS = tuple(name for name, kind in KINDS.items() if kind.event)
 """Effects that happened once in one log, and are no property of the arm."""
@@ -253,6 +257,16 @@ def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
     except (TypeError, ValueError) as error:
         raise RobotError(f"{where} cannot be made: {error}", got=dict(record)) from error
     values = [float(record[name]) for name in names]
+    for coefficient, value in zip(kind.coefficients, values, strict=True):
+        most = _BEYOND * coefficient.largest
+        # What is fitted may have a sign that physics forbids; a delay or a width may not.
+        least = 0.0 if coefficient.non_negative and most < math.inf else -most
+        if not least <= value <= most:
+            raise RobotError(
+                f"{where}, {kind.name}: {coefficient.name} is out of range.",
+                got=value,
+                expected=f"{least:g} to {most:g} {coefficient.unit}",
+            )
     if "at" in own and "at" not in record and values[0] > 0:
         effect = replace(effect, at=values[0])  # type: ignore[call-arg]
     return effect, values

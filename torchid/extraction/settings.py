@@ -9,6 +9,7 @@ Schedule = Literal["linear", "geometric"]
 Penalty = Literal["full", "partial"]
 EngineName = Literal["batched", "cma"]
 
+_MOST_AT_ONCE = 1_000_000
 _MOST_GEOMETRIC = 300
 """Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight."""
 
@@ -30,8 +31,8 @@ class SearchSettings:
         seed: of starts and samples.
 
     Raises:
-        TorchidError: a count below one, an unknown name, or more stages than the schedule
-            `geometric` has numbers for.
+        TorchidError: a count below one, more candidates than memory holds, an unknown name, or more
+            stages than the schedule `geometric` has numbers for.
 
     >>> SearchSettings(runs=10, stages=5).weight(2)
     20.0
@@ -48,9 +49,15 @@ class SearchSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("runs", "stages", "generations"):
-            if getattr(self, name) < 1:
-                raise TorchidError(f"{name}: at least one is needed.", got=getattr(self, name))
+        for name in ("runs", "stages", "generations", "population"):
+            if (count := getattr(self, name)) is not None and count < 1:
+                raise TorchidError(f"{name}: at least one is needed.", got=count)
+        if self.runs * (self.population or 1) > _MOST_AT_ONCE:
+            raise TorchidError(
+                "runs times population: all candidates of a generation are in memory at once.",
+                got=self.runs * (self.population or 1),
+                expected=f"at most {_MOST_AT_ONCE}",
+            )
         for name, known in (
             ("penalty", get_args(Penalty)),
             ("schedule", get_args(Schedule)),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchid.effects.registry import Valued, nominal_others
+from torchid.effects.registry import Valued, nominal_effects, nominal_others
 from torchid.errors import TorchidError
 from torchid.feasibility.findings import Finding, own_inertial_findings
 from torchid.feasibility.sets import (
@@ -65,6 +65,7 @@ def asked_about(params: str, robot: str | None, tip: str | None) -> Asked:
         others = read_other_effects(Path(params), found)
         return Asked(found, sets, others, (), () if noticed is None else (noticed,))
     own, found = load_both(params, robot, tip)
+    nominal_effects(found)  # known, complete and in range, though they do not count here
     if own.n != found.n:
         raise TorchidError(
             f"'{own.name}' and the robot '{found.name}' have different numbers of links.",

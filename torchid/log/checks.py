@@ -47,7 +47,7 @@ def check_log(
 
     Raises:
         LogError: another number of joints, NaN or infinity, time that does not increase or is not
-            in seconds, positions or velocities in degrees, no torque at all.
+            in seconds, positions or velocities in degrees, no motion, no torque at all.
     """
     slides = tuple(prismatic) or (False,) * n
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
@@ -75,6 +75,12 @@ def check_log(
         _refuse_time(log, f"does not look like seconds: its median step is {step:g}, {why}", step)
     _check_velocity_unit(log, agreement, slides)
     extent = log.q.amax(0) - log.q.amin(0)
+    if float(extent.max()) < STILL:
+        raise LogError(
+            f"{log.label}: no joint moves.",
+            got=f"positions that vary by {float(extent.max()):.1g} at most",
+            expected="a motion, which alone shows masses and friction",
+        )
     return (
         *position_jumps(log),
         *[

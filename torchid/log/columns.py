@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchid.errors import LogError
+from torchid.errors import LARGEST, LogError
 from torchid.log.model import JOINT_SIGNALS, Log
 
 Columns = Mapping[str, np.ndarray]
@@ -131,7 +131,15 @@ def some(names: Sequence[str], most: int = 40) -> list[str]:
 
 def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     # A copy: arrow's buffers are read-only.
-    return np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
+    numbers = np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
+    beyond = np.isfinite(numbers) & (np.abs(numbers) > LARGEST)
+    if beyond.any():
+        raise LogError(
+            f"'{path}': column {name} holds numbers that nothing measures.",
+            got=f"{numbers[beyond][0]:g} in row {int(beyond.ravel().argmax()) + 1}",
+            expected=f"less than {LARGEST:g}",
+        )
+    return numbers
 
 
 def numbers_of(values: np.ndarray, label: str) -> np.ndarray:

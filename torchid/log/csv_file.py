@@ -13,7 +13,7 @@ import pyarrow.csv
 
 from torchid.errors import LogError
 from torchid.log.columns import EXPECTED
-from torchid.log.formats import damaged, from_arrow, repeated
+from torchid.log.formats import from_arrow, repeated
 from torchid.log.table import Request, Shape, Table
 
 _LINES_LOOKED_AT = 100
@@ -49,8 +49,7 @@ def csv_table(path: Path, request: Request) -> Table:
     Raises:
         LogError: no text, or no header line and no mapping.
     """
-    with damaged(path, "csv", UnicodeDecodeError):
-        dialect = _dialect(path)
+    dialect = _dialect(path)
     if dialect.names:
         names = dialect.names
         columns: dict[str, Shape | None] = dict.fromkeys(names, (-1,))
@@ -117,16 +116,15 @@ def _read(path: Path, dialect: _Dialect, wanted: Mapping[str, str]) -> dict[str,
     """Columns by name, of their positions."""
     if not wanted:
         return {}
-    with damaged(path, "csv", pa.ArrowException, UnicodeDecodeError):
-        try:
-            # The type is given: inferred, it would be that of the first block of lines only.
-            table = _arrow(path, dialect, list(wanted), pa.float64())
-        except pa.ArrowInvalid as error:
-            if "conversion error" not in str(error):
-                raise
-            # As text, so that the column and the value can be named.
-            table = _arrow(path, dialect, list(wanted), pa.string())
-        return {name: from_arrow(_parsed(table[k]), name, path) for k, name in wanted.items()}
+    try:
+        # The type is given: inferred, it would be that of the first block of lines only.
+        table = _arrow(path, dialect, list(wanted), pa.float64())
+    except pa.ArrowInvalid as error:
+        if "conversion error" not in str(error):
+            raise
+        # As text, so that the column and the value can be named.
+        table = _arrow(path, dialect, list(wanted), pa.string())
+    return {name: from_arrow(_parsed(table[k]), name, path) for k, name in wanted.items()}
 
 
 def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) -> pa.Table:

@@ -1,9 +1,9 @@
 """Tables in .parquet and .npz files; writing .parquet, .csv and .npz."""
 
+import math
 import zipfile
-import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -12,15 +12,18 @@ import pyarrow as pa
 import pyarrow.compute
 import pyarrow.csv
 import pyarrow.parquet
+from numpy.lib import format as npy
 
 from torchid.errors import LogError
 from torchid.log.columns import Columns
 from torchid.log.table import Request, Shape, Table
 
+_BEST_COMPRESSION = 1032  # of deflate, which packs the arrays of npz, HDF5 and MATLAB files
+
 
 def parquet_table(path: Path, request: Request) -> Table:
     """The table of a parquet file; a column of lists is an array."""
-    with damaged(path, "parquet", pa.ArrowException), pa.parquet.ParquetFile(path) as file:
+    with pa.parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
     names = list(schema.names)
     columns: dict[str, Shape | None] = {
@@ -38,7 +41,7 @@ def read_parquet_columns(path: Path, wanted: Sequence[str]) -> dict[str, np.ndar
     """Columns of a parquet file by name: (T,), or (T, k) where they are lists of numbers."""
     if not wanted:
         return {}
-    with damaged(path, "parquet", pa.ArrowException), pa.parquet.ParquetFile(path) as file:
+    with pa.parquet.ParquetFile(path) as file:
         table = file.read(columns=list(wanted))
         columns = {name: from_arrow(table.column(name), name, path) for name in table.column_names}
         del table
@@ -79,26 +82,31 @@ def from_arrow(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
 
 def repeated(names: Sequence[str]) -> tuple[str, ...]:
     """The names that are there more than once."""
-    return tuple(sorted({name for name in names if names.count(name) > 1}))
+    return tuple(sorted(name for name, times in Counter(names).items() if times > 1))
 
 
 def npz_table(path: Path, request: Request) -> Table:
     """The table of a npz archive; no pickles."""
     if not zipfile.is_zipfile(path):
         raise LogError(f"'{path}' is not a npz file, though its name says so.")
-    problems = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
-    with damaged(path, "npz", *problems), np.load(path, allow_pickle=False) as arrays:
+    with np.load(path, allow_pickle=False) as arrays:
         names = list(arrays.files)
 
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
-        with damaged(path, "npz", *problems), np.load(path, allow_pickle=False) as arrays:
+        with np.load(path, allow_pickle=False) as arrays:
             return {name: _npz_array(arrays, name, path) for name in wanted}
 
     return Table(path, "npz", dict.fromkeys(names), read, arrays=True)
 
 
 def _npz_array(arrays: Any, name: str, path: Path) -> np.ndarray:
+    packed = arrays.zip
     try:
+        with packed.open(name if name in packed.namelist() else f"{name}.npy") as member:
+            first = npy.read_magic(member) == (1, 0)
+            header = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
+            shape, _, kind = header(member)
+        require_held(path, name, math.prod(shape) * kind.itemsize, path.stat().st_size)
         array = arrays[name]
     except ValueError as error:
         raise LogError(
@@ -106,21 +114,26 @@ def _npz_array(arrays: Any, name: str, path: Path) -> np.ndarray:
             got=str(error).splitlines()[0],
             expected="numbers",
         ) from error
-    if not isinstance(array, np.ndarray):
-        raise LogError(f"'{path}': {name} is not an array.", got=type(array).__name__)
-    return array
+    return np.asarray(array)
 
 
-@contextmanager
-def damaged(path: Path, kind: str, *problems: type[BaseException]) -> Iterator[None]:
-    """Turn a library's complaint about the content into a LogError."""
-    try:
-        yield
-    except problems as error:
+def require_held(path: Path, name: str, claimed: int, held: int) -> None:
+    """Refuse an array that claims more than its file can hold, before memory is taken for it.
+
+    Args:
+        path, name: of the file and the array.
+        claimed: bytes that its header says it has.
+        held: bytes of the file, or of what it keeps for the array.
+
+    Raises:
+        LogError: not even the best compression makes so much of so little.
+    """
+    if claimed > _BEST_COMPRESSION * (held + 1024):
         raise LogError(
-            f"'{path}' is not a {kind} file, though its name says so, or is damaged.",
-            got=(str(error).splitlines() or [type(error).__name__])[0][:200],
-        ) from error
+            f"'{path}': array {name} claims more numbers than the file can hold.",
+            got=f"{claimed:.3g} bytes",
+            expected=f"what {held} bytes can hold",
+        )
 
 
 def write_parquet(columns: Columns, file: IO[bytes]) -> None:

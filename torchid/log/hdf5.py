@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchid.errors import LogError, MissingExtraError
-from torchid.log.formats import damaged
+from torchid.log.formats import require_held
 from torchid.log.table import Request, Shape, Table
 
 
@@ -38,7 +38,7 @@ def hdf5_table(
         import h5py
     except ImportError as error:
         raise MissingExtraError("h5py", "hdf5", purpose or f"reading '{path}'") from error
-    with damaged(path, kind, OSError, RuntimeError, ValueError), h5py.File(path, "r") as file:
+    with h5py.File(path, "r") as file:
         columns: dict[str, Shape | None] = {}
 
         def visit(name: str, item: Any) -> None:
@@ -54,18 +54,18 @@ def hdf5_table(
         raise LogError(f"'{path}' has no dataset of one or two dimensions.", expected="columns")
 
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
-        # h5py raises many kinds of errors where a file is damaged.
-        problems = (OSError, RuntimeError, ValueError, KeyError, TypeError)
-        with damaged(path, kind, *problems), h5py.File(path, "r") as file:
-            arrays = {name: _dataset(h5py, file, name) for name in wanted}
+        with h5py.File(path, "r") as file:
+            arrays = {name: _dataset(h5py, path, file, name) for name in wanted}
         return {name: array.T if matlab else array for name, array in arrays.items()}
 
     return Table(path, kind, columns, read, arrays=True)
 
 
-def _dataset(h5py: Any, file: Any, name: str) -> np.ndarray:
-    if name in file and isinstance(file[name], h5py.Dataset):
-        array = np.asarray(file[name][()])
-        return array.astype(str).astype(object) if array.dtype.kind in "SO" else array
-    dataset, _, field = name.rpartition("/")
-    return np.asarray(file[dataset][field])
+def _dataset(h5py: Any, path: Path, file: Any, name: str) -> np.ndarray:
+    found, field = file.get(name), ""
+    if not isinstance(found, h5py.Dataset):
+        dataset, _, field = name.rpartition("/")
+        found = file[dataset]
+    require_held(path, name, found.nbytes, found.id.get_storage_size())
+    array = np.asarray(found[field] if field else found[()])
+    return array.astype(str).astype(object) if array.dtype.kind in "SO" else array

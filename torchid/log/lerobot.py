@@ -4,6 +4,7 @@ Episodes are trajectories. Time is frame_index / fps, because the recorded float
 """
 
 import json
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from torchid.log.joint_names import in_robot_order
 from torchid.log.table import Request, Shape, Table
 
 _COUNTED = ("episode_index", "frame_index")
+_MOST_ELEMENTS = 10_000  # of a feature: no robot has more joints and sensors
 # Which features, and which of their elements, are what.
 _FEATURES = {
     "q": ("observation.state", "observation.position", "observation.joint_position"),
@@ -91,9 +93,9 @@ def lerobot_table(path: Path, request: Request) -> Table:
 def _info(path: Path) -> dict[str, Any]:
     try:
         info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
-        if not float(info["fps"]) > 0 or not isinstance(info["features"], dict):
+        if not 0 < float(info["fps"]) < math.inf or not isinstance(info["features"], dict):
             raise ValueError("fps or features are not what they should be")
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise LogError(
             f"'{path}' has a meta/info.json that cannot be used.", got=repr(error)[:200],
             expected="fps and features",
@@ -105,8 +107,15 @@ def _is_numeric(feature: Any) -> bool:
     return (
         isinstance(feature, dict)
         and re.fullmatch(r"u?int\d+|float\d+|bool", str(feature.get("dtype"))) is not None
-        and len(feature.get("shape") or [1]) == 1
+        and _size(feature) > 0
     )
+
+
+def _size(feature: dict[str, Any]) -> int:
+    """Elements of a feature of one dimension; 0 of any other."""
+    shape = feature.get("shape") or [1]
+    usual = isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int)
+    return shape[0] if usual and shape[0] <= _MOST_ELEMENTS else 0
 
 
 def _names(feature: dict[str, Any]) -> list[str]:
@@ -114,7 +123,7 @@ def _names(feature: dict[str, Any]) -> list[str]:
     names = feature.get("names")
     while isinstance(names, dict):
         names = next(iter(names.values()), None)
-    size = int((feature.get("shape") or [1])[0])
+    size = _size(feature)
     if isinstance(names, list) and len(names) == size:
         return [str(name) for name in names]
     return [str(k) for k in range(size)]

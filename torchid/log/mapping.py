@@ -92,7 +92,7 @@ def read_mapping(given: "str | Path | Mapping[str, Any] | ColumnMapping") -> Col
         path = Path(given)
         try:
             content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             raise LogError(
                 f"the column mapping '{path}' cannot be read.", got=_where_and_why(error)
             ) from error

@@ -5,11 +5,15 @@ Columns that have the names of `torchid.log.columns` are found by themselves; ot
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-from torchid.errors import LogError
+import numpy as np
+
+from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write
 from torchid.log.assemble import fitting, log_from_table, one_for_all, with_hint
 from torchid.log.columns import Columns, columns_of, log_from_columns, some
@@ -104,7 +108,7 @@ def open_log(path: Path, request: Request) -> tuple[Table | None, Log]:
             if request.columns is not None and not request.spare:
                 raise LogError(f"{found} files take no column mapping.", got=str(path))
             return None, _READERS[found](path)
-        table = found(path, request)
+        table = _table(found, path, request)
         request = fitting(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
@@ -128,9 +132,9 @@ def proposed_columns(path: Path, request: Request) -> tuple[str, str] | None:
     if isinstance(found, str):
         return None
     try:
-        log_from_table(found(path, request), None, request.joints)
+        log_from_table(_table(found, path, request), None, request.joints)
     except LogError:
-        return proposal(found(path, request), request.joints)
+        return proposal(_table(found, path, request), request.joints)
     return None
 
 
@@ -206,9 +210,42 @@ def _find(path: Path) -> Opener | str:
             got=path.suffix or "no suffix",
             available=_suffixes(),
         )
-    if path.is_file() and path.stat().st_size == 0:
+    if not path.is_file():
+        raise LogError(f"'{path}' is no file, but a device or a pipe.")
+    if path.stat().st_size == 0:
         raise LogError(f"'{path}' is empty.")
     return suffix if suffix in _READERS else _TABLES[suffix]
+
+
+def _table(opener: Opener, path: Path, request: Request) -> Table:
+    """What a file holds, with one error for whatever its library stumbles over, now or when its
+    arrays are read."""
+    with _guarded(path):
+        table = opener(path, request)
+
+    def read(names: Sequence[str]) -> dict[str, np.ndarray]:
+        with _guarded(path):
+            return table.read(names)
+
+    return replace(table, read=read)
+
+
+@contextmanager
+def _guarded(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except TorchidError:
+        raise
+    except MemoryError as error:
+        raise LogError(f"'{path}' needs more memory than there is.", got=str(error)) from error
+    except Exception as error:  # libraries raise anything where a file is damaged
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        kind = f"{path.suffix[1:]} file" if path.suffix else "log"
+        raise LogError(
+            f"'{path}' is not a {kind}, though its name says so, or is damaged.",
+            got=(str(error).splitlines() or [type(error).__name__])[0][:200],
+        ) from error
 
 
 def _suffixes() -> list[str]:

@@ -140,7 +140,7 @@ def read_project(file: Path, commands: Commands) -> Project:
     try:
         text = file.read_text(encoding="utf-8")
         data = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise TorchidError(f"the project file '{file}' cannot be read.", got=error) from error
     page = _Page(file, text)
     own = (*TEXTS, *LISTS, "payload", "limits")

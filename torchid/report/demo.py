@@ -3,7 +3,6 @@
 from typing import Any
 
 from matplotlib.figure import Figure
-from rich.markup import escape
 
 from torchid.report.identification import (
     effect_tables,
@@ -58,7 +57,7 @@ def tables(paper: Demo, kuka: Demo) -> list[Any]:
         "of 18 bits, torque noise of 1 %\n",
         *effect_tables(kuka.result),
         error_table(kuka.result),
-        *(f"[yellow]![/] {escape(warning)}" for warning in kuka.result.warnings),
+        *(f"! {warning}" for warning in kuka.result.warnings),
         f"\n{headline(kuka.result)}",
         f"{int(inside.sum())} of {len(inside)} true values lie inside their 95 % intervals "
         "(the report's own f_v6 is negative, so signs are left free here).",

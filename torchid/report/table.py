@@ -7,10 +7,10 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from rich import box
-from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from torchid.errors import visible
 from torchid.robot.model import JointType, Robot
 
 Cell = str | Text
@@ -46,22 +46,22 @@ class Table:
 
     def __rich__(self) -> RichTable:
         """For the terminal."""
-        table = compact(escape(self.title))
+        table = compact(self.title)
         table.show_header = any(name.strip() for name in self.columns)
-        table.caption = escape(self.note) or None
+        table.caption = Text(visible(self.note), "table.caption") if self.note else None
         table.caption_justify = "left"
         table.min_width = self.least_width
         for name in self.columns:
             breaks = name in self.words
             table.add_column(
-                Text(name),
+                Text(visible(name)),
                 justify="left" if name in self.left else "right",
                 no_wrap=not breaks,
                 overflow="fold" if breaks else "ellipsis",
             )
         for row in self.rows:
             if row:
-                table.add_row(*(Text.assemble(cell) for cell in row))
+                table.add_row(*(c if isinstance(c, Text) else Text(visible(c)) for c in row))
             else:
                 table.add_section()
         return table
@@ -104,7 +104,8 @@ def pipe_table(
 
 def compact(title: str) -> RichTable:
     """An empty table in the house style."""
-    return RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    shown = Text(visible(title), "table.title")
+    return RichTable(title=shown, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
 
 
 def unit_words(unit: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchid.errors import MissingExtraError, RobotError
+from torchid.errors import LARGEST, MissingExtraError, RobotError
 from torchid.robot.assemble import assemble
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import JointType, Robot, free_name
@@ -22,6 +22,12 @@ from torchid.robot.xml_numbers import parse_xml
 _OLDEST = (3, 15)
 _NO_GRAVITY = (0.0, 0.0, 0.0)
 _UNNAMED = "MuJoCo Model"
+_READ = (
+    "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "jnt_pos",
+    "jnt_axis", "jnt_stiffness", "qpos0", "qpos_spring", "dof_damping", "dof_frictionloss",
+    "dof_armature", "site_pos", "site_quat",
+)  # fmt: skip
+"""Arrays of a compiled model that a robot is made of."""
 
 
 def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
@@ -55,6 +61,9 @@ def read_mjcf(path: Path, *, tip: str | None = None) -> Robot:
             hint="pip install 'torchid[mjcf]'",
         )
     model, lost = compiled(mujoco, path, meshes=False)
+    for name in _READ:
+        if not (abs(getattr(model, name)) < LARGEST).all():
+            raise RobotError(f"{path}: not all finite: {name}, as MuJoCo compiles it.")
     read = _Reader(mujoco, model)
     links, joints = read.links_and_joints(tip)
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
@@ -77,8 +86,10 @@ def compiled(mujoco: Any, path: Path, meshes: bool = True) -> tuple[Any, list[st
     if root.tag != "mujoco":
         hint = "this is a URDF: give it the suffix .urdf" if root.tag == "robot" else None
         raise RobotError(f"{path}: not MJCF.", got=f"<{root.tag}>", expected="<mujoco>", hint=hint)
+    said: list[str] = []
+    mujoco.set_mju_user_warning(said.append)  # else it writes a file into the working directory
     try:
-        return mujoco.MjModel.from_xml_path(str(path)), []
+        return mujoco.MjModel.from_xml_path(str(path)), said
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         text = " ".join(str(error).split())
         # MuJoCo's wording for a mesh, texture or include that is not there.

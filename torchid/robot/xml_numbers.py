@@ -8,7 +8,7 @@ import torch
 from lxml import etree
 from torch import Tensor
 
-from torchid.errors import RobotError
+from torchid.errors import LARGEST, RobotError
 from torchid.robot.placement import pose, quaternion, roll_pitch_yaw
 
 TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -114,7 +114,7 @@ def numbers(
         raise RobotError(f"{what} is not a number.", got=repr(text)) from error
     if len(values) != count:
         raise RobotError(f"{what}: wrong count.", got=repr(text), expected=f"{count} numbers")
-    if any(math.isnan(v) or (finite and math.isinf(v)) for v in values):
+    if any(math.isnan(v) or (finite and abs(v) >= LARGEST) for v in values):
         raise RobotError(f"{what} is not finite.", got=repr(text))
     return values
 

@@ -19,6 +19,7 @@ from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant, State
 from torchid.simulation.loads import BatchEffects
 from torchid.typing import Float
 
+MOST_SAMPLES = 1e7
 INERTIA_CHECKS = 50
 """Instants of a reference at which the arm's inertia is looked at."""
 
@@ -64,6 +65,12 @@ def closed_loop(
     rate = sampling_rate(references[0])[0] if rate is None else rate
     if not 0 < rate < math.inf:
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
+    longest = max(float(log.t[-1] - log.t[0]) for log in references)
+    if longest * rate > MOST_SAMPLES:
+        raise TorchidError(
+            "the simulated log would have more than ten million samples.",
+            got=f"{longest:g} s at {rate:g} Hz",
+        )
     steps = max(1, math.ceil(1 / rate / longest_step - 1e-9))
     targets = [_on_grid(log, steps * rate) for log in references]
     each = [controller.gains(robot, m.q) for m in targets]

@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchid.errors import TorchidError
 from torchid.extraction.settings import Penalty, SearchSettings
 from torchid.robot.config_files import config_folder
+from torchid.robot.yaml_values import parsed_yaml
 
 _TEXTS = ("title", "section", "robot", "geometry")
 _MOTIONS = ("excitation", "validation", "sets_motion", "wrench_motion")
@@ -126,10 +125,7 @@ def load_study(name: str) -> StudySettings:
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
         available = sorted(p.stem for p in config_folder("studies").glob("*.yaml"))
         raise TorchidError(f"there is no study '{name}'.", available=[*available, "all"])
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise TorchidError(f"'{path}' is not valid yaml.", got=error) from error
+    data = parsed_yaml(path)
     if not isinstance(data, Mapping) or set(data) != set(_KEYS):
         got = sorted(set(data) ^ set(_KEYS)) if isinstance(data, Mapping) else type(data).__name__
         raise TorchidError(
@@ -161,7 +157,7 @@ def load_study(name: str) -> StudySettings:
             scenarios=scenarios,
             payload=payload,
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
 
 

@@ -1,0 +1,168 @@
+"""Damage files of every format that is read, a little at a time, and read them.
+
+    python -m tests.robustness.fuzz --minutes 60 --seed 1
+
+Each file is changed where its structure is (counts, sizes, names, ends of its parts), read under
+limits of time and memory, and may end in a Log, a Robot, a result, or a TorchidError. What ends
+otherwise is kept in `tests/robustness/corpus`, which the tests replay.
+"""
+
+import argparse
+import os
+import random
+import struct
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+
+from tests.robustness import bad_logs, bad_results, bad_robots
+from tests.robustness.bench import TooLongError, limited
+from torchid.errors import TorchidError
+from torchid.log.readers import read_log
+from torchid.results.files import load
+from torchid.robot.library import load_robot
+
+CORPUS = Path(__file__).parent / "corpus"
+WORDS = tuple(
+    [struct.pack(f"{order}{kind}", value & (2 ** (8 * size) - 1))
+     for kind, size in (("B", 1), ("H", 2), ("I", 4), ("Q", 8))
+     for order in "<>"
+     for value in (0, 1, -1, 2 ** (8 * size - 1), 2 ** (8 * size - 1) - 1, 255)]
+    + [b"nan", b"inf", b"1e308", b"-1", b"\xff\xfe", b"\0", b"\x1b[31m", b'"', b"'", b"[" * 500,
+       b"{", b"}", b",", b"\n", b"<", b">", b"&a;", b"9" * 400, b"null", b"true", b"*", b"&", b":"]
+)  # fmt: skip
+
+
+def seeds(folder: Path) -> dict[str, bytes]:
+    """A small good file of every format, by name."""
+    table = bad_logs.motion(40)
+    sets, identified = bad_results.good(folder)
+    return {
+        "log.csv": bad_logs.csv(table),
+        "log.npz": bad_logs.npz(table),
+        "log.parquet": bad_logs.parquet(table),
+        "log.h5": bad_logs.hdf5(bad_logs._columns),
+        "log.mat": bad_logs.mat(table),
+        "arm.yaml": yaml.safe_dump(bad_robots.GOOD).encode(),
+        "arm.urdf": bad_robots.URDF.encode(),
+        "arm.xml": bad_robots.MJCF.encode(),
+        "sets.json": sets.read_bytes(),
+        "identified.json": identified.read_bytes(),
+    }
+
+
+def changed(content: bytes, others: bytes, choose: random.Random) -> bytes:
+    """A file with one to four changes."""
+    data = bytearray(content)
+    for _ in range(choose.choice((1, 1, 1, 2, 2, 4))):
+        # Headers and footers, where sizes and names stand, more often than what lies between.
+        near = choose.choice((64, 256, 1024, len(data)))
+        place = choose.randrange(max(1, min(near, len(data))))
+        place = place if choose.random() < 0.6 else max(0, len(data) - 1 - place)
+        word = choose.choice(WORDS)
+        length = choose.choice((1, 4, 8, 30, 300))
+        kind = choose.randrange(7)
+        if kind == 0:
+            data[place : place + 1] = bytes([choose.randrange(256)])
+        elif kind == 1:
+            data[place : place + len(word)] = word
+        elif kind == 2:
+            data[place:place] = word
+        elif kind == 3:
+            del data[place : place + length]
+        elif kind == 4:
+            data[place:place] = data[place : place + length] * choose.choice((1, 3))
+        elif kind == 5:
+            del data[place:]
+        else:
+            start = choose.randrange(max(1, len(others)))
+            data[place : place + length] = others[start : start + length]
+    return bytes(data)
+
+
+def read(path: Path) -> None:
+    """A file with the reader of its suffix."""
+    readers: dict[str, Callable[[Path], object]] = {
+        ".json": load, ".yaml": load_robot, ".urdf": load_robot, ".xml": load_robot,
+    }  # fmt: skip
+    readers.get(path.suffix, read_log)(path)
+
+
+def fault(path: Path) -> str | None:
+    """What is wrong with how reading a file ends; None where all is right."""
+    try:
+        with limited(10):
+            read(path)
+    except TorchidError as error:
+        text = str(error)
+        if len(text) > 12_000 or not all(c.isprintable() or c in "\n\t\ufffd" for c in text):
+            return "an error that no terminal should show"
+    except TooLongError:
+        return "no end in time"
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__} in {Path(frame.filename).name}:{frame.lineno}"
+    return None
+
+
+def fuzz(folder: Path, seed: int, *, minutes: float, count: int, keep: Path | None) -> Counter[str]:
+    """Read changed files until the time or the count is over.
+
+    Args:
+        folder: to work in.
+        seed: of the changes.
+        minutes, count: the most of them.
+        keep: folder for one file of each new fault.
+
+    Returns:
+        How often which fault was met; under "" the number of files that were read.
+    """
+    choose, found = random.Random(seed), Counter[str]()
+    good = seeds(folder)
+    # A process of its own is started for each .mat, so there are fewer of them.
+    names = [name for name in good for _ in range(1 if name == "log.mat" else 20)]
+    end = time.monotonic() + 60 * minutes
+    while time.monotonic() < end and found[""] < count:
+        name = choose.choice(names)
+        content = changed(good[name], good[choose.choice(names)], choose)
+        path = folder / f"changed_{name}"
+        path.write_bytes(content)
+        found[""] += 1
+        wrong = fault(path)
+        if wrong is None:
+            continue
+        found[f"{name}: {wrong}"] += 1
+        if keep is not None and found[f"{name}: {wrong}"] == 1:
+            keep.mkdir(exist_ok=True)
+            (keep / f"{len(found):03}_{name}").write_bytes(content)
+            sys.stderr.write(f"{name}: {wrong}\n")
+    return found
+
+
+def main() -> None:
+    """The command line; exits 1 where a fault was met, and by itself where a reader kills it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--count", type=int, default=10**9)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        found = fuzz(
+            Path(folder), given.seed, minutes=given.minutes, count=given.count, keep=CORPUS
+        )
+    read_files = found.pop("")
+    print(f"{read_files} files read, {sum(found.values())} faults, {len(found)} kinds")
+    for name, times in found.most_common():
+        print(f"{times:6} {name}")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()

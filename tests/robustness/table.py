@@ -1,0 +1,199 @@
+"""The table of bad inputs: which command is given what, and whether it may still succeed."""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, get_args
+
+from tests.app.test_inputs_kept import COMMANDS, _shown
+from tests.compare.test_diagnoses import diagnosis, named
+from tests.robustness import bad_logs, bad_results, bad_robots
+from tests.robustness.bad_logs import DEEP, ESCAPE, LONG, MARKUP
+from tests.robustness.bench import Outcome, outcome
+from torchid.app.signature import PLACE, WRITTEN, Option
+
+EVERY = 40
+"""Of all bad files one in so many goes to each command beside those that get all of a kind."""
+_ROBOTS = ("robot", "params")
+_LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
+_WHOLE = {"check": 5, "log show": 4, "export": 15}
+"""Commands that get all of the first kind of file that they take, or one in so many of them."""
+_QUIET = ("log doctor", "log show", "init")
+"""Commands that say what is wrong with a log, which is no failure."""
+_SLOW = ("excite", "extract", "atlas", "wrenches", "compare")
+"""Commands that compute for long where a changed result is still one."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command line.
+
+    Attributes:
+        name: what is bad in it.
+        arguments: of the program.
+        refused: whether it must be refused; else it may do its work, in good order.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    refused: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """Where inputs lie, and where commands are run: none of it may change."""
+
+    folder: Path
+    robots: dict[str, Path]
+    logs: dict[str, Path]
+    results: dict[str, Path]
+    good: dict[str, str]
+
+    @classmethod
+    def made(cls, folder: Path) -> "Table":
+        """Write all inputs, good and bad."""
+        for name in ("robots", "logs", "results", "good", "work"):
+            (folder / name).mkdir()
+        good = folder / "good"
+        for name, seed in (("log", 0), ("other", 1), ("third", 2)):
+            (good / f"{name}.csv").write_bytes(bad_logs.csv(bad_logs.motion(seed=seed)))
+        sets, identified = bad_results.good(good)
+        diagnosis(good / "gap.json", named(Fc=0.5))
+        log, other = good / "log.csv", good / "other.csv"
+        by_name = {
+            "robot": "3r", "params": "3r", "name": "3r", "seed": 1, "cases": 1, "to": "urdf",
+            "result": identified, "results": identified, "sets": sets, "folder": good,
+            "logs": log, "trajectory": log, "loaded": other, "held_out": good / "third.csv",
+            "on": other, "log": other,
+        }  # fmt: skip
+        results = bad_results.write_all(folder / "results", sets, identified)
+        return cls(
+            folder,
+            bad_robots.write_all(folder / "robots"),
+            bad_logs.write_all(folder / "logs"),
+            results,
+            {key: str(value) for key, value in by_name.items()},
+        )
+
+    def run(self, case: Case) -> str | None:
+        """What is wrong with how a case ends; None where all is right."""
+        work = self.folder / "work"
+        found = outcome(case.arguments, (work, self.folder / "good"))
+        if not case.refused and found.code == 0:
+            for made in work.iterdir():
+                shutil.rmtree(made) if made.is_dir() else made.unlink()
+            found = Outcome(1, found.out, f"{found.err}error: ", ())
+        return (
+            found.fault and f"{case.name}: torchid {' '.join(case.arguments)[:200]}: {found.fault}"
+        )
+
+    def line(self, name: tuple[str, ...], bad: Option | None, value: object) -> tuple[str, ...]:
+        """A command line with all that must be given, and one bad value."""
+        words, result = list(name), None
+        for option in COMMANDS[name]:
+            needed = option.parameter.default is option.parameter.empty or (
+                option.name in ("to", "out", "result") and option.takes[0] and name != ("init",)
+            )
+            if option is bad:
+                words += _shown(option, value)
+            elif WRITTEN in option.said or PLACE in option.said:
+                result = option.shown if option.name == "json_file" else result
+                if option.name == "to":
+                    words += _shown(option, "made.csv")
+            elif needed and not (option.name == "result" and name == ("excite",)):
+                words += _shown(option, self.good[option.name])
+        if result and (bad is None or bad.name != "json_file"):
+            words += [result, "result.json"]
+        return tuple(words)
+
+    def files(self, name: tuple[str, ...]) -> Iterator[Case]:
+        """Bad robots, logs and results, each in the place where a command takes them."""
+        for k, option in enumerate(COMMANDS[name]):
+            if option.name in _ROBOTS:
+                every, kind = self.robots, "robot"
+            elif option.name in _LOGS:
+                every, kind = self.logs, "log"
+            elif option.name in ("result", "results", "sets"):
+                every, kind = self.results, "result"
+            else:
+                continue
+            step = _WHOLE.get(" ".join(name), EVERY) if k == 0 else EVERY
+            chosen = islice(every.items(), len(name[0]) * (k + 1) % step, None, step)
+            for text, path in chosen:
+                broken = path.name.startswith("no_")
+                if kind == "result" and " ".join(name) in _SLOW and not broken:
+                    continue
+                refused = broken or (kind != "result" and " ".join(name) not in _QUIET)
+                yield Case(f"{kind} {text}", self.line(name, option, path), refused)
+
+    def values(self, name: tuple[str, ...]) -> Iterator[Case]:
+        """Bad values of each option."""
+        for option in COMMANDS[name]:
+            kind = get_args(option.parameter.annotation)[0]
+            kinds = {kind, *get_args(kind)}
+            if option.name in ("debug", "project_file", "threads", "json_file", "tip"):
+                continue
+            if option.name == "name" and name == ("correct",):
+                continue  # it computes for long before there is anything to name
+            bad: dict[Any, bool] = {}
+            if int in kinds:
+                bad = dict.fromkeys(("x", "1.5", "-1", "1" * 30), True)
+            elif float in kinds:
+                bad = dict.fromkeys(("x", "nan", "-inf", "1e300"), True)
+            elif WRITTEN in option.said:
+                bad = {"absent/x.csv": True, str(self.folder / "good"): True, "n" * 300: True}
+            elif option.takes[0] and PLACE not in option.said:
+                bad = {"absent.csv": True, "/dev/null": True, "\udcff.json": True}
+            elif str in kinds and bool not in kinds and PLACE not in option.said:
+                texts = (LONG, f"{ESCAPE}{MARKUP}", "=", "nan,nan,nan")
+                bad = dict.fromkeys(texts, False)
+            for value, refused in bad.items():
+                text = f"{option.shown} {str(value)[:20]!r}"
+                yield Case(text, self.line(name, option, value), refused)
+
+    def cases(self, name: tuple[str, ...]) -> Iterator[Case]:
+        """All of a command."""
+        yield from self.values(name)
+        yield from self.files(name)
+
+
+def beside(folder: Path) -> Iterator[Case]:
+    """Files that commands read though they are not named first: projects, mappings, sidecars."""
+    log = str(folder / "good" / "log.csv")
+    texts = {
+        "empty": b"", "binary": bytes(range(256)), "deep": b"a = " + b"[" * DEEP,
+        "unknown": b"colour = 1", "types": b"robot = 3\nlogs = 'x'", "huge": b"gain = [1e400]",
+    }  # fmt: skip
+    for name, content in texts.items():
+        file = folder / "robots" / f"{name}.toml"
+        file.write_bytes(content)
+        line = ("robot", "3r", "--project", str(file), "--json", "result.json")
+        yield Case(f"project {name}", line, name != "empty")
+    mappings = {
+        "binary": bytes(range(256)), "deep": b"q: " + b"[" * 900, "list": b"[1]",
+        "unknown": b"z: x", "type": b"q: {a: 1}", "date": b"q: 2026-99-99",
+        "none": b"q: absent_{j}",
+    }  # fmt: skip
+    for name, content in mappings.items():
+        file = folder / "logs" / f"{name}.yaml"
+        file.write_bytes(content)
+        line = ("identify", "3r", log, "--columns", str(file), "--json", "result.json")
+        yield Case(f"mapping {name}", line)
+    for name, content in {
+        "empty": b"", "binary": bytes(range(256)), "deep": b"[" * 900, "list": b"[1]",
+        "other": b"of: x\njoints: [a]\neffects: []", "effect": b"joints: [j1, j2]\neffects: [7]",
+        "gravity": b"joints: [j1, j2]\ngravity: [1e308, 0, .nan]",
+    }.items():  # fmt: skip
+        file = folder / "robots" / f"beside_{name}.urdf"
+        file.write_text(bad_robots.URDF)
+        file.with_name(f"{file.name}.effects.yaml").write_bytes(content)
+        yield Case(f"sidecar {name}", ("check", str(file), "--json", "result.json"))
+    for name, content in {
+        "empty": b"", "list": b"[1]", "deep": b"[" * 900, "keys": b"title: x",
+        "binary": b"\xff\xfe",
+    }.items():  # fmt: skip
+        file = folder / "robots" / f"study_{name}.yaml"
+        file.write_bytes(content)
+        yield Case(f"study {name}", ("study", str(file), "--json", "result.json"))

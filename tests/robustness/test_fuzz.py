@@ -1,0 +1,57 @@
+"""Readers on damaged files: those that were found, some new ones, and changes by hypothesis."""
+
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.robustness.fuzz import CORPUS, changed, fault, fuzz, seeds
+
+FOUND = sorted(CORPUS.glob("*")) if CORPUS.is_dir() else []
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_what_was_found_stays_mended(path) -> None:
+    assert fault(path) is None
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    return folder, seeds(folder)
+
+
+@pytest.mark.slow
+def test_good_files_are_read(good, tmp_path) -> None:
+    """Else changes of them would tell nothing."""
+    from tests.robustness.fuzz import read
+
+    for name, content in good[1].items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        read(path)
+
+
+@pytest.mark.slow
+def test_damaged_files_end_in_one_error(tmp_path) -> None:
+    found = fuzz(tmp_path, 20, minutes=2, count=2000, keep=None)
+    assert found.pop("") > 100
+    assert not found
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=300, deadline=None, derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)  # fmt: skip
+@given(data=st.data())
+def test_changes_by_hypothesis(good, data) -> None:
+    folder, files = good
+    names = [name for name in files if name != "log.mat"]
+    name = data.draw(st.sampled_from(names))
+    choose = random.Random(data.draw(st.integers(0, 2**32)))
+    path: Path = folder / f"changed_{name}"
+    path.write_bytes(changed(files[name], files[data.draw(st.sampled_from(names))], choose))
+    assert fault(path) is None
