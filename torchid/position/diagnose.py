@@ -99,6 +99,7 @@ def diagnose_positions(
         answered=ways[2],
         regimes=_regimes(data, *errors_of),
         motions=(log.names, _by_motion(data, errors_of[1])),
+        errors=errors_of,
         still=moving < STILL,
         warnings=warnings,
         seconds=time.perf_counter() - begun,
@@ -407,7 +408,8 @@ def _by_motion(data: PositionData, error: Tensor) -> Tensor:
 
 
 def _regimes(data: PositionData, before: Tensor, after: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
-    """Whole-motion errors [mrad] by what the command does: stands, creeps, turns, moves, jumps."""
+    """Whole-motion errors [mrad] by what the command does: stands, creeps, turns, moves, jumps;
+    NaN where it never does."""
     rate = torch.zeros_like(data.q)
     rate[1:] = data.tracks.u.diff(dim=0) / data.tracks.dt
     rate[data.tracks.first] = 0.0
@@ -427,7 +429,7 @@ def _regimes(data: PositionData, before: Tensor, after: Tensor) -> dict[str, tup
     }
     out = {}
     for name, mask in masks.items():
-        count = mask.sum(0).clamp(min=1)
+        count = mask.sum(0)  # 0 of 0 is NaN
         out[name] = tuple(
             1e3 * ((e * mask).square().sum(0) / count).sqrt() for e in (before, after)
         )

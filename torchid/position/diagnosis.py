@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from torchid.position.data import PositionData
+from torchid.position.nominal import NominalServo
 from torchid.position.record import PositionRecord, position_record
 from torchid.results.record import Result
 from torchid.simulation.servo import Servos
@@ -78,11 +79,15 @@ class PositionDiagnosis(Result):
         commanded: the position is the command.
         plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.
         answered: the answered model, held out.
-        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model [mrad].
+        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model, NaN
+            where the joint is never in it [mrad].
         motions: names, with (m, n) whole-motion errors of the answered model [mrad].
+        errors: (T, n) of the plain and of the answered model in each row, simulated less measured,
+            of whole motions, held out [log's unit].
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
+        nominal: what the joints' servos are said to be; empty where nothing says it.
     """
 
     data: PositionData
@@ -95,9 +100,11 @@ class PositionDiagnosis(Result):
     answered: Accuracy
     regimes: dict[str, tuple[Float[Tensor, " n"], Float[Tensor, " n"]]]
     motions: tuple[tuple[str, ...], Float[Tensor, "m n"]]
+    errors: tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
+    nominal: tuple[NominalServo, ...] = ()
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"

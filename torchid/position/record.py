@@ -1,5 +1,6 @@
 """A diagnosis of commands and positions as JSON: schema torchid.position_gap/1."""
 
+import math
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -96,6 +97,16 @@ class ServosRecord(Part, frozen=True, kw_only=True):
     plane: Values | None = None
 
 
+class NominalRecord(Part, frozen=True, kw_only=True):
+    """What a joint's servo is said to be; see `position.nominal.NominalServo`."""
+
+    joint: Joint
+    servo: str
+    values: dict[str, Real]
+    counts: Real
+    register_units: dict[str, Real]
+
+
 class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_gap/1"):
     """Where command and position part, what causes it, and how far it goes.
 
@@ -106,7 +117,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
         servos: its model. log_scale: (n,) from the log's unit to rad or m.
         warnings: sentences for the user.
         seconds: that it took.
-        seed, held_out: from a command.
+        seed, held_out: from a command. nominal: what the servos are said to be.
     """
 
     robot: str
@@ -121,6 +132,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
     seconds: float
     seed: int | UnsetType = UNSET
     held_out: HeldOutRecord | UnsetType = UNSET
+    nominal: tuple[NominalRecord, ...] | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[EffectRecord]:
@@ -169,6 +181,18 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
         log_scale=result.data.scale,
         warnings=result.warnings,
         seconds=result.seconds,
+        nominal=UNSET
+        if not result.nominal
+        else tuple(
+            NominalRecord(
+                joint=j,
+                servo=servo.name,
+                values=dict(servo.values),
+                counts=math.nan if servo.counts is None else servo.counts,
+                register_units=dict(servo.units),
+            )
+            for j, servo in enumerate(result.nominal)
+        ),
     )
 
 

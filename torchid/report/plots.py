@@ -20,9 +20,10 @@ from torchid.gap.record import GapRecord
 from torchid.gap.settings import GapSettings
 from torchid.identification.record import IdentificationRecord
 from torchid.identification.result import Identification
+from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report import compare_figures as compare
 from torchid.report import gap_figures as gap
-from torchid.report import identification, log, withheld_figures
+from torchid.report import identification, log, position_figures, withheld_figures
 from torchid.report.extraction import atlas_figure, search_figure
 from torchid.report.panels import Figure
 from torchid.report.study.page import drawings
@@ -102,6 +103,15 @@ def kinds(result: Result) -> Kinds:
             if result.search is None:
                 return {}
             return {"search": partial(search_figure, result.search, result.proof)}
+        case PositionDiagnosis():
+            return {
+                "where": partial(position_figures.where_figure, result),
+                "which": partial(position_figures.which_figure, result),
+                "how_far": partial(position_figures.bar_figure, result),
+                "joint": lambda joint=None: position_figures.joint_figure(
+                    result, position_figures.worst_joints(result)[0] if joint is None else joint
+                ),
+            }
         case Examination():
             return {"torque": partial(log.torque_figure, result)}
         case EqualTorqueStudy():

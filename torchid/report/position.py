@@ -1,8 +1,17 @@
-"""A diagnosis of commands and positions for people: the verdict, and tables."""
+"""A diagnosis of commands and positions for people: the verdict, tables, and a page."""
 
 import math
+from collections.abc import Sequence
+from functools import partial
 
-from torchid.position.diagnosis import PositionDiagnosis, Size
+from torch import Tensor
+
+from torchid.position.diagnosis import PositionDiagnosis, PositionFinding, Size
+from torchid.position.nominal import unit_of
+from torchid.report import position_figures
+from torchid.report.gap_words import effect_words, regime_words
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Picture
 from torchid.report.table import Table
 
 
@@ -46,19 +55,19 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         "factor",
     )
     regimes = [
-        (name, *(f"{float(b):.1f} -> {float(a):.1f}" for b, a in zip(*both, strict=True)))
+        (regime_words(name), *(_change(b, a) for b, a in zip(*both, strict=True)))
         for name, both in result.regimes.items()
     ]
     when = Table(
         "By regime, plain -> answered [mrad]",
-        ("regime", *(f"joint {j + 1}" for j in range(result.servos.n))),
+        ("regime", *result.data.robot.joint_names),
         regimes,
         names=("regime",),
     )
     findings = [
         (
             f.effect,
-            "all" if f.joint is None else str(f.joint),
+            "all" if f.joint is None else f"{f.joint} {result.data.robot.joint_names[f.joint - 1]}",
             ", ".join(_size(s) for s in f.sizes),
             f"{f.error_without:.1f} -> {f.error_with:.1f}",
             ", ".join(f.ambiguous_with) or "-",
@@ -69,11 +78,172 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         "What lies between command and position",
         ("effect", "joint", "size (95 %)", "without -> with [mrad]", "or"),
         findings,
-        names=("effect",),
+        names=("effect", "joint"),
         words=("size (95 %)", "or"),
         note="error in windows of 2 s when all else is fitted without the effect, and with it",
     )
-    return [where, when, *([which] if findings else [])]
+    out = [where, when, *([which] if findings else [])]
+    return [*out, nominal_table(result)] if result.nominal else out
+
+
+def nominal_table(result: PositionDiagnosis) -> Table:
+    """What servos are said to be, beside what was found of the same numbers."""
+    found = {(f.joint, s.name): s for f in result.findings for s in f.sizes}
+    steps = result.data.resolution * 12**0.5
+    rows = []
+    for j, servo in enumerate(result.nominal):
+        place = (str(j + 1), servo.name)
+        kp = Size("kp", "N m/rad", float(result.gains[0][j]), tuple(result.gains[1][j].tolist()))
+        sizes = {"kp": kp} | {s.name: s for (joint, _), s in found.items() if joint == j + 1}
+        for name in dict.fromkeys([*servo.values, *servo.units]):
+            size, said = sizes.get(name), servo.values.get(name)
+            if size is None and said is None:
+                continue
+            text = "not needed" if size is None else _size(size).removeprefix(f"{name} ")
+            if size is not None and name in servo.units:
+                text += f" = {size.value / servo.units[name]:.0f} steps of the register"
+            nominal = "unknown" if said is None else f"{said:.3g} {unit_of(name)}".rstrip()
+            rows.append((*place, name, nominal, text))
+        if servo.counts is not None and result.data.scale[j] == 1:
+            rows.append(
+                (
+                    *place, "resolution", f"{2e3 * math.pi / servo.counts:.3g} mrad",
+                    f"{1e3 * float(steps[j]):.3g} mrad",
+                )
+            )  # fmt: skip
+    return Table(
+        "Servos: what they are said to be, and what was found (95 %)",
+        ("joint", "servo", "value", "nominal", "found"),
+        rows,
+        names=("servo", "value"),
+        words=("nominal", "found"),
+        note="nominal: makers' tables for a new servo at its supply's voltage; nothing found "
+        "depends on it",
+    )
+
+
+def motion_table(result: PositionDiagnosis) -> Table:
+    """Errors of the answered model in every motion, when it was left out."""
+    names, errors = result.motions
+    joints = result.data.robot.joint_names
+    rows = [
+        (name, *(f"{x:.1f}" for x in row), f"{sum(row) / len(row):.1f}")
+        for name, row in zip(names, errors.tolist(), strict=True)
+    ]
+    title = "Error of each motion, left out [mrad]"
+    return Table(title, ("motion", *joints, "mean"), rows, names=("motion",))
+
+
+def meaning_table(result: PositionDiagnosis) -> Table:
+    """What each effect means and what a simulator needs for it, once."""
+    said = [(effect_words(f.effect), f.meaning, f.remedy) for f in result.findings]
+    columns = ("effect", "what it means", "what to do")
+    title = "What it means, and what to do"
+    return Table(title, columns, list(dict.fromkeys(said)), names=("effect",), words=columns[1:])
+
+
+def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
+    """The page of a diagnosis."""
+    r, names = result, result.data.robot.joint_names
+    order = position_figures.worst_joints(r)
+    left = int(r.answered.whole.argmax())
+    tables = position_tables(r)
+    if r.findings:
+        tables.insert(3, meaning_table(r))
+    return Page(
+        f"Command and position of {r.data.robot.name}",
+        position_verdict(r),
+        (
+            ("Status", "explained" if r.findings else "no gap beside a plain servo"),
+            ("Command alone", _mrad(r.commanded.whole.mean())),
+            ("Plain servo, motions left out", _mrad(r.plain_servo.whole.mean())),
+            ("With what was found", _mrad(r.answered.whole.mean())),
+            ("The same, windows of 2 s", _mrad(r.answered.windows.mean())),
+            (
+                "Most is left on",
+                f"joint {left + 1} {names[left]}: {_mrad(r.answered.whole[left])}",
+            ),
+        ),
+        origin,
+        pictures=_pictures(r, order),
+        findings=[_sentence(f, names) for f in r.findings],
+        tables=[table.on_page() for table in (*tables, motion_table(r))],
+        notes=list(r.warnings),
+    )
+
+
+def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
+    """Where, which, how far, and the worst joints over time."""
+    names = r.data.robot.joint_names
+    worst = order[0] if order else 0
+    regime, (before, after) = max(
+        r.regimes.items(), key=lambda item: float(item[1][0][worst].nan_to_num())
+    )
+    each = ", ".join(
+        f"joint {j + 1} {float(a):.1f} to {float(b):.1f}"
+        for j, (a, b) in enumerate(zip(r.plain_servo.whole, r.answered.whole, strict=True))
+    )
+    out = [
+        Picture(
+            "where",
+            "Where command and position part. Rows are joints, columns what the command does; a "
+            "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
+            f"foretell. It errs most on joint {worst + 1} {names[worst]}, above all at "
+            f"{regime_words(regime)}: {_mrad(before[worst])}, {_mrad(after[worst])} with what was "
+            "found.",
+            f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
+            lambda: position_figures.where_figure(r),
+        )
+    ]
+    if r.findings:
+        first = r.findings[0]
+        out.append(
+            Picture(
+                "which",
+                "Which effects close it: the error when one is left out and all others are fitted "
+                "again, and with it. A short bar is a cause that others can nearly replace.",
+                f"Effects by what they close; most: {_sentence(first, names)}",
+                lambda: position_figures.which_figure(r),
+            )
+        )
+    out.append(
+        Picture(
+            "how_far",
+            "How far, joint by joint, on motions that took no part in the fit that foretells them.",
+            f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
+            lambda: position_figures.bar_figure(r),
+        )
+    )
+    return out + [
+        Picture(
+            f"joint_{j + 1}",
+            f"Joint {j + 1} {names[j]} where a plain servo errs most: "
+            f"{_mrad(r.plain_servo.whole[j])} over all motions, {_mrad(r.answered.whole[j])} with "
+            "what was found.",
+            f"Command, measured and simulated positions of joint {j + 1} over time.",
+            partial(position_figures.joint_figure, r, j),
+        )
+        for j in order
+    ]
+
+
+def _sentence(f: PositionFinding, names: Sequence[str]) -> str:
+    """Which, where, how much."""
+    place = "the arm" if f.joint is None else f"joint {f.joint} {names[f.joint - 1]}"
+    sizes = ", ".join(_size(s) for s in f.sizes)
+    others = ", ".join(map(effect_words, f.ambiguous_with))
+    return (
+        f"{effect_words(f.effect)} on {place} ({sizes}): {f.error_without:.1f} mrad without, "
+        f"{f.error_with:.1f} with it{f'; cannot be told from {others}' if others else ''}."
+    )
+
+
+def _change(before: Tensor, after: Tensor) -> str:
+    return "-" if before.isnan() else f"{float(before):.1f} -> {float(after):.1f}"
+
+
+def _mrad(value: Tensor) -> str:
+    return f"{float(value):.1f} mrad"
 
 
 def _size(size: Size) -> str:
