@@ -80,7 +80,9 @@ def gap_command(
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)
     found, log, apart, files = trials.open(output)
-    if log.u is not None and log.tau is None and (log.current is None or found.drive_gain is None):
+    torque = log.tau is not None and bool(log.tau.any())
+    current = log.tau is None and log.current is not None and found.drive_gain is not None
+    if log.u is not None and not torque and not current:
         _positions(output, found, log, apart, save_model, settings, files, servo)
         return
     if servo is not None:

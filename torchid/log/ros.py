@@ -209,7 +209,9 @@ def _with_commands(
     source = request.columns.sources.get("u") if request.columns is not None else None
     named = [name for name in known if source is not None and name in source.columns]
     if not named:
-        if "tau" in found.arrays or request.maps("u") or request.maps("q"):
+        # Drivers without torque may send zeros.
+        torque = bool(np.nan_to_num(found.arrays.get("tau", np.zeros(0))).any())
+        if torque or request.maps("u") or request.maps("q"):
             return found.arrays, None, ()
         commanded = [
             name

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchid.log.checks import STILL
 from torchid.log.model import Log
-from torchid.position.data import PositionData, prepare
+from torchid.position.data import PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.effects import BY_NAME, EFFECTS, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
@@ -82,6 +82,12 @@ def diagnose_positions(
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
     ]
+    names = data.robot.joint_names
+    warnings += tuple(
+        f"joint {j + 1} {names[j]} never moves: nothing of its servo is told."
+        for j in torch.nonzero(moving < STILL).flatten().tolist()
+    )
+    warnings += missing_commands(data.log)
     warnings += tuple(
         f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
         f"another unit than radians, by that factor"

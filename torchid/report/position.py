@@ -176,9 +176,11 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
     """Where, which, how far, and the worst joints over time."""
     names = r.data.robot.joint_names
     worst = order[0] if order else 0
-    regime, (before, after) = max(
-        r.regimes.items(), key=lambda item: float(item[1][0][worst].nan_to_num())
-    )
+
+    def error_there(item: tuple[str, tuple[Tensor, Tensor]]) -> float:
+        return float(item[1][0][worst].nan_to_num())
+
+    regime, (before, after) = max(r.regimes.items(), key=error_there)
     each = ", ".join(
         f"joint {j + 1} {float(a):.1f} to {float(b):.1f}"
         for j, (a, b) in enumerate(zip(r.plain_servo.whole, r.answered.whole, strict=True))
