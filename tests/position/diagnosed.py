@@ -37,7 +37,10 @@ def diagnosis(*findings: PositionFinding, servo: str | None = None) -> PositionD
         data=prepare(robot(), log),
         servos=servos,
         findings=findings,
-        gains=(servos.of("kp"), torch.tensor([[250.0, 270.0]] * 3).double()),
+        gains=(
+            torch.tensor([260.0, 260.0, torch.nan]).double(),
+            torch.tensor([[250.0, 270.0]] * 2 + [[torch.nan] * 2]).double(),
+        ),
         ratio_only=torch.tensor([True, False, False]),
         commanded=ways[0],
         plain_servo=ways[1],

@@ -77,6 +77,9 @@ def test_nominal_beside_found(found):
         ),
         ("2", "STS3215", "resolution", "1.53 mrad", "1.53 mrad"),
     ]  # fmt: skip
+    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal_table(found).rows
+    assert position_tables(found)[0].rows[2][-1] == "-"
+    assert found.plain()["where"]["joints"][2]["kp"] is None
     (first, *_) = found.plain()["nominal"]
     assert first["joint"] == 1
     assert first["servo"] == "STS3215"

@@ -76,7 +76,7 @@ def diagnose_positions(
     known = equations(data, servos, found.free, more)
     ways, errors_of = _accuracies(data, simple, found, windows, few)
     findings = _findings(data, found, known, worth, rivals)
-    moving = data.log.q.amax(0) - data.log.q.amin(0)
+    still = _still(data)
     deviation = known.deviations()[:, known.names.index("kp")]
     interval = [
         value_interval("kp", k, d)
@@ -85,7 +85,7 @@ def diagnose_positions(
     names = data.robot.joint_names
     warnings += tuple(
         f"joint {j + 1} {names[j]} never moves: nothing of its servo is told."
-        for j in torch.nonzero(moving < STILL).flatten().tolist()
+        for j in torch.nonzero(still).flatten().tolist()
     )
     warnings += missing_commands(data.log)
     warnings += tuple(
@@ -98,7 +98,10 @@ def diagnose_positions(
         data=data,
         servos=servos,
         findings=findings,
-        gains=(servos.of("kp"), torch.tensor(interval)),
+        gains=(
+            servos.of("kp").masked_fill(still, torch.nan),
+            torch.tensor(interval).masked_fill(still[:, None], torch.nan),
+        ),
         ratio_only=_ratio_only(known),
         commanded=ways[0],
         plain_servo=ways[1],
@@ -106,7 +109,7 @@ def diagnose_positions(
         regimes=_regimes(data, *errors_of),
         motions=(log.names, _by_motion(data, errors_of[1])),
         errors=errors_of,
-        still=moving < STILL,
+        still=still,
         warnings=warnings,
         seconds=time.perf_counter() - begun,
     )
@@ -150,6 +153,12 @@ def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows)
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     free = {name: on if name in simple.free else on & ~needless for name, on in found.free.items()}
     return Found(replace(found.servos, joint=joint), free, found.plane)
+
+
+def _still(data: PositionData) -> Tensor:
+    """(n,) joints that never move: at rest an encoder may flicker between two counts."""
+    count = data.resolution * 12**0.5
+    return data.q.amax(0) - data.q.amin(0) < (2.5 * count).clamp(min=STILL)
 
 
 def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:

@@ -74,7 +74,7 @@ class PositionDiagnosis(Result):
         data: the motions.
         servos: the answered model, fitted to all of them.
         findings: effects beside a plain servo, those that close most first.
-        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval.
+        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval; NaN of joints that never move.
         ratio_only: (n,) joints of which torques are known up to one factor.
         commanded: the position is the command.
         plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.

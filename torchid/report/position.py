@@ -42,7 +42,9 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
                     result.plain_servo.windows, result.answered.windows,
                 )
             ),
-            f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),
+            "-"
+            if result.still[j]
+            else f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),
         )
         for j, name in enumerate(result.data.robot.joint_names)
     ]  # fmt: skip
@@ -88,18 +90,20 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
 
 def nominal_table(result: PositionDiagnosis) -> Table:
     """What servos are said to be, beside what was found of the same numbers."""
-    found = {(f.joint, s.name): s for f in result.findings for s in f.sizes}
     steps = result.data.resolution * 12**0.5
     rows = []
     for j, servo in enumerate(result.nominal):
         place = (str(j + 1), servo.name)
-        kp = Size("kp", "N m/rad", float(result.gains[0][j]), tuple(result.gains[1][j].tolist()))
-        sizes = {"kp": kp} | {s.name: s for (joint, _), s in found.items() if joint == j + 1}
+        sizes = {s.name: s for f in result.findings if f.joint == j + 1 for s in f.sizes}
+        if not result.still[j]:
+            value, ends = float(result.gains[0][j]), tuple(result.gains[1][j].tolist())
+            sizes["kp"] = Size("kp", "N m/rad", value, ends)
         for name in dict.fromkeys([*servo.values, *servo.units]):
             size, said = sizes.get(name), servo.values.get(name)
             if size is None and said is None:
                 continue
-            text = "not needed" if size is None else _size(size).removeprefix(f"{name} ")
+            text = "never moves" if result.still[j] else "not needed"
+            text = text if size is None else _size(size).removeprefix(f"{name} ")
             if size is not None and name in servo.units:
                 text += f" = {size.value / servo.units[name]:.0f} steps of the register"
             nominal = "unknown" if said is None else f"{said:.3g} {unit_of(name)}".rstrip()
