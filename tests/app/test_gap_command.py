@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.position.planted import planted, true_servos
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.readers import write_log
@@ -179,3 +180,29 @@ def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
     assert said["how_far"]["closed"] > 0.9
     if first["effect"] == "coulomb_friction":
         assert first["parameters"]["Fc"] == pytest.approx(0.6, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "words"),
+    [
+        (lambda log: log.replace(u=57.3 * log.u), (), ("commands look like degrees", "u=u{j} deg")),
+        (lambda log: log, ("--servo", "SG90"), ("there is no such servo", "STS3215")),
+        (lambda log: log, ("--cutoff", "5"), ("commands and positions and no torques", "--cutoff")),
+        # An arm that reports zeros for torque is one without.
+        (lambda log: log.replace(tau=0 * log.q), ("--servo", "SG90"), ("no such servo",)),
+        (lambda log: log.replace(u=None), (), ("has no torque", "commands u1..")),
+        (
+            lambda log: log.replace(tau=log.q, u=None),
+            ("--servo", "MX-64"),
+            ("--servo is for logs",),
+        ),
+    ],
+)
+def test_logs_of_commands_that_are_refused(tmp_path, command, change, options, words):
+
+    log = planted(true_servos(3), motions=2, seconds=8.0)
+    write_log(change(log), tmp_path / "run.csv")
+    outcome = command("gap", "3r", str(tmp_path / "run.csv"), *options)
+    assert outcome.code == 1
+    for word in words:
+        assert word in outcome.err

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from tests.position.planted import planted, robot, true_servos
-from torchid.position.diagnose import _parted, _some, diagnose_positions
+from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.position.data import prepare
+from torchid.position.diagnose import _parted, _some, _still, diagnose_positions
 from torchid.position.model import replay
 from torchid.report.position import position_tables, position_verdict
 from torchid.results.files import load
@@ -44,11 +45,19 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
     assert len(position_tables(result)) >= 2
     assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in position_verdict(result)
-    assert [len(found.plot("where").axes) for found in (result, again)] == [1, 1]
+    assert [len(found.plot("how_far").axes) for found in (result, again)] == [1, 1]
     # Its model, moved by the commands, goes where the arm went.
     moved = replay(result.corrected, log)
     assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad
     assert len(moved.plot("positions").axes) == 3
+
+
+def test_a_joint_that_flickers_never_moves():
+    log = planted(true_servos(3), motions=2, seconds=8.0)
+    q = log.q.clone()
+    q[:, 1] = 0.3 + COUNT * (torch.arange(len(q)) % 7 == 0)
+    q[:, 2] = 0.1
+    assert _still(prepare(robot(), log.replace(q=q))).tolist() == [False, True, True]
 
 
 def test_one_motion_is_taken_in_parts():

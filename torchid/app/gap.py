@@ -15,6 +15,7 @@ from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
     from torchid.log.model import Log
+    from torchid.report.page.document import InputFile
     from torchid.robot.model import Robot
 
 
@@ -39,6 +40,7 @@ def gap_command(
         ),
     ],
     save_model: opt.Written = None,
+    servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,
     output: Reported,
 ) -> None:
@@ -67,6 +69,8 @@ def gap_command(
             share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
         rollout: Simulate short motions with the model before and after.
         save_model: Write the corrected robot, with its effects, as a .yaml.
+        servo: What the servos are said to be, shown beside what is found of logs of commands:
+            STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
         for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
             does.
     """
@@ -76,9 +80,13 @@ def gap_command(
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)
     found, log, apart, files = trials.open(output)
-    if log.u is not None and log.tau is None and (log.current is None or found.drive_gain is None):
-        _positions(output, found, log, apart, save_model, settings)
+    torque = log.tau is not None and bool(log.tau.any())
+    current = log.tau is None and log.current is not None and found.drive_gain is not None
+    if log.u is not None and not torque and not current:
+        _positions(output, found, log, apart, save_model, settings, files, servo)
         return
+    if servo is not None:
+        raise TorchidError("--servo is for logs of commands and positions; these have torques.")
 
     from torchid.gap.diagnose import diagnose
     from torchid.report.gap import gap_page, remarks, tables
@@ -123,27 +131,40 @@ def _positions(
     apart: "Log | None",
     save_model: Path | None,
     settings: GapSettings,
+    files: "tuple[InputFile, ...]",
+    servo: str | None,
 ) -> None:
     """The diagnosis of logs that have commands and no torques."""
     from torchid.position.diagnose import diagnose_positions
-    from torchid.report.position import position_tables, position_verdict
+    from torchid.position.nominal import nominal_servos
+    from torchid.report.position import position_page, position_tables, position_verdict
+    from torchid.report.position_figures import figures
 
     default = GapSettings(seed=settings.seed)
     changed = [
         f.name for f in fields(settings) if getattr(settings, f.name) != getattr(default, f.name)
     ]
-    if changed or output.report is not None:
+    if changed:
         raise TorchidError(
             "these logs have commands and positions and no torques.",
-            got=", ".join(f"--{name.replace('_', '-')}" for name in changed) or "--report",
-            expected="of the options on how to search and report, none",
+            got=", ".join(f"--{name.replace('_', '-')}" for name in changed),
+            expected="of the options on how to search, none",
         )
+    nominal = nominal_servos(robot, servo)
     with output.progress("reading") as progress:
         result = diagnose_positions(robot, log, held_out=apart, progress=progress)
+    result = replace(result, nominal=nominal)
     output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
     if save_model is not None:
         result.corrected.write(save_model)
         output.written.append(save_model)
+    output.draw(lambda: figures(result), old=["gap_joint_*.png", "which.png"])
+    output.write_page(
+        lambda origin: position_page(result, origin),
+        files=files,
+        seeds={"seed": settings.seed},
+        settings={"servo": servo or "not said"},
+    )
     output.verdict(position_verdict(result))
     output.say(*position_tables(result))
     output.warn(result.warnings)

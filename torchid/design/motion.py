@@ -133,7 +133,7 @@ def no_torque(log: Log) -> LogError:
     return LogError(
         f"log '{log.source}' has no torque.",
         got=", ".join(column_names(log)),
-        expected="columns tau1.., or i1.. and drive gains",
+        expected="columns tau1.., or i1.. and drive gains; `torchid gap` takes commands u1.., too",
         hint=None if log.current is None else gains,
     )
 

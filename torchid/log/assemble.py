@@ -8,8 +8,8 @@ import numpy as np
 
 from torchid.errors import LogError
 from torchid.log.columns import PREFIXES, is_wanted, log_from_columns, some
-from torchid.log.guess import proposal
-from torchid.log.mapping import ColumnMapping, Source
+from torchid.log.guess import commanded, proposal
+from torchid.log.mapping import ColumnMapping, Source, read_mapping
 from torchid.log.model import Log
 from torchid.log.sources import (
     Piece,
@@ -39,17 +39,34 @@ def log_from_table(
             or is not what `log_from_columns` expects.
     """
     mapping = mapping or ColumnMapping({})
+    commands, notes = _commands(table, mapping), table.warnings
     try:
         values = _wildcards(table, mapping)
-        if values is None:
+        if values is not None:
+            log = Log.concatenate([_read_part(table, mapping, value) for value in values])
+        elif commands is None:
             log = _read(table, mapping)
         else:
-            log = Log.concatenate([_read_part(table, mapping, value) for value in values])
+            try:
+                sources = {**mapping.sources, **read_mapping(commands).sources}
+                log = _read(table, ColumnMapping(sources, mapping.text))
+                notes = (*notes, f"'{table.path}': {commands}, by the name")
+            except LogError:  # of other joints, or no numbers: no reason to refuse the rest
+                log = _read(table, mapping)
     except LogError as error:
         raise _with_help(error, table, joints) if error.available is not None else error from None
     return log.replace(
-        source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *table.warnings)))
+        source=str(table.path), warnings=tuple(dict.fromkeys((*log.warnings, *notes)))
     )
+
+
+def _commands(table: Table, mapping: ColumnMapping) -> str | None:
+    """Columns of commanded positions that are taken for u by their names: beside our own q, where
+    no torque is, and nothing else says what u is."""
+    own = {re.sub(r"\d+$", "", name) for name in table.columns}
+    if "q" not in own or own & {"u", "tau"} or mapping.sources.keys() & {"q", "u", "tau"}:
+        return None
+    return commanded(table)
 
 
 def fitting(table: Table, request: Request) -> Request:

@@ -98,21 +98,7 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
         last = name.rsplit("/", 1)[-1]
         if quantity_of(words_of(last)) == "t" and not re.search(r"\d", last):
             found.append(_Group((name,), "t", 1, looks_measured(words_of(name))))
-    # Arrays (T, n), or of unknown shape in a file that may have some.
-    whole_arrays = []
-    for array in names:
-        shape = table.columns[array]
-        if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
-            continue
-        if shape and 1 in shape:
-            continue
-        words = words_of(array)
-        quantity = quantity_of(reversed(words)) if words else None
-        if quantity is None or quantity == "t":
-            continue
-        width = min((k for k in shape or () if k > 0), default=0)
-        whole_arrays.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
-    groups = [*found, *whole_arrays, *whole, *named]
+    groups = [*found, *_arrays(table, names), *whole, *named]
     chosen: dict[str, _Group] = {}
     for key in ("t", "q", "dq", "tau", "i", "ql", "u"):
         fitting = [g for g in groups if _is_of(g, key)]
@@ -127,6 +113,37 @@ def _chosen(table: Table, names: list[str], joints: Sequence[str]) -> dict[str, 
     if "tau" in chosen:
         chosen.pop("i", None)
     return chosen
+
+
+def commanded(table: Table) -> str | None:
+    """A text for --columns that names the commanded positions beside our own q: q_cmd{j}, goal{j},
+    action, ..; None where there are none, or several that may be meant."""
+    names = [n for n in table.columns if not is_wanted(n)]
+    count = sum(re.fullmatch(r"q\d+", name) is not None for name in table.columns)
+    fitting = [
+        g
+        for g in (*_arrays(table, names), *_numbered(names))
+        if _is_of(g, "u") and is_commanded(words_of(g.names[0])) and g.joints in (0, count)
+    ]
+    return _text({"u": fitting[0]}, {}) if len(fitting) == 1 else None
+
+
+def _arrays(table: Table, names: Sequence[str]) -> list[_Group]:
+    """Arrays (T, n), or of unknown shape in a file that may have some."""
+    found = []
+    for array in names:
+        shape = table.columns[array]
+        if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
+            continue
+        if shape and 1 in shape:
+            continue
+        words = words_of(array)
+        quantity = quantity_of(reversed(words)) if words else None
+        if quantity is None or quantity == "t":
+            continue
+        width = min((k for k in shape or () if k > 0), default=0)
+        found.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
+    return found
 
 
 def _is_of(group: _Group, key: str) -> bool:

@@ -22,7 +22,7 @@ in a thousand of a rated torque, as drives send them, are less."""
 
 
 def guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dict[str, str]:
-    """Units of t, q, dq and tau by key, where the numbers are unlikely to be in ours.
+    """Units of t, q, dq, tau and u by key, where the numbers are unlikely to be in ours.
 
     Args:
         mapping: of the table.
@@ -38,7 +38,7 @@ def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dic
     silent = {
         key: source
         for key, source in mapping.sources.items()
-        if source is not None and key in keys and key in ("t", "q", "dq", "tau")
+        if source is not None and key in keys and key in ("t", "q", "dq", "tau", "u")
     }
     pieces = {key: resolve(key, source, table) for key, source in silent.items()}
     arrays = table.read([piece.name for group in pieces.values() for piece in group])
@@ -62,6 +62,10 @@ def _guessed(mapping: ColumnMapping, table: Table, keys: Collection[str]) -> dic
             found["q"] = "deg"
             if "dq" in silent and _follows(q, values("dq", silent["dq"], pieces["dq"]), step):
                 found["dq"] = "deg/s"
+    if "u" in silent:
+        u = np.nan_to_num(values("u", silent["u"], pieces["u"]))
+        if _TURNS < np.abs(u).max(initial=0.0) < _COUNTS:
+            found["u"] = "deg"
     if "tau" in silent:
         tau = values("tau", silent["tau"], pieces["tau"])
         size = np.where(np.isfinite(tau), np.abs(tau), 0.0)

@@ -38,12 +38,17 @@ class JointColumns:
             `joint.position` etc., (T,).
         joints: names of the n joints, in the order of the columns.
         stamped: whether t is from the messages' stamps; the time of receipt otherwise.
+        start: when t is 0, on the clock of t [ns].
+        late: how much later than stamped a message is received, typically; 0 where t is the time
+            of receipt [ns].
         warnings: one sentence each.
     """
 
     arrays: dict[str, np.ndarray]
     joints: tuple[str, ...]
     stamped: bool
+    start: int
+    late: int
     warnings: tuple[str, ...]
 
 
@@ -105,7 +110,9 @@ def joint_columns_of(
     arrays["t"] = (whole.time - whole.time.min()) * 1e-9
     if runs.any():
         arrays["traj"] = runs
-    return JointColumns(arrays, tuple(joints), stamped, (*notes, *warnings))
+    late = int(np.median([m.received - m.stamp for m in listed])) if stamped else 0
+    start = int(whole.time.min())
+    return JointColumns(arrays, tuple(joints), stamped, start, late, (*notes, *warnings))
 
 
 def _groups(

@@ -1,6 +1,7 @@
 """Logs from and to files and folders.
 
-Read: .parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets; whatever `register_reader` adds.
+Read: .parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE; whatever
+`register_reader` adds.
 Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
@@ -32,6 +33,7 @@ from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.matlab import matlab_table
 from torchid.log.model import Log
 from torchid.log.ros import bag_table, is_bag_folder
+from torchid.log.sage import is_sage, sage_table
 from torchid.log.table import AbsentColumnError, Request, Table
 
 Reader = Callable[[Path], Log]
@@ -195,7 +197,8 @@ def _find(path: Path) -> Opener | str:
                 return opener
         raise LogError(
             f"'{path}' is a folder.",
-            expected="a log, a bag with metadata.yaml, or a LeRobot dataset with meta/info.json",
+            expected="a log, a bag with metadata.yaml, a LeRobot dataset with meta/info.json, or a "
+            "motion of SAGE with state_motor.csv",
             available=_inside(path),
         )
     if not path.exists():
@@ -272,6 +275,7 @@ _READERS: dict[str, Reader] = {}
 _FOLDERS: tuple[tuple[Callable[[Path], bool], Opener], ...] = (
     (is_lerobot, lerobot_table),
     (is_bag_folder, bag_table),
+    (is_sage, sage_table),
 )
 _TABLES: dict[str, Opener] = {
     ".parquet": parquet_table,

@@ -1,6 +1,8 @@
 """Bags of ROS 1 and ROS 2 (sqlite and MCAP), through `rosbags`: no ROS is needed.
 
-sensor_msgs/JointState is read: its header's stamp is the time, its effort the torque.
+sensor_msgs/JointState is read: its header's stamp is the time, its effort the torque. Commands
+beside them are trajectory_msgs/JointTrajectory, or joint states in a topic whose name says that
+they are commanded (`/leader/joint_states`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,12 +15,15 @@ from typing import Any
 import numpy as np
 
 from torchid.errors import LogError, MissingExtraError
+from torchid.log.commands import Held, along, held
 from torchid.log.joint_names import known_joints
-from torchid.log.joint_states import JointState, joint_columns_of
+from torchid.log.joint_states import JointColumns, JointState, joint_columns_of
 from torchid.log.table import Request, Table
-from torchid.log.words import looks_measured, words_of
+from torchid.log.words import is_commanded, looks_measured, words_of
 
 _TYPE = "sensor_msgs/msg/JointState"
+_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+_OTHER_CLOCK_S = 1.0  # stamps that lag by so much more than others are of another clock
 _SIGNALS = ("position", "velocity", "effort")
 _LOOKED_AT = 10  # messages of a topic, to see what it has: the first may be incomplete
 
@@ -70,13 +75,14 @@ def bag_table(path: Path, request: Request) -> Table:
     with _opened(path) as bag:
         topic = _chosen(bag, path, request)
         messages = list(_messages(bag, topic.name))
-    # Where the mapping says which joint is which, their names need not be the robot's.
-    joints = () if request.maps("q") else request.joints
-    found = joint_columns_of(messages, joints, f"'{path}', topic {topic.name}")
+        # Where the mapping says which joint is which, their names need not be the robot's.
+        joints = () if request.maps("q") else request.joints
+        found = joint_columns_of(messages, joints, f"'{path}', topic {topic.name}")
+        arrays, source, notes = _with_commands(bag, path, request, topic.name, found)
     return Table.in_memory(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
-        found.arrays,
+        arrays,
         joints=found.joints,
         topic=topic.name,
         origins={
@@ -84,8 +90,9 @@ def bag_table(path: Path, request: Request) -> Table:
             "q": "position",
             "dq": "velocity",
             "tau": "effort",
+            **({"u": source} if source else {}),
         },
-        warnings=found.warnings,
+        warnings=(*found.warnings, *notes),
     )
 
 
@@ -187,3 +194,110 @@ def _messages(bag: Any, topic: str) -> Iterator[JointState]:
             tuple(message.name),
             {s: np.asarray(getattr(message, s), dtype=np.float64) for s in _SIGNALS},
         )
+
+
+def _with_commands(
+    bag: Any, path: Path, request: Request, states: str, found: JointColumns
+) -> tuple[dict[str, np.ndarray], str | None, tuple[str, ...]]:
+    """Arrays with the commands beside joint states: the topic that a mapping names, under its
+    name; else, where there is no effort, the only one that is commanded, as u. With that topic and
+    what to say."""
+    types = {name: info.msgtype for name, info in bag.topics.items() if info.msgcount}
+    known = [
+        name for name, kind in types.items() if kind in (_TYPE, _TRAJECTORY) and name != states
+    ]
+    source = request.columns.sources.get("u") if request.columns is not None else None
+    named = [name for name in known if source is not None and name in source.columns]
+    if not named:
+        # Drivers without torque may send zeros.
+        torque = bool(np.nan_to_num(found.arrays.get("tau", np.zeros(0))).any())
+        if torque or request.maps("u") or request.maps("q"):
+            return found.arrays, None, ()
+        commanded = [
+            name
+            for name in known
+            if (types[name] == _TRAJECTORY or is_commanded(words_of(name)))
+            and any(set(found.joints) <= set(m[2]) for m in islice(_sent(bag, name), _LOOKED_AT))
+        ]
+        if len(commanded) != 1:
+            which = f'; say which: `columns="u={commanded[0]}"`' if commanded else ""
+            topics = ", ".join(commanded)
+            return found.arrays, None, (
+                (f"'{path}': several topics of commands: {topics}{which}",) if commanded else ()
+            )  # fmt: skip
+        named = commanded
+    label = f"'{path}', topic {named[0]}"
+    if "traj" in found.arrays:
+        return found.arrays, None, (f"{label}: left out, as time begins again in {states}.",)
+    commands, notes = _commands(list(_sent(bag, named[0])), types[named[0]], found, label)
+    arrays = {name: values[commands.rows] for name, values in found.arrays.items()}
+    arrays["t"] = arrays["t"] - arrays["t"][:1]
+    arrays["u" if source is None else named[0]] = commands.u[commands.rows]
+    return arrays, named[0], (*notes, *commands.warnings)
+
+
+def _sent(bag: Any, topic: str) -> Iterator[tuple[int, int, tuple[str, ...], Any]]:
+    """When messages of commands were received and stamped [ns], their joints, and themselves."""
+    connections = [c for c in bag.connections if c.topic == topic]
+    for connection, received, raw in bag.messages(connections=connections):
+        message = bag.deserialize(raw, connection.msgtype)
+        stamp = message.header.stamp
+        names = message.joint_names if hasattr(message, "joint_names") else message.name
+        yield received, stamp.sec * 1_000_000_000 + stamp.nanosec, tuple(names), message
+
+
+def _commands(
+    messages: list[tuple[int, int, tuple[str, ...], Any]],
+    kind: str,
+    found: JointColumns,
+    label: str,
+) -> tuple[Held, tuple[str, ...]]:
+    """Commands of the joints of columns, at their times.
+
+    Raises:
+        LogError: no message has these joints, or commands were not recorded with the positions.
+    """
+    joints, t = found.joints, found.arrays["t"]
+    whole = [m for m in messages if set(joints) <= set(m[2])]
+    if not whole:
+        seen = dict.fromkeys(name for m in messages for name in m[2])
+        raise LogError(
+            f"{label} commands other joints.", got=", ".join(seen), expected=", ".join(joints)
+        )
+    notes = []
+    if len(whole) < len(messages):
+        notes.append(f"{label}: {len(messages) - len(whole)} messages lack joints: left out.")
+    # When commands were sent, on the clock of the positions: their stamps where these are of that
+    # clock; else the time of receipt, less what the positions take until they are received.
+    received, stamps = (np.array([m[k] for m in whole], dtype=np.int64) for k in (0, 1))
+    stamped = found.stamped and stamps.min() > 0 and (len(stamps) < 2 or np.ptp(stamps) > 0)
+    if stamped:
+        apart = 1e-9 * (float(np.median(received - stamps)) - found.late)
+        if abs(apart) > _OTHER_CLOCK_S:
+            notes.append(
+                f"{label}: stamps are of another clock than the positions', {abs(apart):.3g} s "
+                "apart: the time of receipt is taken."
+            )
+            stamped = False
+    sent = 1e-9 * ((stamps if stamped else received - found.late) - found.start)
+    if kind == _TYPE:
+        u = np.array([[_value(m[3], m[2], joint) for joint in joints] for m in whole])
+        return held(t, sent, u, label), tuple(notes)
+    trajectories = []
+    for begin, (_, _, names, message) in zip(sent.tolist(), whole, strict=True):
+        columns = [names.index(joint) for joint in joints]
+        after = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
+        goals = [np.asarray(p.positions, dtype=np.float64) for p in message.points]
+        if goals and all(len(goal) == len(names) for goal in goals):
+            trajectories.append((begin, np.array(after), np.stack(goals)[:, columns]))
+    if len(trajectories) < len(whole):
+        notes.append(
+            f"{label}: {len(whole) - len(trajectories)} messages without positions: left out."
+        )
+    return along(t, found.arrays["q"], trajectories, label), tuple(notes)
+
+
+def _value(message: Any, names: tuple[str, ...], joint: str) -> float:
+    """The position of a joint; NaN in a message without positions."""
+    values = message.position
+    return float(values[names.index(joint)]) if len(values) == len(names) else float("nan")

@@ -18,7 +18,9 @@ _QUANTITIES = {
 }
 _MEASURED = re.compile(r"act|actual|meas|measured|msr|observation|obs")
 _PLAIN = re.compile(r"q|pos|positions?|angles?|qd|dq|vel|tau|eff|efforts?|torques?|states?")
-_COMMANDED = r"cmd|commands?|commanded|des|desired|ref|reference|target|goal|setpoint|set|action"
+_COMMANDED = (
+    r"cmd|commands?|commanded|des|desired|ref|reference|target|goal|setpoint|set|action|leader"
+)
 _UNWANTED = re.compile(rf"{_COMMANDED}|tcp|tool|cart|ext|error")
 _SOURCE = re.compile(rf"{_MEASURED.pattern}|{_COMMANDED}|error")
 _UNITS = {

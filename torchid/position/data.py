@@ -1,13 +1,21 @@
 """What logs of commands and positions become before servos are fitted to them."""
 
+import math
 from dataclasses import dataclass, field
 
 import torch
 
-from torchid.errors import LogError
-from torchid.log.checks import FOLLOWS, velocity_agreement
+from torchid.errors import LogError, RobotError
+from torchid.log.checks import (
+    DEGREES,
+    FOLLOWS,
+    SLOW_STEP_S,
+    check_increasing,
+    largest_angle,
+    velocity_agreement,
+)
 from torchid.log.model import Log
-from torchid.robot.model import Robot
+from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near
 from torchid.typing import Float, Tensor
@@ -27,6 +35,16 @@ JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
 SHORTEST_S = 10.0
 """Of less log no servo is told [s]."""
+MOVES = 0.01
+"""Commands that vary by less, as a standard deviation within motions, move no joint [rad]."""
+UNITS = {
+    "degrees": DEGREES,
+    "milliradians": 1e3,
+    "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
+}
+"""What one radian is in units that commands are sent in."""
+NEAR = 1.5
+"""Factor within which a ratio is that of two units; none of them are nearer to each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +93,11 @@ class PositionData:
 def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
     """The commands of a log.
 
+    A command that is not there (NaN) was not sent: the one before holds.
+
     Raises:
-        LogError: it has none, or is not evenly sampled.
+        LogError: it has none, none where a motion begins, or in another unit than the positions';
+            or it is not evenly sampled in seconds.
     """
     if log.u is None:
         raise LogError(
@@ -84,8 +105,18 @@ def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
             expected=f"columns u1..u{log.n}, commanded positions",
             available=["t", *log.signals],
         )
+    check_increasing(log)
+    u = _held(log)
+    _check_same_unit(log, u)
     steps = torch.cat([log.t[rows].diff() for rows in log.slices()])
     dt = float(steps.median())
+    if dt > SLOW_STEP_S:
+        raise LogError(
+            f"{log.label}: t does not look like seconds.",
+            got=f"a median step of {dt:g}",
+            expected=f"less than {SLOW_STEP_S:g} s",
+            hint='`columns="t=t ms"`, or us, ns',
+        )
     if not dt > 0 or bool(((steps - dt).abs() > UNEVEN * dt).any()):
         raise LogError(
             f"{log.label} is not evenly sampled.",
@@ -95,7 +126,73 @@ def tracks_of(log: Log, scale: Float[Tensor, " n"]) -> Tracks:
         )
     first = torch.tensor([rows.start for rows in log.slices()])
     last = torch.tensor([rows.stop - 1 for rows in log.slices()])
-    return Tracks(log.u * scale, first, last, dt)
+    return Tracks(u * scale, first, last, dt)
+
+
+def _held(log: Log) -> Float[Tensor, "T n"]:
+    """Commands, where one is missing the one before it of the motion."""
+    assert log.u is not None
+    known = log.u.isfinite()
+    if bool(known.all()):
+        return log.u
+    row = torch.arange(log.samples)[:, None].expand_as(log.u)
+    last = torch.where(known, row, -1).cummax(0).values
+    first = torch.empty(log.samples, 1, dtype=torch.long)
+    for rows in log.slices():
+        first[rows] = rows.start
+    none = last < first
+    if bool(none.any()):
+        k, j = none.nonzero()[0].tolist()
+        motion = int(log.trajectory[k])
+        count = int(none[log.slices()[motion], j].sum())
+        raise LogError(
+            f"{log.label}: '{log.names[motion]}' begins without commands.",
+            got=f"no number in u{j + 1} in its first {count} rows",
+            expected="a command from the first row on",
+            hint="cut these rows: what the arm was told before is not known",
+        )
+    return log.u.gather(0, last)
+
+
+def missing_commands(log: Log) -> tuple[str, ...]:
+    """What to say about commands that are not there, one sentence a joint."""
+    if log.u is None:
+        return ()
+    out = []
+    for j, gone in enumerate(~log.u.isfinite().T):
+        if not bool(gone.any()):
+            continue
+        # The longest run of missing rows.
+        runs = torch.where(gone, 0, 1).cumsum(0)[gone].bincount()
+        step = float(log.t[log.slices()[0]].diff().median())
+        out.append(
+            f"joint {j + 1}: {int(gone.sum())} of {log.samples} commands are missing, at most "
+            f"{float(runs.max()) * step:.3g} s of them in a row: the one before is held."
+        )
+    return tuple(out)
+
+
+def _check_same_unit(log: Log, u: Float[Tensor, "T n"]) -> None:
+    """Refuse commands that are another unit than the positions on most joints that move."""
+    spread = []
+    for x in (u, log.q):
+        apart = torch.cat([x[rows] - x[rows].mean(0) for rows in log.slices()])
+        spread.append(apart.square().mean(0).sqrt())
+    moves = (spread[0] > MOVES) & (spread[1] > 0)
+    if not bool(moves.any()):
+        return
+    ratio = float((spread[0] / spread[1])[moves].median())
+    for unit, factor in UNITS.items():
+        for name, other, value in (("commands", "q", ratio), ("positions", "u", 1 / ratio)):
+            if factor / NEAR < value < factor * NEAR:
+                key = "u" if name == "commands" else "q"
+                short = {"degrees": "deg", "milliradians": "mrad"}.get(unit, "rev /4096")
+                raise LogError(
+                    f"{log.label}: {name} look like {unit}, {other}1.. like radians.",
+                    got=f"{key} varies {value:.3g} times as much as {other}",
+                    expected="radians",
+                    hint=f'`columns="{key}={key}{{j}} {short}"`',
+                )
 
 
 def scale_of(log: Log) -> Float[Tensor, " n"]:
@@ -125,8 +222,8 @@ def prepare(robot: Robot, log: Log) -> PositionData:
         log: t, q and u.
 
     Raises:
-        LogError: other joints than the robot's, no commands, uneven sampling, values that are not
-            finite, or less than `SHORTEST_S`.
+        LogError: other joints than the robot's, as `tracks_of`, positions that are not finite or
+            in degrees, no joint that moves, or less than `SHORTEST_S`.
         RobotError: the robot has no inertial parameters.
     """
     if log.n != robot.n:
@@ -135,11 +232,33 @@ def prepare(robot: Robot, log: Log) -> PositionData:
             got=f"{log.n} (q1..q{log.n})",
             expected=f"{robot.n} (q1..q{robot.n})",
         )
-    robot.require_parameters("the torque of gravity on the servos")
+    if robot.parameters is None:
+        raise RobotError(
+            f"robot '{robot.name}' has no masses: nothing tells torques in N m.",
+            expected="`parameters` in the robot's yaml, or <inertial> in its URDF or MJCF",
+            hint="rough masses do: gains and friction are then right in their ratios",
+        )
+    if not bool(log.q.isfinite().all()):
+        rows, joints = (~log.q.isfinite()).nonzero().T
+        raise LogError(
+            f"{log.label} has positions that are no numbers.",
+            got=f"{len(rows)} values, the first in q{int(joints[0]) + 1}, row {int(rows[0]) + 1}",
+            expected="a number in every row",
+            hint="cut out those rows, and number the parts in a column traj",
+        )
     scale = scale_of(log)
     tracks = tracks_of(log, scale)
-    if not bool(log.q.isfinite().all() & tracks.u.isfinite().all()):
-        raise LogError(f"{log.label} has values of q or u that are no numbers.")
+    for j, kind in enumerate(robot.joint_types):
+        limits = robot.limits.position
+        most = largest_angle(None if limits is None else limits[j])
+        reached = float((log.q[:, j] * scale[j]).abs().max())
+        if kind is JointType.REVOLUTE and reached > most:
+            raise LogError(
+                f"{log.label}: q{j + 1} looks like degrees.",
+                got=f"up to {reached:.4g}",
+                expected=f"radians, at most {most:.3g} for this joint",
+                hint='`columns="q=q{j} deg,u=u{j} deg"`',
+            )
     if sum(log.duration) < SHORTEST_S:
         raise LogError(
             f"{log.label} is too short to tell servos from.",
@@ -147,6 +266,12 @@ def prepare(robot: Robot, log: Log) -> PositionData:
             expected=f"{SHORTEST_S:g} s",
         )
     q = log.q * scale
+    if bool((q.amax(0) - q.amin(0) < MOVES).all()):
+        raise LogError(
+            f"{log.label}: no joint moves.",
+            got=f"positions vary by {float((q.amax(0) - q.amin(0)).max()):.3g} rad at most",
+            expected="motions",
+        )
     dq = rates(q, tracks)
     link = _outermost(robot)
     body = body_near(robot, q, dq, link)

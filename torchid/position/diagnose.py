@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchid.log.checks import STILL
 from torchid.log.model import Log
-from torchid.position.data import PositionData, prepare
+from torchid.position.data import PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
 from torchid.position.effects import BY_NAME, EFFECTS, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
@@ -97,12 +97,18 @@ def diagnose_positions(
     known = equations(data, servos, found.free, more)
     ways, errors_of = _accuracies(data, simple, found, windows, few)
     findings = _findings(data, found, known, worth, rivals)
-    moving = data.log.q.amax(0) - data.log.q.amin(0)
+    still = _still(data)
     deviation = known.deviations()[:, known.names.index("kp")]
     interval = [
         value_interval("kp", k, d)
         for k, d in zip(servos.of("kp").tolist(), deviation.tolist(), strict=True)
     ]
+    names = data.robot.joint_names
+    warnings += tuple(
+        f"joint {j + 1} {names[j]} never moves: nothing of its servo is told."
+        for j in torch.nonzero(still).flatten().tolist()
+    )
+    warnings += missing_commands(data.log)
     warnings += tuple(
         f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
         f"another unit than radians, by that factor"
@@ -113,14 +119,18 @@ def diagnose_positions(
         data=data,
         servos=servos,
         findings=findings,
-        gains=(servos.of("kp"), torch.tensor(interval)),
+        gains=(
+            servos.of("kp").masked_fill(still, torch.nan),
+            torch.tensor(interval).masked_fill(still[:, None], torch.nan),
+        ),
         ratio_only=_ratio_only(known),
         commanded=ways[0],
         plain_servo=ways[1],
         answered=ways[2],
         regimes=_regimes(data, *errors_of),
         motions=(log.names, _by_motion(data, errors_of[1])),
-        still=moving < STILL,
+        errors=errors_of,
+        still=still,
         warnings=warnings,
         seconds=time.perf_counter() - begun,
     )
@@ -167,6 +177,12 @@ def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows)
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
     free = {name: on if name in simple.free else on & ~needless for name, on in found.free.items()}
     return Found(replace(found.servos, joint=joint), free, found.plane)
+
+
+def _still(data: PositionData) -> Tensor:
+    """(n,) joints that never move: at rest an encoder may flicker between two counts."""
+    count = data.resolution * 12**0.5
+    return data.q.amax(0) - data.q.amin(0) < (2.5 * count).clamp(min=STILL)
 
 
 def _parted(log: Log) -> tuple[Log, tuple[str, ...]]:
@@ -431,7 +447,8 @@ def _by_motion(data: PositionData, error: Tensor) -> Tensor:
 
 
 def _regimes(data: PositionData, before: Tensor, after: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
-    """Whole-motion errors [mrad] by what the command does: stands, creeps, turns, moves, jumps."""
+    """Whole-motion errors [mrad] by what the command does: stands, creeps, turns, moves, jumps;
+    NaN where it never does."""
     rate = torch.zeros_like(data.q)
     rate[1:] = data.tracks.u.diff(dim=0) / data.tracks.dt
     rate[data.tracks.first] = 0.0
@@ -451,7 +468,7 @@ def _regimes(data: PositionData, before: Tensor, after: Tensor) -> dict[str, tup
     }
     out = {}
     for name, mask in masks.items():
-        count = mask.sum(0).clamp(min=1)
+        count = mask.sum(0)  # 0 of 0 is NaN
         out[name] = tuple(
             1e3 * ((e * mask).square().sum(0) / count).sqrt() for e in (before, after)
         )

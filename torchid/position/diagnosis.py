@@ -5,6 +5,7 @@ from functools import cached_property
 
 from torchid.position.data import PositionData
 from torchid.position.model import ServoArm
+from torchid.position.nominal import NominalServo
 from torchid.position.record import EffectRecord, PositionRecord, position_record
 from torchid.results.record import Result, Rows
 from torchid.simulation.servo import Servos
@@ -74,18 +75,22 @@ class PositionDiagnosis(Result):
         data: the motions.
         servos: the answered model, fitted to all of them.
         findings: effects beside a plain servo, those that close most first.
-        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval.
+        gains: (n,) kp [N m/rad] with (n, 2) its 95 % interval; NaN of joints that never move.
         ratio_only: (n,) joints of which torques are known up to one factor.
         commanded: the position is the command.
         plain_servo: one with gain, damping, dry friction, inertia, delay and offset, held out.
         answered: the answered model, held out.
-        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model [mrad].
+        regimes: by regime, (n,) whole-motion errors of the plain and of the answered model, NaN
+            where the joint is never in it [mrad].
         motions: names, with (m, n) whole-motion errors of the answered model [mrad].
+        errors: (T, n) of the plain and of the answered model in each row, simulated less measured,
+            of whole motions, held out [log's unit].
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
         held_out: errors of a log that took part in nothing, mean of the joints: whole motions and
             windows of 2 s [mrad]; None without one.
+        nominal: what the joints' servos are said to be; empty where nothing says it.
     """
 
     data: PositionData
@@ -98,10 +103,12 @@ class PositionDiagnosis(Result):
     answered: Accuracy
     regimes: dict[str, tuple[Float[Tensor, " n"], Float[Tensor, " n"]]]
     motions: tuple[tuple[str, ...], Float[Tensor, "m n"]]
+    errors: tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]
     still: Bool[Tensor, " n"]
     warnings: tuple[str, ...]
     seconds: float
     held_out: tuple[float, float] | None = None
+    nominal: tuple[NominalServo, ...] = ()
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"

@@ -1,5 +1,6 @@
 """A diagnosis of commands and positions as JSON: schema torchid.position_gap/1."""
 
+import math
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -96,6 +97,16 @@ class ServosRecord(Part, frozen=True, kw_only=True):
     plane: Values | None = None
 
 
+class NominalRecord(Part, frozen=True, kw_only=True):
+    """What a joint's servo is said to be; see `position.nominal.NominalServo`."""
+
+    joint: Joint
+    servo: str
+    values: dict[str, Real]
+    counts: Real
+    register_units: dict[str, Real]
+
+
 class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_gap/1"):
     """Where command and position part, what causes it, and how far it goes.
 
@@ -107,6 +118,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
         warnings: sentences for the user.
         seconds: that it took.
         held_out: errors of a log that took part in nothing.
+        nominal: what the servos are said to be.
         seed: from a command.
     """
 
@@ -122,6 +134,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
     seconds: float
     seed: int | UnsetType = UNSET
     held_out: HeldOutRecord | UnsetType = UNSET
+    nominal: tuple[NominalRecord, ...] | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[EffectRecord]:
@@ -179,6 +192,20 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
             UNSET
             if result.held_out is None
             else HeldOutRecord(whole_mrad=result.held_out[0], windows_2s_mrad=result.held_out[1])
+        ),
+        nominal=(
+            UNSET
+            if not result.nominal
+            else tuple(
+                NominalRecord(
+                    joint=j,
+                    servo=servo.name,
+                    values=dict(servo.values),
+                    counts=math.nan if servo.counts is None else servo.counts,
+                    register_units=dict(servo.units),
+                )
+                for j, servo in enumerate(result.nominal)
+            )
         ),
     )
 

@@ -25,10 +25,9 @@ from torchid.position.model import Replay
 from torchid.position.record import PositionRecord
 from torchid.report import compare_figures as compare
 from torchid.report import gap_figures as gap
-from torchid.report import identification, log, withheld_figures
+from torchid.report import identification, log, position_figures, withheld_figures
 from torchid.report.extraction import atlas_figure, search_figure
 from torchid.report.panels import Figure
-from torchid.report.position import error_figure, replay_figure
 from torchid.report.study.page import drawings
 from torchid.report.table import joint_unit
 from torchid.report.wrenches import figures as wrenches
@@ -92,12 +91,10 @@ def kinds(result: Result) -> Kinds:
             return _gap(result)
         case GapRecord():
             return _gap(_diagnosis(result))
-        case PositionDiagnosis():
-            return kinds(result.record)
         case PositionRecord():
-            return {"where": partial(error_figure, result)}
+            return {"how_far": partial(position_figures.error_figure, result)}
         case Replay():
-            return {"positions": partial(replay_figure, result)}
+            return {"positions": partial(position_figures.replay_figure, result)}
         case Identification():
             return _identification(result)
         case IdentificationRecord():
@@ -112,6 +109,15 @@ def kinds(result: Result) -> Kinds:
             if result.search is None:
                 return {}
             return {"search": partial(search_figure, result.search, result.proof)}
+        case PositionDiagnosis():
+            return {
+                "where": partial(position_figures.where_figure, result),
+                "which": partial(position_figures.which_figure, result),
+                **kinds(result.record),
+                "joint": lambda joint=None: position_figures.joint_figure(
+                    result, position_figures.worst_joints(result)[0] if joint is None else joint
+                ),
+            }
         case Examination():
             return {"torque": partial(log.torque_figure, result)}
         case EqualTorqueStudy():

@@ -1,16 +1,17 @@
-"""A diagnosis of commands and positions for people: the verdict, tables and figures."""
+"""A diagnosis of commands and positions for people: the verdict, tables, and a page."""
 
 import math
+from collections.abc import Sequence
+from functools import partial
 
-import numpy as np
-import torch
+from torch import Tensor
 
-from torchid.errors import TorchidError
-from torchid.position.diagnosis import PositionDiagnosis, Size
-from torchid.position.model import Replay
-from torchid.position.record import PositionRecord
-from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.panels import Figure, finish, joint_lines, panel, thin
+from torchid.position.diagnosis import PositionDiagnosis, PositionFinding, Size
+from torchid.position.nominal import unit_of
+from torchid.report import position_figures
+from torchid.report.gap_words import effect_words, regime_words
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Picture
 from torchid.report.table import Table
 
 
@@ -44,7 +45,9 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
                     result.plain_servo.windows, result.answered.windows,
                 )
             ),
-            f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),
+            "-"
+            if result.still[j]
+            else f"{float(result.gains[0][j]):.1f}" + (" (ratio)" if result.ratio_only[j] else ""),
         )
         for j, name in enumerate(result.data.robot.joint_names)
     ]  # fmt: skip
@@ -57,19 +60,19 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         "factor",
     )
     regimes = [
-        (name, *(f"{float(b):.1f} -> {float(a):.1f}" for b, a in zip(*both, strict=True)))
+        (regime_words(name), *(_change(b, a) for b, a in zip(*both, strict=True)))
         for name, both in result.regimes.items()
     ]
     when = Table(
         "By regime, plain -> answered [mrad]",
-        ("regime", *(f"joint {j + 1}" for j in range(result.servos.n))),
+        ("regime", *result.data.robot.joint_names),
         regimes,
         names=("regime",),
     )
     findings = [
         (
             f.effect,
-            "all" if f.joint is None else str(f.joint),
+            "all" if f.joint is None else f"{f.joint} {result.data.robot.joint_names[f.joint - 1]}",
             ", ".join(_size(s) for s in f.sizes),
             f"{f.error_without:.1f} -> {f.error_with:.1f}",
             ", ".join(f.ambiguous_with) or "-",
@@ -80,11 +83,176 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
         "What lies between command and position",
         ("effect", "joint", "size (95 %)", "without -> with [mrad]", "or"),
         findings,
-        names=("effect",),
+        names=("effect", "joint"),
         words=("size (95 %)", "or"),
         note="error in windows of 2 s when all else is fitted without the effect, and with it",
     )
-    return [where, when, *([which] if findings else [])]
+    out = [where, when, *([which] if findings else [])]
+    return [*out, nominal_table(result)] if result.nominal else out
+
+
+def nominal_table(result: PositionDiagnosis) -> Table:
+    """What servos are said to be, beside what was found of the same numbers."""
+    steps = result.data.resolution * 12**0.5
+    rows = []
+    for j, servo in enumerate(result.nominal):
+        place = (str(j + 1), servo.name)
+        sizes = {s.name: s for f in result.findings if f.joint == j + 1 for s in f.sizes}
+        if not result.still[j]:
+            value, ends = float(result.gains[0][j]), tuple(result.gains[1][j].tolist())
+            sizes["kp"] = Size("kp", "N m/rad", value, ends)
+        for name in dict.fromkeys([*servo.values, *servo.units]):
+            size, said = sizes.get(name), servo.values.get(name)
+            if size is None and said is None:
+                continue
+            text = "never moves" if result.still[j] else "not needed"
+            text = text if size is None else _size(size).removeprefix(f"{name} ")
+            if size is not None and name in servo.units:
+                text += f" = {size.value / servo.units[name]:.0f} steps of the register"
+            nominal = "unknown" if said is None else f"{said:.3g} {unit_of(name)}".rstrip()
+            rows.append((*place, name, nominal, text))
+        if servo.counts is not None and result.data.scale[j] == 1:
+            rows.append(
+                (
+                    *place, "resolution", f"{2e3 * math.pi / servo.counts:.3g} mrad",
+                    f"{1e3 * float(steps[j]):.3g} mrad",
+                )
+            )  # fmt: skip
+    return Table(
+        "Servos: what they are said to be, and what was found (95 %)",
+        ("joint", "servo", "value", "nominal", "found"),
+        rows,
+        names=("servo", "value"),
+        words=("nominal", "found"),
+        note="nominal: makers' tables for a new servo at its supply's voltage; nothing found "
+        "depends on it",
+    )
+
+
+def motion_table(result: PositionDiagnosis) -> Table:
+    """Errors of the answered model in every motion, when it was left out."""
+    names, errors = result.motions
+    joints = result.data.robot.joint_names
+    rows = [
+        (name, *(f"{x:.1f}" for x in row), f"{sum(row) / len(row):.1f}")
+        for name, row in zip(names, errors.tolist(), strict=True)
+    ]
+    title = "Error of each motion, left out [mrad]"
+    return Table(title, ("motion", *joints, "mean"), rows, names=("motion",))
+
+
+def meaning_table(result: PositionDiagnosis) -> Table:
+    """What each effect means and what a simulator needs for it, once."""
+    said = [(effect_words(f.effect), f.meaning, f.remedy) for f in result.findings]
+    columns = ("effect", "what it means", "what to do")
+    title = "What it means, and what to do"
+    return Table(title, columns, list(dict.fromkeys(said)), names=("effect",), words=columns[1:])
+
+
+def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
+    """The page of a diagnosis."""
+    r, names = result, result.data.robot.joint_names
+    order = position_figures.worst_joints(r)
+    left = int(r.answered.whole.argmax())
+    tables = position_tables(r)
+    if r.findings:
+        tables.insert(3, meaning_table(r))
+    return Page(
+        f"Command and position of {r.data.robot.name}",
+        position_verdict(r),
+        (
+            ("Status", "explained" if r.findings else "no gap beside a plain servo"),
+            ("Command alone", _mrad(r.commanded.whole.mean())),
+            ("Plain servo, motions left out", _mrad(r.plain_servo.whole.mean())),
+            ("With what was found", _mrad(r.answered.whole.mean())),
+            ("The same, windows of 2 s", _mrad(r.answered.windows.mean())),
+            (
+                "Most is left on",
+                f"joint {left + 1} {names[left]}: {_mrad(r.answered.whole[left])}",
+            ),
+        ),
+        origin,
+        pictures=_pictures(r, order),
+        findings=[_sentence(f, names) for f in r.findings],
+        tables=[table.on_page() for table in (*tables, motion_table(r))],
+        notes=list(r.warnings),
+    )
+
+
+def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
+    """Where, which, how far, and the worst joints over time."""
+    names = r.data.robot.joint_names
+    worst = order[0] if order else 0
+
+    def error_there(item: tuple[str, tuple[Tensor, Tensor]]) -> float:
+        return float(item[1][0][worst].nan_to_num())
+
+    regime, (before, after) = max(r.regimes.items(), key=error_there)
+    each = ", ".join(
+        f"joint {j + 1} {float(a):.1f} to {float(b):.1f}"
+        for j, (a, b) in enumerate(zip(r.plain_servo.whole, r.answered.whole, strict=True))
+    )
+    out = [
+        Picture(
+            "where",
+            "Where command and position part. Rows are joints, columns what the command does; a "
+            "blue cell is one that a plain servo (gain, friction, inertia, delay, offset) does not "
+            f"foretell. It errs most on joint {worst + 1} {names[worst]}, above all at "
+            f"{regime_words(regime)}: {_mrad(before[worst])}, {_mrad(after[worst])} with what was "
+            "found.",
+            f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
+            lambda: position_figures.where_figure(r),
+        )
+    ]
+    if r.findings:
+        first = r.findings[0]
+        out.append(
+            Picture(
+                "which",
+                "Which effects close it: the error when one is left out and all others are fitted "
+                "again, and with it. A short bar is a cause that others can nearly replace.",
+                f"Effects by what they close; most: {_sentence(first, names)}",
+                lambda: position_figures.which_figure(r),
+            )
+        )
+    out.append(
+        Picture(
+            "how_far",
+            "How far, joint by joint, on motions that took no part in the fit that foretells them.",
+            f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
+            lambda: position_figures.error_figure(r.record),
+        )
+    )
+    return out + [
+        Picture(
+            f"joint_{j + 1}",
+            f"Joint {j + 1} {names[j]} where a plain servo errs most: "
+            f"{_mrad(r.plain_servo.whole[j])} over all motions, {_mrad(r.answered.whole[j])} with "
+            "what was found.",
+            f"Command, measured and simulated positions of joint {j + 1} over time.",
+            partial(position_figures.joint_figure, r, j),
+        )
+        for j in order
+    ]
+
+
+def _sentence(f: PositionFinding, names: Sequence[str]) -> str:
+    """Which, where, how much."""
+    place = "the arm" if f.joint is None else f"joint {f.joint} {names[f.joint - 1]}"
+    sizes = ", ".join(_size(s) for s in f.sizes)
+    others = ", ".join(map(effect_words, f.ambiguous_with))
+    return (
+        f"{effect_words(f.effect)} on {place} ({sizes}): {f.error_without:.1f} mrad without, "
+        f"{f.error_with:.1f} with it{f'; cannot be told from {others}' if others else ''}."
+    )
+
+
+def _change(before: Tensor, after: Tensor) -> str:
+    return "-" if before.isnan() else f"{float(before):.1f} -> {float(after):.1f}"
+
+
+def _mrad(value: Tensor) -> str:
+    return f"{float(value):.1f} mrad"
 
 
 def _size(size: Size) -> str:
@@ -93,45 +261,3 @@ def _size(size: Size) -> str:
     if math.isnan(low):
         return f"{size.name} {size.value:.3g}{unit}"
     return f"{size.name} {size.value:.3g} [{low:.3g}, {high:.3g}]{unit}"
-
-
-def error_figure(record: PositionRecord) -> Figure:
-    """RMS position errors of motions left out, joint by joint: the command, a plain servo and the
-    answer."""
-    joints = record.where.joints
-    figure, axes = panel(2.4 + 0.85 * len(joints), 3.6)
-    place = np.arange(len(joints))
-    ways = (
-        ("the command", GREY, [j.commanded_mrad for j in joints]),
-        ("a plain servo", BEFORE, [j.plain_mrad for j in joints]),
-        ("with the effects found", AFTER, [j.answered_mrad for j in joints]),
-    )
-    for k, (label, colour, errors) in enumerate(ways):
-        axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=label)
-    axes.set_xticks(place, [f"joint {j.joint + 1}" for j in joints])
-    axes.grid(axis="x", visible=False)
-    axes.set_ylabel("position error, RMS [mrad]")
-    return finish(figure, f"{record.robot}: whole motions, left out of the fit", axes, columns=3)
-
-
-def replay_figure(result: Replay, log: int = 0) -> Figure:
-    """Command, measured and simulated position of every joint over one log's time.
-
-    Raises:
-        TorchidError: no such log.
-    """
-    if not 0 <= log < len(result.measured):
-        raise TorchidError("there is no such log.", got=log, expected=f"0..{len(result.files) - 1}")
-    real, far = result.measured[log], result.simulated[log]
-    assert real.u is not None
-    curves = {
-        "commanded": (thin(real.u), {"color": GREY, "linewidth": 1.0}),
-        "measured": (thin(real.q), {"color": INK, "linewidth": 2.0}),
-        "simulated": (thin(far.q), {"color": AFTER, "linewidth": 1.0}),
-    }
-    title = f"{result.files[log] or result.robot}: {float(result.error[log].mean()):.1f} mrad RMS"
-    # Motions one after the other, each from its own beginning.
-    samples = thin(torch.arange(real.samples))
-    alone = real.trajectory_count == 1
-    t, x = (thin(real.t - real.t[0]), "time [s]") if alone else (samples, "sample")
-    return joint_lines(title, "position [rad]", t, curves, x)[0]

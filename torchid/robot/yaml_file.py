@@ -16,8 +16,8 @@ from torchid.robot.yaml_values import known, numbers, parsed_yaml
 
 _KINEMATICS = ("dh", "placements")
 _REST = ("gravity", "limits", "parameters", "effects", "drive_gain", "bounds", "basis", "tool")
-_BESIDE = ("servos",)
-"""What a robot's yaml may hold and another reader takes: `torchid.position.model`."""
+_BESIDE = ("servo", "servos")
+"""What a robot's yaml may hold and other readers take: `torchid.position`."""
 
 
 def read_yaml(path: Path) -> Robot:

@@ -1,0 +1,100 @@
+"""Logs of commands and positions that cannot be what they should be, each in a clear sentence."""
+
+import math
+
+import pytest
+import torch
+
+from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.errors import LogError, RobotError
+from torchid.log.model import Log
+from torchid.position.data import missing_commands, prepare, tracks_of
+
+DEGREES = 180 / math.pi
+ONE = torch.ones(3, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return planted(true_servos(3), motions=2, seconds=8.0)
+
+
+@pytest.mark.parametrize(
+    ("u", "q", "problem", "hint"),
+    [
+        (DEGREES, 1, "commands look like degrees, q1.. like radians", "u=u{j} deg"),
+        (1, DEGREES, "positions look like degrees, u1.. like radians", "q=q{j} deg"),
+        (1e3, 1, "commands look like milliradians", "u=u{j} mrad"),
+        (1 / COUNT, 1, "commands look like counts of an encoder, 4096 a turn", "rev /4096"),
+        (40 * DEGREES, 40 * DEGREES, "q1 looks like degrees", "q=q{j} deg,u=u{j} deg"),
+    ],
+)
+def test_other_units(log: Log, u: float, q: float, problem: str, hint: str) -> None:
+    assert log.u is not None
+    with pytest.raises(LogError) as info:
+        prepare(robot(), log.replace(u=u * log.u, q=q * log.q))
+    assert problem in info.value.problem
+    assert hint in (info.value.hint or "")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.3])
+def test_a_gain_is_no_unit(log: Log, factor: float) -> None:
+    """A servo that makes half of its command is a finding, not a fault of the log."""
+    assert log.u is not None
+    prepare(robot(), log.replace(u=factor * log.u))
+
+
+def test_missing_commands_are_held(log: Log) -> None:
+    assert log.u is not None
+    u = log.u.clone()
+    u[100:120, 1] = torch.nan
+    u[300, 1] = torch.nan
+    with_gaps = log.replace(u=u)
+    found = tracks_of(with_gaps, ONE).u
+    assert torch.equal(found[100:120, 1], log.u[99, 1].expand(20))
+    assert torch.equal(found[:, 0], log.u[:, 0])
+    assert torch.equal(found[301:], log.u[301:])
+    assert missing_commands(with_gaps) == (
+        "joint 2: 21 of 800 commands are missing, at most 0.4 s of them in a row: the one before "
+        "is held.",
+    )
+    assert missing_commands(log) == ()
+    # Not the last one of the motion before.
+    u[400:410, 2] = torch.nan
+    with pytest.raises(LogError, match="begins without commands") as info:
+        tracks_of(log.replace(u=u), ONE)
+    assert info.value.got == "no number in u3 in its first 10 rows"
+
+
+def test_positions_that_are_no_numbers(log: Log) -> None:
+    q = log.q.clone()
+    q[7, 1] = torch.nan
+    with pytest.raises(LogError, match="positions that are no numbers") as info:
+        prepare(robot(), log.replace(q=q))
+    assert info.value.got == "1 values, the first in q2, row 8"
+
+
+def test_time(log: Log) -> None:
+    with pytest.raises(LogError, match="does not look like seconds") as info:
+        tracks_of(log.replace(t=1e3 * log.t), ONE)
+    assert "t=t ms" in (info.value.hint or "")
+    with pytest.raises(LogError, match="time does not increase"):
+        tracks_of(log.replace(t=log.t.clamp(max=3.0)), ONE)
+    t = log.t.clone()
+    t[50:400] += 1.0
+    with pytest.raises(LogError, match="not evenly sampled") as info:
+        tracks_of(log.replace(t=t), ONE)
+    assert "number the parts in a column traj" in (info.value.hint or "")
+
+
+def test_nothing_to_tell_from(log: Log) -> None:
+    still = torch.zeros_like(log.q) + log.q[:1]
+    with pytest.raises(LogError, match="no joint moves"):
+        prepare(robot(), log.replace(q=still))
+    with pytest.raises(LogError, match="too short"):
+        prepare(robot(), planted(true_servos(3), motions=1, seconds=8.0))
+    with pytest.raises(RobotError, match="has no masses: nothing tells torques") as info:
+        prepare(robot().with_parameters(None), log)
+    assert "right in their ratios" in (info.value.hint or "")
+    with pytest.raises(LogError, match="has no commands"):
+        prepare(robot(), log.replace(u=None))

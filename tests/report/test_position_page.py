@@ -1,0 +1,87 @@
+"""The page of a diagnosis of commands and positions: where, which, how far, in mrad."""
+
+import pytest
+
+from tests.position.diagnosed import diagnosis, finding
+from tests.report.page.reading import parsed, rows_of, text_of
+from torchid.report.page.document import origin, render
+from torchid.report.position import nominal_table, position_page, position_tables, position_verdict
+from torchid.report.position_figures import figures, joint_figure, worst_joints, worst_place
+
+PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
+PLANE = finding("plane_contact", None, 8.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return diagnosis(PROFILE, PLANE, servo="STS3215 kp=17.8")
+
+
+def test_the_first_screen(found):
+    made = origin(arguments=["torchid", "gap"], started=0.0, seeds={}, settings={}, files=())
+    tree = parsed(render(position_page(found, made)))
+    assert text_of(tree, "verdict") == position_verdict(found)
+    facts = text_of(tree, "facts")
+    for said in ("35.0 mrad", "8.7 mrad", "4.2 mrad", "joint 2 joint_2: 6.0 mrad"):
+        assert said in facts
+    page = tree.text_content()
+    assert "It errs most on joint 2 joint_2, above all at reversal: 21.0 mrad, 7.0 mrad" in page
+    assert (
+        "set point profile on joint 2 joint_2 (acceleration 39 [35.1, 42.9] rad/s^2): 14.0 mrad "
+        "without, 6.5 with it."
+    ) in page
+    assert "plane contact on the arm" in page
+    assert "something to bear in mind" in page
+    # A regime that a joint is never in has no error.
+    assert rows_of(tree, "By regime, plain -> answered [mrad]")[0][1:] == [
+        "3.0 -> 1.0", "4.0 -> 1.5", "-",
+    ]  # fmt: skip
+    # Where, which, how far, and the joints that move; one row a motion.
+    assert len(tree.xpath("//figure")) == 5
+    assert len(rows_of(tree, "Error of each motion, left out [mrad]")) == 2
+
+
+def test_without_a_finding():
+    plain = diagnosis()
+    made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
+    text = parsed(render(position_page(plain, made))).text_content()
+    assert "no gap beside a plain servo" in text
+    assert "which" not in figures(plain)
+    assert len(position_tables(plain)) == 2
+    assert "nominal" not in plain.plain()
+
+
+def test_figures_by_name(found):
+    assert set(figures(found)) == {"where", "which", "how_far", "gap_joint_2", "gap_joint_1"}
+    assert worst_joints(found) == [1, 0]  # the third never moves
+    drawn = found.plot("joint", joint=0)
+    assert "joint 1 joint_1" in drawn.get_suptitle()
+    # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.
+    rows = worst_place(found, 1)
+    assert rows.start <= 400
+    assert rows.stop >= 599
+    above, below = joint_figure(found, 1).axes
+    assert [line.get_label() for line in above.lines] == [
+        "command", "measured", "a plain servo", "with what was found",
+    ]  # fmt: skip
+    assert max(abs(below.lines[0].get_ydata())) > 25
+
+
+def test_nominal_beside_found(found):
+    rows = [row for row in nominal_table(found).rows if row[0] == "2"]
+    assert rows == [
+        ("2", "STS3215", "kp", "17.8 N m/rad", "260 [250, 270] N m/rad"),
+        (
+            "2", "STS3215", "acceleration", "unknown",
+            "39 [35.1, 42.9] rad/s^2 = 254 steps of the register",
+        ),
+        ("2", "STS3215", "resolution", "1.53 mrad", "1.53 mrad"),
+    ]  # fmt: skip
+    assert ("3", "STS3215", "kp", "17.8 N m/rad", "never moves") in nominal_table(found).rows
+    assert position_tables(found)[0].rows[2][-1] == "-"
+    assert found.plain()["where"]["joints"][2]["kp"] is None
+    (first, *_) = found.plain()["nominal"]
+    assert first["joint"] == 1
+    assert first["servo"] == "STS3215"
+    assert first["values"] == {"kp": 17.8}
+    assert first["register_units"]["acceleration"] == pytest.approx(0.1534, abs=1e-4)
