@@ -42,6 +42,7 @@ _PUBLIC = {
     "correct": "torchid.export.correct",
     "diagnose": "torchid.gap.diagnose",
     "GapSettings": "torchid.gap.settings",
+    "compare_pair": "torchid.pair.pair",
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.compare.results",
     "excite_for": "torchid.next_motion.design",
