@@ -26,8 +26,8 @@ from torchid.identification.settings import Settings as Settings
 from torchid.log.model import Log as Log
 from torchid.log.readers import read_log as read_log
 from torchid.log.readers import write_log as write_log
-from torchid.pair.pair import compare_pair as compare_pair
 from torchid.next_motion.design import excite_for as excite_for
+from torchid.pair.pair import compare_pair as compare_pair
 from torchid.report.plots import draw as draw
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters

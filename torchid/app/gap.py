@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class _Trials(opt.Trials):
-    """Robot and logs, which a pair of logs may go without."""
+    """Robot and logs, which a pair of logs goes without."""
 
     robot: Annotated[str, typer.Argument(metavar="ROBOT")] = ""
     logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
@@ -130,7 +130,7 @@ def gap_command(
     )
     done = None
     if kind is not None:
-        keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+        keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
         beside = replace(output, json_file=None)
         done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
         output.written.extend(beside.written)

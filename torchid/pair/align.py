@@ -28,11 +28,11 @@ RATIOS = tuple(
 OVERLAP = 0.4
 """Share of the shorter log that must lie in both."""
 
-ALIKE = 0.8
-"""Mean correlation of the commands from which both are of the same ones."""
+ALIKE = {"u": 0.95, "q": 0.8}
+"""Mean correlation of commands, and of motions, from which both logs are of the same commands."""
 
 SAME_CLOCK = 0.01
-"""Difference of the clocths' rates below which they are one: crystals differ by 1e-4."""
+"""Difference of the clocks' rates below which they are one: crystals differ by 1e-4."""
 
 LONGEST_STEP = 0.02
 """Of the common grid [s]."""
@@ -155,12 +155,12 @@ def _clock(ts: np.ndarray, xs: np.ndarray, tr: np.ndarray, xr: np.ndarray, by: s
             break
     assert best is not None
     likeness, rate, start = best
-    if likeness < ALIKE:
+    if likeness < ALIKE[by]:
         raise LogError(
             f"the logs are of different {'commands' if by == 'u' else 'motions'}: at no shift and "
             "no ratio of their clocks are they alike.",
             got=f"a mean correlation of {likeness:.2f}",
-            expected=f"{ALIKE} at least",
+            expected=f"{ALIKE[by]} at least",
             hint="the same commands u1.. in both logs align them whatever the arms did",
         )
     return Clock(rate, start, likeness, by)

@@ -24,7 +24,7 @@ from torchid.robot.model import Robot
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.statistics.jackknife import fit_statistics
-from torchid.typing import Float, Tensor
+from torchid.typing import Tensor
 
 ALIKE = 0.9
 """Correlation of two motions from which they are one joint's."""
@@ -137,7 +137,7 @@ def in_order(simulated: Log, both: list[Both]) -> Mended:
             Fault(
                 "sign", tuple(wrong), "simulator", -1.0, "1",
                 f"the {what} of {joints_words(wrong)} has the opposite sign",
-                "Turn the joint's axis round in the file, or the sign of its signals in the logger.",
+                "Turn the joint's axis round in the file, or its signals' sign in the logger.",
             )
         )  # fmt: skip
     if not found:
@@ -177,14 +177,17 @@ def clock_faults(both: Sequence[Both]) -> list[Fault]:
 
 def clipped(both: Sequence[Both]) -> list[Fault]:
     """Signals that stop at a limit which the other side goes beyond."""
-    found = []
+    found: list[tuple[Side, int, float, str, str]] = []
     for name, what, unit, exact in (
-        ("u", "command", "rad", 1e-6), ("q", "position", "rad", STOPS), ("tau", "torque", "N m", 1e-4),
-    ):  # fmt: skip
+        ("u", "command", "rad", 1e-6),
+        ("q", "position", "rad", STOPS),
+        ("tau", "torque", "N m", 1e-4),
+    ):
         if any(name not in b.simulated for b in both):
             continue
         s, r = (torch.cat([getattr(b, k)[name] for b in both]) for k in ("simulated", "real"))
-        for side, own, other in (("simulator", s, r), ("arm", r, s)):
+        sides: tuple[tuple[Side, Tensor, Tensor], ...] = (("simulator", s, r), ("arm", r, s))
+        for side, own, other in sides:
             for j in range(own.shape[1]):
                 limit = _limit(own[:, j], other[:, j], exact, name == "q")
                 if limit is not None and name == "q" and not _pushed(both, side, j, limit):
@@ -193,16 +196,16 @@ def clipped(both: Sequence[Both]) -> list[Fault]:
                     found.append((side, j, limit, what, unit))
     out = []
     for side, what, unit in dict.fromkeys((f[0], f[3], f[4]) for f in found):
-        own = [f for f in found if (f[0], f[3]) == (side, what)]
-        joints = tuple(f[1] for f in own)
-        levels = ", ".join(f"{f[2]:.4g}" for f in own)
+        these = [f for f in found if (f[0], f[3]) == (side, what)]
+        joints = tuple(f[1] for f in these)
+        levels = ", ".join(f"{f[2]:.4g}" for f in these)
         whose = "the simulator's" if side == "simulator" else "the arm's"
         out.append(
             Fault(
-                "clipped", joints, side, own[0][2], unit,
+                "clipped", joints, side, these[0][2], unit,
                 f"{whose} {what} of {joints_words(joints)} stops at {levels} {unit}, which the "
                 "other one goes beyond",
-                f"Set the limit of the {what} to the arm's own (ctrlrange, forcerange, effort, range).",
+                f"Give the {what} the arm's own limit (ctrlrange, forcerange, effort, range).",
             )
         )  # fmt: skip
     return out
@@ -266,8 +269,8 @@ def held_control(simulated: Log, real: Log, rate: float) -> list[Fault]:
         return [
             Fault(
                 "held_control", (), side, 1e3 * periods[k], "ms",
-                f"the {side}'s {what} change every {1e3 * periods[k]:.3g} ms, the other one's every "
-                f"{1e3 * max(periods[1 - k], steps[1 - k]):.3g} ms",
+                f"the {side}'s {what} change every {1e3 * periods[k]:.3g} ms, the other one's "
+                f"every {1e3 * max(periods[1 - k], steps[1 - k]):.3g} ms",
                 "Let the simulation's controller run at the arm's rate (decimation, control "
                 "frequency), and interpolate commands as the arm does.",
             )
@@ -332,7 +335,8 @@ def laws(log: Log, robot: Robot | None) -> list[Law] | None:
         return None
     rows: list[list[Tensor]] = []
     for one in resample(log).trajectories():
-        assert one.u is not None and one.tau is not None
+        assert one.u is not None
+        assert one.tau is not None
         rate = sampling_rate(one)[0]
         band = min(SERVO_BAND, 0.2 * rate)
         gravity = torch.zeros_like(one.q)
@@ -425,8 +429,8 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
             found.append(
                 Fault(
                     "gravity_compensation", tuple(adds), side, value, "1",  # type: ignore[arg-type]
-                    f"the {side}'s servo adds the gravity torque to its law on {joints_words(adds)}, "
-                    "the other one's does not",
+                    f"the {side}'s servo adds the gravity torque on {joints_words(adds)}, the "
+                    "other one's does not",
                     "Switch gravity compensation on (or off) in both.",
                 )
             )  # fmt: skip
@@ -544,8 +548,8 @@ def body_faults(simulated: Sequence[Share], real: Sequence[Share]) -> list[Fault
             if side == "simulator":
                 words = "the simulator has no friction"
                 remedy = (
-                    "Set frictionloss and damping where the simulator reads them (an actuator's or a "
-                    "material's friction is another one), and see that they are not overwritten."
+                    "Set frictionloss and damping where the simulator reads them (friction of a "
+                    "material is another one), and see that they are not overwritten."
                 )
             else:
                 words = "the arm's torque holds no friction, and the simulator's does,"

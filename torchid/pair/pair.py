@@ -9,6 +9,7 @@ beside the simulator: more of an effect, less of it, or one that only the arm ha
 while the set-up is at fault, whose traces would look like effects.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -71,7 +72,7 @@ class PairDiagnosis(Result):
     """What a simulator's log and the arm's are told to differ by.
 
     Attributes:
-        record: as the JSON has it.
+        found: as the JSON has it.
         robot: the model, or None.
         of_simulator, of_arm: the two diagnoses; None where they were not asked for, the first also
             where the simulator's torque is the model's.
@@ -153,20 +154,19 @@ def compare_pair(
     else:
         warnings.append("not both logs hold torques, so only motion is compared")
     position, _ = _where(both, "q", settings.seed)
-    # Faults in the order in which they are mended: each is judged on what those before left.
+    # Faults in the order in which they are mended: each is judged with those before mended, but
+    # for a clock, with which nothing that has a derivative can be judged.
     say("looking at the set-up", 0, 1)
     mended = in_order(simulated, both)
-    faults = [*mended.faults, *clock_faults(both)]
-    clocked = not clock_faults(both)
-    faults += clipped(mended.both)
-    rate = both[0].clock.rate
-    faults += held_control(simulated, real, rate)
-    if clocked:
+    clock = clock_faults(both)
+    faults = [*mended.faults, *clock, *clipped(mended.both)]
+    faults += held_control(simulated, real, both[0].clock.rate)
+    if not clock:
         found = laws(mended.log, robot), laws(real, robot)
         if found[0] is not None and found[1] is not None:
             faults += servo_faults(found[0], found[1])
     modelled = robot is not None and robot.parameters is not None and torque is not None
-    if modelled and clocked:
+    if modelled and not clock:
         assert robot is not None
         faults += body_faults(shares(robot, mended.log), shares(robot, real))
     # One name once: the servo's law and the torque may both tell of gravity.
@@ -309,7 +309,7 @@ def _values(robot: Robot, effect: Effect) -> list[float]:
 def _bodies(
     links: tuple[int, ...],
     share: float,
-    p: float,
+    p: float | None,
     ambiguous: tuple[str, ...],
     diagnosis: Diagnosis,
 ) -> OneSided:
@@ -328,6 +328,6 @@ def _bodies(
         std={},
         unit=dict.fromkeys(arm, "kg"),
         share=share,
-        p=p,
+        p=math.nan if p is None else p,
         ambiguous_with=ambiguous,
     )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from torchid.gap.record import RegimeGap
 from torchid.pair.pair import PairDiagnosis
-from torchid.pair.record import OneSided, WherePair
+from torchid.pair.record import Fault, OneSided, WherePair
 from torchid.report.gap_words import CLEAR, effect_words, joints_words, measure, regime_words
 from torchid.report.table import Table, interval, listed, percent
 
@@ -50,7 +50,7 @@ def tables(found: PairDiagnosis) -> list[Table]:
                 [
                     (
                         f.fault.replace("_", " "),
-                        ", ".join(filter(None, (f.side, joints_words(f.joints) if f.joints else ""))),
+                        _place(f),
                         f.meaning,
                         f.remedy,
                     )
@@ -79,6 +79,12 @@ def tables(found: PairDiagnosis) -> list[Table]:
             )
         )  # fmt: skip
     return out
+
+
+def _place(fault: Fault) -> str:
+    """`simulator, joint 2`."""
+    words = [fault.side or "", joints_words(fault.joints) if fault.joints else ""]
+    return ", ".join(filter(None, words))
 
 
 def _sizes(values: Mapping[str, float], std: Mapping[str, float], unit: Mapping[str, str]) -> str:
