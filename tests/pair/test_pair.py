@@ -10,10 +10,12 @@ import pytest
 import torch
 
 import torchid
+from tests.gap.small_logs import carrying
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.settings import GapSettings
+from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.pair.align import aligned
 from torchid.pair.pair import compare_pair
@@ -21,6 +23,7 @@ from torchid.robot.library import load_robot
 from torchid.simulation.sensors import Sensors, measured_log
 
 FEW = GapSettings(effects=("coulomb_friction", "viscous_friction", "torque_offset"))
+LOADS = GapSettings(effects=("payload", "link_inertia", "coulomb_friction"))
 KP = torch.tensor([400.0, 900.0, 300.0], dtype=torch.float64)
 KD = torch.tensor([20.0, 40.0, 15.0], dtype=torch.float64)
 
@@ -136,6 +139,27 @@ def test_an_effect_of_one_side_is_named_with_its_side():
     assert (less.effect, less.joints, less.more) == ("coulomb_friction", (1,), "simulator")
     assert less.only
     assert less.simulator["Fc"] == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_load_that_only_the_simulator_carries():
+    """It is taken into the simulator's last link, which the arm's is lighter than."""
+    robot = load_robot("3r")
+    light, motion = log(), log(noise=1e-4)
+    heavy = carrying(1.5, (0.1, 0.02, 0.0), 5e-3)
+    torque = torchid.inverse_dynamics(heavy, *_state(motion)) - torchid.inverse_dynamics(
+        robot, *_state(motion)
+    )
+    loaded = motion.replace(tau=motion.tau + torque, u=None)
+    found = compare_pair(loaded, light.replace(u=None), robot, settings=LOADS).which[0]
+    assert found.effect in ("payload", "link_inertia")
+    assert found.more == "simulator"
+    assert sum(found.simulator.values()) > sum(found.arm.values())
+
+
+def _state(one: Log) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """q, dq, ddq of a log with hardly any noise, at 200 Hz."""
+    dq = central_difference(low_passed(one.q.T, 200.0, 20.0), 200.0)
+    return one.q, dq.T.contiguous(), central_difference(dq, 200.0).T.contiguous()
 
 
 def test_bad_pairs():

@@ -28,6 +28,7 @@ from torchid.gap.diagnosis import Diagnosis, Finding, Trace, unit_of
 from torchid.gap.localise.where import where
 from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
+from torchid.gap.search.terms import PAYLOAD
 from torchid.gap.settings import GapSettings
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
@@ -52,6 +53,7 @@ from torchid.pair.record import (
     WherePair,
 )
 from torchid.results.record import Result
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -253,12 +255,24 @@ def _effects(
     first, simulator = None, robot
     if not _as_model(robot, simulated, settings):
         first = diagnose(robot, simulated, settings=settings, progress=of("simulator"))
-        simulator = first.corrected
+        simulator = _with_its_load(first.corrected)
     second = diagnose(simulator, real, settings=settings, progress=of("arm"))
     rows = [_one_sided(f, second) for f in second.findings]
     for p in second.parametric:
         rows.append(_bodies(p.links, p.share, p.p_value, p.ambiguous_with, second))
     return tuple(sorted(rows, key=lambda x: -x.share)), (first, second)
+
+
+def _with_its_load(robot: Robot) -> Robot:
+    """The robot whose last link holds what it carries, so that less of it can be found, too."""
+    pi = robot.require_parameters("a pair").pi.clone()
+    others = []
+    for effect, values in nominal_effects(robot):
+        if effect.name == PAYLOAD:
+            pi[-1] += torch.tensor(values, dtype=torch.float64)
+        else:
+            others.append(effect.record(values))
+    return replace(robot.with_parameters(InertialParameters(pi)), effects=tuple(others))
 
 
 def _as_model(robot: Robot, simulated: Log, settings: GapSettings) -> bool:
