@@ -48,6 +48,8 @@ for run in run1 run2 run3 run4 run1_again; do
   k=$((k+1))
   torchid simulate my_arm.urdf motion$((k % 5 + k / 5)).csv $E --rate 200 --seed $k --to $run.csv
 done
+cp run1.csv arm.csv
+torchid simulate my_arm.urdf motion1.csv --rate 200 --seed 7 --to sim.csv
 LOAD=payload:m=0.5,mx=0,my=0,mz=0,Jxx=0,Jxy=0,Jxz=0,Jyy=0,Jyz=0,Jzz=0
 torchid simulate my_arm.urdf motion1.csv --effect $LOAD --rate 200 --seed 9 --to full.csv
 torchid simulate my_arm.urdf motion1.csv --closed-loop --rate 200 --seed 8 --to empty.csv
