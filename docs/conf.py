@@ -39,7 +39,7 @@ napoleon_custom_sections = [("Class attributes", "Attributes")]
 napoleon_numpy_docstring = False
 
 NAVIGATION = {
-    "How to": ("your-log", "robots", "log-doctor", "python", "export", "report", "compare",
+    "How to": ("your-log", "robots", "log-doctor", "python", "export", "pair", "report", "compare",
                "next-experiment"),
     "What it means": ("concepts", "effects", "equal-torque"),
     "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),

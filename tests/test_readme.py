@@ -5,6 +5,7 @@ The arm is the report's 3R as a URDF; its logs are simulated, with friction that
 
 import csv
 import math
+import shutil
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,8 +72,8 @@ def _raw_log(source: Path, target: Path) -> None:
 
 
 def _logs(folder: Path) -> None:
-    """Five runs of the arm with friction that its file lacks, which are stepped together; two of
-    it without and with a payload."""
+    """Five runs of the arm with friction that its file lacks, which are stepped together; of the
+    model that lacks it, one as a simulator has it, and two without and with a payload."""
     robot = load_robot(folder / "my_arm.urdf").with_limits(acceleration=5)
     motion = trajectory_log(random_trajectory(robot, 1, count=4, duration=8.0, fill=True), 200.0)
     runs = motion.trajectories()
@@ -82,8 +83,9 @@ def _logs(folder: Path) -> None:
     names = ("run1", "run2", "run3", "run4", "run1_again")
     for name, run in zip(names, real.trajectories(), strict=True):
         write_log(run, folder / f"{name}.csv")
+    shutil.copy(folder / "run1.csv", folder / "arm.csv")
     load = {"effect": "payload", "m": 0.5} | dict.fromkeys(LOAD, 0.0)
-    for name, effects in (("empty", []), ("full", [load])):
+    for name, effects in (("sim", []), ("empty", []), ("full", [load])):
         log = simulate(robot, runs[0], effects=effects, seed=9)
         write_log(log, folder / f"{name}.csv")
 

@@ -47,6 +47,7 @@ _PUBLIC = {
     "diagnose_positions": "torchid.position.diagnose",
     "ServoArm": "torchid.position.model",
     "replay": "torchid.position.model",
+    "compare_pair": "torchid.pair.pair",
     "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.compare.results",
     "excite_for": "torchid.next_motion.design",

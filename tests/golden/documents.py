@@ -186,6 +186,30 @@ def _robot_file(bench: Bench) -> dict[str, Any]:
     return bench.run("check", path)
 
 
+def _pair(b: Bench) -> dict[str, Any]:
+    """A simulator's log without the arm's friction of joint 2, and one with a torque's sign."""
+    simulated, real = b.folder / "simulated.csv", b.folder / "real.csv"
+    robot = load_robot("3r")
+    motion = trajectory_log(random_trajectory(robot, 0, duration=8.0, fill=True), 100.0)
+    arm = replace(robot, effects=(FRICTION,))
+    noise = Sensors(torque_std=0.02)
+    write_log(synthetic_log(robot, motion), simulated)
+    write_log(measured_log(arm, synthetic_log(arm, motion), [], noise, seed=0), real)
+    return b.run("gap", "3r", "--simulated", simulated, "--real", real, *FEW)
+
+
+def _pair_fault(b: Bench) -> dict[str, Any]:
+    """A simulator whose torque of joint 2 has the opposite sign."""
+    robot = load_robot("3r")
+    motion = trajectory_log(random_trajectory(robot, 0, duration=8.0, fill=True), 100.0)
+    real = synthetic_log(robot, motion)
+    assert real.tau is not None
+    files = b.folder / "turned.csv", b.folder / "straight.csv"
+    write_log(real.replace(tau=real.tau * torch.tensor([1, -1, 1])), files[0])
+    write_log(real, files[1])
+    return b.run("gap", "--simulated", files[0], "--real", files[1])
+
+
 DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "atlas": lambda b: b.run("atlas", "3r_friction", b.identified()),
     "check": lambda b: b.run("check", b.sets, "--robot", "3r"),
@@ -220,6 +244,8 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
         "identify", "3r_friction", b.friction(), "--held-out", b.friction(9, 1), "--cutoff", 8
     ),
     "log_show": lambda b: b.run("log", "show", b.friction(), "--robot", "3r"),
+    "pair": _pair,
+    "pair_fault": _pair_fault,
     "payload": _payload,
     "robot": lambda b: b.run("robot", "3r_friction"),
     "simulate": _simulate,

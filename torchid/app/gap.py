@@ -1,6 +1,6 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,6 +9,7 @@ import typer
 from torchid.app import options as opt
 from torchid.app.correct import Simulated, corrected_by, file_format, say_corrected
 from torchid.app.output import Output, Reported
+from torchid.app.project import current
 from torchid.app.signature import Fields, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -19,10 +20,18 @@ if TYPE_CHECKING:
     from torchid.robot.model import Robot
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Trials(opt.Trials):
+    """Robot and logs, which a pair of logs goes without."""
+
+    robot: Annotated[str, typer.Argument(metavar="ROBOT")] = ""
+    logs: Annotated[list[Path] | None, opt.LOGS] = None  # type: ignore[assignment]
+
+
 @command
 def gap_command(
     *,
-    trials: opt.Trials,
+    trials: _Trials,
     settings: Annotated[
         GapSettings,
         Fields(
@@ -42,6 +51,8 @@ def gap_command(
     save_model: opt.Written = None,
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,
+    simulated: opt.LogFiles = None,
+    real: opt.LogFiles = None,
     output: Reported,
 ) -> None:
     """Find where a simulator's torque and the arm's disagree, which unmodelled effects cause it,
@@ -49,6 +60,11 @@ def gap_command(
 
     Logs of commands u1.. and positions alone are explained by what lies between the two: servos,
     friction, set-points, stops; errors are then in mrad.
+
+    With --simulated and --real, logs of both under the same commands are held against each other:
+    faults of the simulator's set-up, and, with a ROBOT, effects that only one of them has.
+
+    Example: `torchid gap --simulated sim.csv --real arm.csv my_arm.urdf`
 
     Example: `torchid gap so101.urdf run1.parquet run2.parquet --save-model corrected.yaml`
 
@@ -73,7 +89,15 @@ def gap_command(
             STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
         for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
             does.
+        simulated: Log of the simulator, of the same commands as --real. May be given several times.
+        real: Log of the arm, one for each of --simulated.
     """
+    if simulated or real:
+        _pair(output, trials, simulated, real, settings, save_model, for_)
+        return
+    for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
+        if not given:
+            raise typer.BadParameter(f"Missing argument '{name}'.")
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     if for_ is not None and output.out is None:
@@ -113,7 +137,7 @@ def gap_command(
     )
     done = None
     if kind is not None:
-        keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
+        keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
         beside = replace(output, json_file=None)
         done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
         output.written.extend(beside.written)
@@ -122,6 +146,61 @@ def gap_command(
     output.warn(result.warnings)
     if done is not None:
         say_corrected(output, done)
+
+
+def _pair(
+    output: Output,
+    trials: _Trials,
+    simulated: list[Path] | None,
+    real: list[Path] | None,
+    settings: GapSettings,
+    save_model: Path | None,
+    for_: str | None,
+) -> None:
+    """A simulator's logs against the arm's."""
+    from torchid.log.model import Log
+    from torchid.log.readers import open_logs
+    from torchid.pair.pair import compare_pair
+    from torchid.report.pair import tables, verdict
+
+    if not simulated or not real:
+        raise TorchidError(
+            "a simulator's log is held against the arm's.",
+            got="--real alone" if real else "--simulated alone",
+            expected="--simulated SIM --real REAL",
+        )
+    own = current().logs
+    others = [
+        name
+        for name, given in (
+            ("LOG", trials.logs and not own),
+            ("--held-out", trials.held_out and not current().held_out),
+            ("--save-model", save_model),
+            ("--for", for_),
+            ("--report", output.report),
+        )
+        if given
+    ]
+    if others:
+        raise TorchidError(
+            "--simulated and --real take the logs' place, and go without these.",
+            got=", ".join(others),
+        )
+    robot = trials.load() if trials.robot else None
+    names = () if robot is None else robot.joint_names
+
+    def read(paths: list[Path]) -> Log:
+        opened = open_logs(paths, trials.request(names))
+        logs = [log for _, log in opened]
+        return Log.concatenate([trials.with_torque(log, log.n) for log in logs])
+
+    with output.progress("reading") as progress:
+        logs = read(simulated), read(real)
+        result = compare_pair(*logs, robot, settings=settings, progress=progress)
+    output.write_json({**result.plain(), "seed": settings.seed}, "pair.json")
+    output.verdict(verdict(result))
+    output.say(*tables(result))
+    output.warn(result.record.warnings)
 
 
 def _positions(

@@ -110,14 +110,12 @@ Tip = Annotated[
     str | None, typer.Option(metavar="LINK", help="URDF, MJCF: last link of the chain.")
 ]
 RobotOption = Annotated[str | None, typer.Option(metavar="ROBOT")]
-LogArguments = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG...",
-        help="Logs (.parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets): t, q1.., and "
-        "dq1.., tau1.. or i1.., or --columns. Several are several trajectories.",
-    ),
-]
+LOGS = typer.Argument(
+    metavar="LOG...",
+    help="Logs (.parquet, .csv, .npz, .mat, .h5; ROS bags; LeRobot datasets): t, q1.., and "
+    "dq1.., tau1.. or i1.., or --columns. Several are several trajectories.",
+)
+LogArguments = Annotated[list[Path], LOGS]
 File = Annotated[Path | None, typer.Option(metavar="FILE")]
 Written = Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN]
 Folder = Annotated[Path, typer.Option(metavar="DIR"), PLACE]

@@ -22,6 +22,7 @@ RECORDS = {
     "torchid.wrenches/1 sets": "torchid.study.equal_torque.record:GivenSetsRecord",
     "torchid.payload/1": "torchid.identification.payload:PayloadRecord",
     "torchid.gap/1": "torchid.gap.record:GapRecord",
+    "torchid.pair/1": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
     "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",

@@ -1,0 +1,347 @@
+"""A simulator's log against the arm's: where they differ, how the simulator is set up otherwise,
+and which effects only one of them has.
+
+    aligned -> where -> faults of the set-up, one after the other -> effects of either side
+
+Effects are sought by two diagnoses. The first asks what the simulator's log has beside the model:
+with that the model is the simulator, whatever its file says. The second asks what the arm's log has
+beside the simulator: more of an effect, less of it, or one that only the arm has. It is not asked
+while the set-up is at fault, whose traces would look like effects.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+
+from torchid.design.columns import Columns, Model
+from torchid.design.segments import EDGE, Segment, moving_samples, reach_of
+from torchid.effects.base import Effect
+from torchid.effects.motion import Motion
+from torchid.effects.registry import nominal_effects
+from torchid.errors import TorchidError
+from torchid.gap.data import prepare
+from torchid.gap.diagnose import diagnose
+from torchid.gap.diagnosis import Diagnosis, Finding, Trace, unit_of
+from torchid.gap.localise.where import where
+from torchid.gap.noise.spectrum import white_level
+from torchid.gap.record import NoiseFloor
+from torchid.gap.search.terms import PAYLOAD
+from torchid.gap.settings import GapSettings
+from torchid.log.filtering import central_difference, low_passed
+from torchid.log.model import Log
+from torchid.pair.align import Both, aligned
+from torchid.pair.faults import (
+    body_faults,
+    clipped,
+    clock_faults,
+    held_control,
+    in_order,
+    laws,
+    servo_faults,
+    shares,
+)
+from torchid.pair.record import (
+    ClockRecord,
+    Difference,
+    Fault,
+    OneSided,
+    PairRecord,
+    Side,
+    WherePair,
+)
+from torchid.results.record import Result
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+BAND = 20.0
+"""Of what is compared [Hz]."""
+
+NOTHING = 0.15
+"""Share of one side's coefficient below which the other one has none."""
+
+CLEAN = 100.0
+"""Dry friction over the noise of a simulator's log: how far from reversals it is looked at."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PairDiagnosis(Result):
+    """What a simulator's log and the arm's are told to differ by.
+
+    Attributes:
+        found: as the JSON has it.
+        robot: the model, or None.
+        of_simulator, of_arm: the two diagnoses; None where they were not asked for, the first also
+            where the simulator's torque is the model's.
+    """
+
+    found: PairRecord
+    robot: Robot | None
+    of_simulator: Diagnosis | None = None
+    of_arm: Diagnosis | None = None
+
+    def __repr__(self) -> str:
+        return repr(self.found).replace("PairRecord", "PairDiagnosis", 1)
+
+    @cached_property
+    def record(self) -> PairRecord:
+        """As the JSON has it."""
+        return self.found
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Of the set-up, in the order in which to mend them."""
+        return self.found.faults
+
+    @property
+    def which(self) -> tuple[OneSided, ...]:
+        """Effects that one of both has more of."""
+        return self.found.which or ()
+
+
+def compare_pair(
+    simulated: Log,
+    real: Log,
+    robot: Robot | None = None,
+    *,
+    settings: GapSettings | None = None,
+    progress: Progress | None = None,
+) -> PairDiagnosis:
+    """Hold a simulator's log against the arm's.
+
+    Args:
+        simulated, real: of the same commands, trajectory by trajectory; u says what was commanded.
+        robot: the model that the simulator was made from; without it effects are not named.
+        settings: of the search for effects.
+        progress: called with (stage, done, total).
+
+    Raises:
+        LogError: logs of other arms or commands, or that cannot be used.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=6.0, restarts=1, iterations=5).log()
+    >>> simulated = torchid.simulate(robot, motion)
+    >>> turned = simulated.tau * torch.tensor([1.0, -1.0, 1.0])
+    >>> found = compare_pair(simulated.replace(tau=turned), simulated)
+    >>> [(f.fault, f.joints) for f in found.faults]
+    [('sign', (1,))]
+    """
+    settings = replace(settings or GapSettings(), rollout=False)
+    say = progress or (lambda stage, done, total: None)
+    for log, whose in ((simulated, "simulator's"), (real, "arm's")):
+        if robot is not None and log.n != robot.n:
+            raise TorchidError(
+                f"the {whose} log is of another arm than the model.",
+                got=f"{log.n} joints",
+                expected=f"{robot.n} as '{robot.name}'",
+            )
+    say("aligning", 0, 1)
+    both = aligned(simulated, real)
+    warnings: list[str] = []
+    if both[0].clock.by == "q":
+        warnings.append(
+            "not both logs hold commands u1.., so they are aligned by their motion: a servo that "
+            "follows badly cannot be told from another command"
+        )
+    say("locating", 0, 1)
+    torque, floor = None, None
+    if all("tau" in b.simulated for b in both):
+        torque, floor = _where(both, "tau", settings.seed)
+    else:
+        warnings.append("not both logs hold torques, so only motion is compared")
+    position, _ = _where(both, "q", settings.seed)
+    # Faults in the order in which they are mended: each is judged with those before mended, but
+    # for a clock, with which nothing that has a derivative can be judged.
+    say("looking at the set-up", 0, 1)
+    mended = in_order(simulated, both)
+    clock = clock_faults(both)
+    faults = [*mended.faults, *clock, *clipped(mended.both)]
+    faults += held_control(simulated, real, both[0].clock.rate)
+    if not clock:
+        found = laws(mended.log, robot), laws(real, robot)
+        if found[0] is not None and found[1] is not None:
+            faults += servo_faults(found[0], found[1])
+    modelled = robot is not None and robot.parameters is not None and torque is not None
+    if modelled and not clock:
+        assert robot is not None
+        faults += body_faults(shares(robot, mended.log), shares(robot, real))
+    # One name once: the servo's law and the torque may both tell of gravity.
+    faults = list({f.fault: f for f in reversed(faults)}.values())[::-1]
+    which: tuple[OneSided, ...] | None = None
+    diagnoses: tuple[Diagnosis | None, Diagnosis | None] = (None, None)
+    if faults:
+        warnings.append(
+            "effects were not sought: mend the set-up first, whose traces look like effects"
+        )
+    elif robot is None or torque is None:
+        if robot is None:
+            warnings.append("without a ROBOT no effect can be named")
+    else:
+        which, diagnoses = _effects(robot, simulated, real, settings, say)
+    say("done", 1, 1)
+    clocks = tuple(
+        ClockRecord(b.name, b.clock.rate, b.clock.start, b.clock.likeness, b.clock.by) for b in both
+    )
+    record = PairRecord(
+        robot=None if robot is None else robot.name,
+        simulated=simulated.source or "simulated",
+        real=real.source or "real",
+        clocks=clocks,
+        torque=torque,
+        position=position,
+        torque_noise=floor,
+        faults=tuple(faults),
+        which=which,
+        warnings=tuple(dict.fromkeys([*simulated.warnings, *real.warnings, *warnings])),
+    )
+    return PairDiagnosis(record, robot, *diagnoses)
+
+
+def _where(both: Sequence[Both], name: str, seed: int) -> tuple[WherePair, NoiseFloor]:
+    """Where a signal differs, on the common clock, below a band that the slower log holds."""
+    band = min(BAND, *(0.2 / b.dt for b in both))
+    traces, segments, left = [], [], []
+    clock = 0.0
+    for b in both:
+        rate = 1 / b.dt
+
+        def low(x: Float[Tensor, "T n"], rate: float = rate) -> Float[Tensor, "T n"]:
+            return low_passed(x.T, rate, band).T.contiguous()
+
+        q = low(b.real["q"])
+        dq = central_difference(q.T, rate).T
+        ddq = central_difference(dq.T, rate).T
+        t = torch.arange(len(q), dtype=torch.float64) * b.dt + clock
+        clock = float(t[-1]) + 1.0
+        motion = Motion(q, dq.contiguous(), ddq.contiguous(), t=t)
+        edge = int(EDGE * rate / band)
+        valid = torch.zeros(len(q), dtype=torch.bool)
+        valid[edge : len(q) - edge] = True
+        arm, simulator = low(b.real[name]), low(b.simulated[name])
+        traces.append(Trace(b.name, rate, motion, arm, simulator, simulator, valid))
+        segments.append(Segment(b.name, rate, 0.4 * rate, motion, b.real[name], False))
+        left.append(b.real[name] - b.simulated[name])
+    noise = (white_level(segments, left, band) * band).sqrt()
+    floor = NoiseFloor(noise, noise, "bracket")
+    joints, regimes = where(traces, floor, seed, band=band)
+    whole = torch.cat([t.measured[t.valid] for t in traces])
+    if name == "q":
+        whole = whole - whole.mean(0)
+    size = whole.square().mean(0).sqrt().clamp(min=1e-300)
+    rows = [
+        Difference(
+            x.joint, x.gap_rms, float(noise[x.joint]), float(100 * x.gap_rms / size[x.joint])
+        )
+        for x in joints
+    ]
+    return WherePair(tuple(rows), regimes), floor
+
+
+def _effects(
+    robot: Robot, simulated: Log, real: Log, settings: GapSettings, say: Progress
+) -> tuple[tuple[OneSided, ...], tuple[Diagnosis | None, Diagnosis]]:
+    """Effects that one of both has more of."""
+
+    def of(name: str) -> Progress:
+        return lambda stage, done, total: say(f"{name}: {stage}", done, total)
+
+    # What the simulator does beside the model; with that the model is the simulator.
+    first, simulator = None, robot
+    if not _as_model(robot, simulated, settings):
+        first = diagnose(robot, simulated, settings=settings, progress=of("simulator"))
+        simulator = _with_its_load(first.corrected)
+    second = diagnose(simulator, real, settings=settings, progress=of("arm"))
+    rows = [_one_sided(f, second) for f in second.findings]
+    for p in second.parametric:
+        rows.append(_bodies(p.links, p.share, p.p_value, p.ambiguous_with, second))
+    return tuple(sorted(rows, key=lambda x: -x.share)), (first, second)
+
+
+def _with_its_load(robot: Robot) -> Robot:
+    """The robot whose last link holds what it carries, so that less of it can be found, too."""
+    pi = robot.require_parameters("a pair").pi.clone()
+    others = []
+    for effect, values in nominal_effects(robot):
+        if effect.name == PAYLOAD:
+            pi[-1] += torch.tensor(values, dtype=torch.float64)
+        else:
+            others.append(effect.record(values))
+    return replace(robot.with_parameters(InertialParameters(pi)), effects=tuple(others))
+
+
+def _as_model(robot: Robot, simulated: Log, settings: GapSettings) -> bool:
+    """Whether the simulator's torque is the model's, but for less than is worth a name."""
+    if robot.parameters is None:
+        return False
+    data = prepare(robot, simulated, None if settings.cutoff == "auto" else settings.cutoff)
+    columns = Columns(Model.of(robot), data.samples)
+    torque = data.samples.of([s.tau.T for s in data.segments])
+    # Only where joints surely slide: of one that friction holds no law says the torque.
+    never = torch.full((robot.n,), CLEAN, dtype=torch.float64)
+    sliding = moving_samples(data.samples, reach_of(data.samples, never))
+    left, whole = ((x.square() * sliding).sum(1) for x in (columns.gap, torque))
+    return bool((left <= settings.worthwhile_torque**2 * whole)[data.slides].all())
+
+
+def _one_sided(found: Finding, diagnosis: Diagnosis) -> OneSided:
+    """A finding of the arm beside the simulator as what either has of it."""
+    names = [c.name for c in found.effect.coefficients]
+    before, after = (_values(r, found.effect) for r in (diagnosis.robot, diagnosis.corrected))
+    had, has = max(map(abs, before)), max(map(abs, after))
+    less, more = sorted((had, has))
+    located = found.located or found.joints
+    return OneSided(
+        effect=found.effect.name,
+        joints=found.located or found.joints,
+        more="arm" if has > had else "simulator",
+        only=less < NOTHING * more,
+        simulator=dict(zip(names, before, strict=True)),
+        arm=dict(zip(names, after, strict=True)),
+        std=dict(zip(names, found.std, strict=True)),
+        unit={c.name: unit_of(c.unit, located, diagnosis.robot) for c in found.effect.coefficients},
+        share=found.share,
+        p=found.p_value,
+        ambiguous_with=found.ambiguous_with,
+    )
+
+
+def _values(robot: Robot, effect: Effect) -> list[float]:
+    """Coefficients that a robot has of an effect, whatever its shape; zeros of none."""
+    total = [0.0] * len(effect.coefficients)
+    for other, values in nominal_effects(robot):
+        if other.identity == effect.identity:
+            total = [a + b for a, b in zip(total, values, strict=True)]
+    return total
+
+
+def _bodies(
+    links: tuple[int, ...],
+    share: float,
+    p: float | None,
+    ambiguous: tuple[str, ...],
+    diagnosis: Diagnosis,
+) -> OneSided:
+    """Links whose inertial parameters differ, by their masses."""
+    of = links or tuple(range(diagnosis.robot.n))
+    sides = [r.require_parameters("a pair").mass for r in (diagnosis.robot, diagnosis.corrected)]
+    simulator, arm = ({f"m{k + 1}": float(m[k]) for k in of} for m in sides)
+    side: Side = "arm" if sum(arm.values()) >= sum(simulator.values()) else "simulator"
+    return OneSided(
+        effect="link_inertia",
+        joints=links,
+        more=side,
+        only=False,
+        simulator=simulator,
+        arm=arm,
+        std={},
+        unit=dict.fromkeys(arm, "kg"),
+        share=share,
+        p=math.nan if p is None else p,
+        ambiguous_with=ambiguous,
+    )

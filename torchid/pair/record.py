@@ -1,0 +1,156 @@
+"""What a simulator's log and the arm's are told to differ by, as JSON has it: torchid.pair/1."""
+
+from typing import Literal
+
+from torchid.gap.record import NoiseFloor, RegimeGap
+from torchid.results.record import Joint, Part, Real, Record, Rows
+
+Side = Literal["simulator", "arm"]
+
+FaultName = Literal[
+    "joint_order",
+    "sign",
+    "time_step",
+    "clipped",
+    "held_control",
+    "gain_units",
+    "servo_gain",
+    "gravity_compensation",
+    "friction_never_applied",
+    "armature_zero",
+]
+"""In the order in which they are to be mended: what stands later cannot be judged before."""
+
+
+class ClockRecord(Part, frozen=True):
+    """Time of the simulator's log, start + rate t, for the arm's time t from its first sample.
+
+    Attributes:
+        trajectory: of the arm's log.
+        rate: [1].
+        start_s: [s].
+        likeness: mean correlation of what both were aligned by.
+        by: commands `u`, or motion `q`.
+    """
+
+    trajectory: str
+    rate: Real
+    start_s: Real
+    likeness: Real
+    by: str
+
+
+class Difference(Part, frozen=True):
+    """What one joint's signals differ by.
+
+    Attributes:
+        joint: which.
+        rms: of the arm's less the simulator's.
+        noise: what of it is noise.
+        relative_percent: rms over that of the arm's signal; of positions about their mean.
+    """
+
+    joint: Joint
+    rms: Real
+    noise: Real
+    relative_percent: Real
+
+
+class WherePair(Part, frozen=True):
+    """Where a signal differs.
+
+    Attributes:
+        joints: each joint.
+        regimes: kinds of motion that hold more than their share.
+    """
+
+    joints: tuple[Difference, ...]
+    regimes: tuple[RegimeGap, ...]
+
+
+class Fault(Part, frozen=True):
+    """A fault of the set-up.
+
+    Attributes:
+        fault: its name.
+        joints: that show it; none of one that is the whole arm's.
+        side: where it is, as far as that can be told.
+        value: a number that says how large it is.
+        unit: of the value.
+        meaning: what was seen.
+        remedy: what to do.
+    """
+
+    fault: FaultName
+    joints: tuple[Joint, ...]
+    side: Side | None
+    value: Real
+    unit: str
+    meaning: str
+    remedy: str
+
+
+class OneSided(Part, frozen=True):
+    """An effect that one of both has more of.
+
+    Attributes:
+        effect: its name.
+        joints: where.
+        more: which side has more of it.
+        only: whether the other one has none.
+        simulator, arm: coefficients on either side, by name.
+        std: standard deviations of the arm's.
+        unit: of the coefficients.
+        share: of the gap that it closes.
+        p: of the arm's log without it, corrected for the search.
+        ambiguous_with: what it cannot be told from.
+    """
+
+    effect: str
+    joints: tuple[Joint, ...]
+    more: Side
+    only: bool
+    simulator: dict[str, Real]
+    arm: dict[str, Real]
+    std: dict[str, Real]
+    unit: dict[str, str]
+    share: Real
+    p: Real
+    ambiguous_with: tuple[str, ...]
+
+
+class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
+    """A simulator's log against the arm's.
+
+    Attributes:
+        robot: the model's name; None where none was given.
+        simulated, real: the logs.
+        clocks: that took the trajectories together.
+        torque: where the torques differ; None where a log has none.
+        position: where the motions differ.
+        torque_noise: of the torque's difference, None likewise.
+        faults: of the set-up, in the order in which to mend them.
+        which: effects that one of both has more of, most of the gap first; None where it was not
+            asked, for a reason that stands in the warnings.
+        warnings: sentences for the user.
+    """
+
+    robot: str | None
+    simulated: str
+    real: str
+    clocks: tuple[ClockRecord, ...]
+    torque: WherePair | None
+    position: WherePair
+    torque_noise: NoiseFloor | None
+    faults: tuple[Fault, ...]
+    which: tuple[OneSided, ...] | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def table(self) -> Rows[Fault]:
+        """Faults, as a table."""
+        return Rows(self.faults)
+
+    def __repr__(self) -> str:
+        names = [f.fault for f in self.faults] + [w.effect for w in self.which or ()]
+        return f"PairRecord({self.simulated!r}, {self.real!r}: {', '.join(names) or 'nothing'})"

@@ -1,0 +1,121 @@
+"""A simulator's log against the arm's, for people."""
+
+import math
+from collections.abc import Mapping
+
+from torchid.gap.record import RegimeGap
+from torchid.pair.pair import PairDiagnosis
+from torchid.pair.record import Fault, OneSided, WherePair
+from torchid.report.gap_words import CLEAR, effect_words, joints_words, measure, regime_words
+from torchid.report.table import Table, interval, listed, percent
+
+_MOST_REGIMES = 3
+
+
+def verdict(found: PairDiagnosis) -> str:
+    """The answer in plain words."""
+    if found.faults:
+        first, *others = found.faults
+        also = [f.fault.replace("_", " ") for f in others]
+        then = f" Then: {listed(also)}." if also else ""
+        return f"The set-ups differ: {first.meaning}. {first.remedy}{then}"
+    if found.which:
+        said = [f"{_more(one)} at {joints_words(one.joints)}" for one in found.which[:3]]
+        more = f", and {len(found.which) - 3} more" if len(found.which) > 3 else ""
+        return f"The set-ups agree; what differs: {'; '.join(said)}{more}."
+    if found.record.which is None:
+        return "No fault of the set-up is seen."
+    return "Nothing: set-ups and effects of simulator and arm agree within what these logs show."
+
+
+def _more(one: OneSided) -> str:
+    """`Coulomb friction that only the arm has`."""
+    who = {"arm": "the arm", "simulator": "the simulator"}[one.more]
+    name = effect_words(one.effect)
+    return f"{name} that only {who} has" if one.only else f"{name}, of which {who} has more"
+
+
+def tables(found: PairDiagnosis) -> list[Table]:
+    """Where torque and motion differ, faults, effects."""
+    record = found.record
+    out = []
+    if record.torque is not None:
+        out.append(_where(record.torque, "torque", "N m"))
+    out.append(_where(record.position, "motion", "mrad"))
+    if record.faults:
+        out.append(
+            Table(
+                "set-up, in the order in which to mend it",
+                ("fault", "where", "what was seen", "what to do"),
+                [
+                    (
+                        f.fault.replace("_", " "),
+                        _place(f),
+                        f.meaning,
+                        f.remedy,
+                    )
+                    for f in record.faults
+                ],
+                words=("fault", "where", "what was seen", "what to do"),
+            )
+        )  # fmt: skip
+    if record.which:
+        out.append(
+            Table(
+                "effects: simulator -> arm",
+                ("effect", "where", "simulator", "arm", "share", "cannot be told from"),
+                [
+                    (
+                        _more(one),
+                        joints_words(one.joints),
+                        _sizes(one.simulator, {}, one.unit),
+                        _sizes(one.arm, one.std, one.unit),
+                        percent(one.share),
+                        ", ".join(map(effect_words, one.ambiguous_with)) or "-",
+                    )
+                    for one in record.which
+                ],
+                words=("effect", "where", "simulator", "arm", "cannot be told from"),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _place(fault: Fault) -> str:
+    """`simulator, joint 2`."""
+    words = [fault.side or "", joints_words(fault.joints) if fault.joints else ""]
+    return ", ".join(filter(None, words))
+
+
+def _sizes(values: Mapping[str, float], std: Mapping[str, float], unit: Mapping[str, str]) -> str:
+    return "\n".join(
+        f"{name} = {measure(x, std.get(name), '' if unit.get(name) == '1' else unit.get(name, ''))}"
+        for name, x in values.items()
+    )
+
+
+def _where(where: WherePair, what: str, unit: str) -> Table:
+    """Joints, and the regimes that hold more than their share."""
+    scale = 1e3 if unit == "mrad" else 1.0
+    rows = []
+    for one in where.joints:
+        own = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
+        own.sort(key=lambda r: -r.excess)
+        noise = "-" if math.isnan(one.noise) else f"{scale * one.noise:.2g}"
+        rows.append(
+            (
+                str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
+                ", ".join(map(_regime, own[:_MOST_REGIMES])) or "-",
+            )
+        )  # fmt: skip
+    regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
+    return Table(
+        f"where: {what} of the arm less the simulator's [{unit}]",
+        ("joint", "RMS", "noise", "of the arm's [%]", regimes),
+        rows,
+        words=(regimes,),
+    )
+
+
+def _regime(one: RegimeGap) -> str:
+    return f"{regime_words(one.regime)} {percent(one.excess)} {interval(one.ci95)}"
