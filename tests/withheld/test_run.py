@@ -8,9 +8,9 @@ import pytest
 
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
+from torchid.parallel.workers import each
 from torchid.withheld import run as running
 from torchid.withheld.case_set import keys_beside, make
-from torchid.parallel.workers import each
 from torchid.withheld.run import default_settings, jobs_of, run
 
 

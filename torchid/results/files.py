@@ -29,6 +29,7 @@ RECORDS = {
     "torchid.compare/1 identifications": "torchid.compare.record:ComparisonRecord",
     "torchid.compare/1 gap diagnoses": "torchid.compare.record:GapComparisonRecord",
     "torchid.compare/1 parameter sets": "torchid.compare.record:SetComparisonRecord",
+    "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.study/1": "torchid.study.record:StudyRecord",
     "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
     "torchid.withheld.score/1": "torchid.withheld.score_record:ScoreRecord",

@@ -22,6 +22,7 @@ from scipy.stats import chi2
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.multiple import benjamini_hochberg, two_sided
+from torchid.statistics.robust import MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Int, Tensor
 
 LEVEL = 0.95
@@ -36,6 +37,10 @@ REFINED = 16
 
 ROUNDS = 10
 """Times that odd units are left out of the spreads and sought again."""
+
+FAR = 3.5
+"""Robust standard deviations from the median beyond which a unit is left out of the first spreads;
+of normal units one in two thousand is."""
 
 FEWEST_UNITS = 4
 """Units below which none is called odd: the spread of three is not known."""
@@ -301,10 +306,11 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
     A unit is compared with the population that the others make. The spread must not be that of the
     odd units themselves, which would hide each other, so units that are found odd are left out of
     the spreads and of the mean, in the quantities in which they are, and odd ones are sought again,
-    until the same are found. p-values over the quantities of a unit are combined by Bonferroni's
-    rule, which holds whatever the correlation of base parameters; over units the share of false
-    ones is held at `level` by Benjamini and Hochberg (1995), and within the odd units, over their
-    quantities, at that level times the share of units that are odd (Benjamini and Bogomolov 2014).
+    until the same are found; the first time those that are far from the median are left out.
+    p-values over the quantities of a unit are combined by Bonferroni's rule, which holds whatever
+    the correlation of base parameters; over units the share of false ones is held at `level` by
+    Benjamini and Hochberg (1995), and within the odd units, over their quantities, at that level
+    times the share of units that are odd (Benjamini and Bogomolov 2014).
 
     Args:
         data: of sessions.
@@ -313,13 +319,13 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
     counts = data.counts
     own = data.by_unit(counts.double()) > 0
     units = own.sum(1)
-    odd_in = torch.zeros_like(own)
+    odd_in = _far(data)
     seen: list[Tensor] = []
     for _ in range(ROUNDS):
         rest = data.without(odd_in)
         between, daily = spreads(rest)
         deviation, p = _deviations(data, rest, between, daily)
-        tests = p.isfinite().sum(0)
+        tests = p.isfinite().sum(0).clamp(min=1)
         least = torch.where(p.isfinite(), p, 1.0).amin(0)
         p_unit = benjamini_hochberg((least * tests).clamp(max=1.0))
         odd = p_unit <= level
@@ -371,6 +377,20 @@ def pooled(data: Sessions, level: float = 0.05) -> Pooled:
         units=units,
         sessions=counts.sum(1),
     )
+
+
+def _far(data: Sessions) -> Bool[Tensor, "P U"]:
+    """Units (P, U) far from the median of all, were their spread that of most of them."""
+    nothing = torch.zeros(len(data.values), dtype=torch.float64)
+    mean = means(data, nothing, nothing).mean
+    enough = mean.isfinite().sum(1, keepdim=True) >= FEWEST_UNITS
+    far = torch.zeros_like(mean, dtype=torch.bool)
+    for _ in range(ROUNDS):  # many odd ones widen the spread, and fewer do the next time
+        rest = torch.where(far, torch.nan, mean)
+        left = mean - rest.nanmedian(1, keepdim=True).values
+        near = torch.where(far, torch.nan, left.abs())
+        far = (left.abs() > FAR * MAD_TO_SIGMA * near.nanmedian(1, keepdim=True).values) & enough
+    return far
 
 
 def _deviations(

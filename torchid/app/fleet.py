@@ -1,0 +1,173 @@
+"""`torchid fleet`: many units of one robot type, many logs, one machine or several."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchid.app import options as opt
+from torchid.app.output import Kept, Output
+from torchid.app.project import ProjectCommand
+from torchid.app.signature import Fields, Parsed, command
+from torchid.errors import TorchidError
+from torchid.fleet.settings import FleetSettings
+
+if TYPE_CHECKING:
+    from torchid.fleet.manifest import FleetLog
+    from torchid.fleet.model import FleetModel
+    from torchid.fleet.tasks import LogAnswer
+    from torchid.parallel.store import Store
+    from torchid.parallel.workers import Workers
+
+fleet_app = typer.Typer(
+    name="fleet",
+    no_args_is_help=True,
+    help="Many units of one robot type: the type, its spread, the odd ones.",
+)
+
+
+def _part(text: str) -> tuple[int, int]:
+    """--array i/n."""
+    first, _, last = text.partition("/")
+    if not (first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
+        raise TorchidError("--array is no part.", got=text, expected="I/N with 1 <= I <= N")
+    return int(first), int(last)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Units(opt.Arm, opt.Reading):
+    """One robot type and the logs of its units.
+
+    Attributes:
+        manifest: Table (.csv, .parquet) with the columns log, unit, session, in place of LOG...;
+            paths are relative to it.
+    """
+
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[LOG...]",
+            help="Logs, or folders of them: the folder that a log lies in is its unit, its own "
+            "name the session.",
+        ),
+    ] = None
+    manifest: opt.File = None
+
+    def listed(self) -> "tuple[FleetLog, ...]":
+        """The logs by unit and session."""
+        from torchid.fleet.manifest import fleet_logs, read_manifest
+
+        if (self.manifest is None) is (not self.logs):
+            raise TorchidError(
+                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
+            )
+        if self.manifest is not None:
+            return read_manifest(self.manifest)
+        return fleet_logs(self.logs or [])
+
+    def model(self, settings: FleetSettings) -> "FleetModel":
+        """What all of them are reduced to."""
+        from torchid.fleet.model import FleetModel
+
+        robot = self.load()
+        gain = None if self.gain is None else tuple(opt.numbers("--gain", self.gain, robot.n))
+        return FleetModel(robot, settings, self.request(robot.joint_names), gain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """Who does the work.
+
+    Attributes:
+        workers: Processes of one thread each.
+        scheduler: Address of a dask scheduler (tcp://HOST:8786), in place of processes.
+        array: The I-th of N parts of the logs, for batch systems; the rest of the work is done by a
+            run without it.
+        store: Folder or URL (s3://, gs://) of what is computed already; all workers see it
+            (default: DIR/store).
+    """
+
+    workers: opt.Count = 1
+    scheduler: Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT")] = None
+    array: Annotated[tuple[int, int] | None, typer.Option(metavar="I/N"), Parsed(_part)] = None
+    store: Annotated[str | None, typer.Option(metavar="DIR|URL")] = None
+
+    def crew(self) -> "Workers":
+        """Processes or a scheduler."""
+        if self.scheduler is not None and self.workers != 1:
+            raise TorchidError("--workers and --scheduler exclude each other.")
+        return self.scheduler or self.workers
+
+    def kept(self, output: Output) -> "Store | None":
+        """Where answers are kept; None for this run only."""
+        from torchid.parallel.store import Store
+
+        place = self.store or (output.out and str(output.out / "store"))
+        if place is None and (self.array or self.scheduler):
+            raise TorchidError(
+                "what several machines compute needs a place that all of them see.",
+                expected="--store DIR|URL, or --out DIR",
+            )
+        return Store(place) if place else None
+
+
+Reduction = Annotated[
+    FleetSettings,
+    Fields(
+        "reversal",
+        "rows",
+        "basis",
+        "level",
+        effects=opt.FittedEffects,
+        cutoff=Annotated[float, typer.Option(metavar="HZ")],
+    ),
+]
+
+
+@fleet_app.command("identify", cls=ProjectCommand)
+@command
+def identify_command(
+    *, units: Units, settings: Reduction, engine: Engine, seed: opt.Seed = 0, output: Kept
+) -> None:
+    """Base parameters of every unit and of the type: means, spread from unit to unit and from day
+    to day, and which units are odd.
+
+    Every log is reduced once to triangular factors, which are kept; the answer is the same to the
+    last bit for any number of workers. A log that cannot be used is a row with the reason.
+
+    Example: `torchid fleet identify panda.yaml logs --workers 8 --out fleet`
+
+    Args:
+        rows: Rows fitted: while the own joint moves, or all.
+        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
+            the robot's own).
+    """
+    from torchid.fleet.identify import fleet_identify, reduce_fleet
+    from torchid.report.fleet import tables, verdict
+
+    logs, model, store = units.listed(), units.model(settings), engine.kept(output)
+    if engine.array is not None:
+        assert store is not None
+        with output.progress("reducing logs") as progress:
+            part = reduce_fleet(
+                model, logs, store, workers=engine.crew(), part=engine.array, progress=progress
+            )
+        _say_part(output, part, engine.array)
+        return
+    with output.progress("reducing logs") as progress:
+        found = fleet_identify(model, logs, store=store, workers=engine.crew(), progress=progress)
+    output.write_json({**found.plain(), "seed": seed}, "fleet.json")
+    output.verdict(verdict(found.record))
+    output.say(*tables(found.record))
+    output.warn(found.notes)
+
+
+def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:
+    """What became of a part of the logs."""
+    refused = [a for a in part if a.verdict in ("refused", "failed")]
+    output.say(
+        f"part {array[0]} of {array[1]}: {len(part)} logs, {len(refused)} of them not used; the "
+        "same command without --array pools all parts"
+    )
+    output.warn(f"{a.log.path}: {a.evidence[-1]}" for a in refused)
