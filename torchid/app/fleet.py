@@ -2,16 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Kept, Output
+from torchid.app.output import Kept, Output, Reported
 from torchid.app.project import ProjectCommand
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
+from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
     from torchid.fleet.manifest import FleetLog
@@ -146,21 +147,87 @@ def identify_command(
     from torchid.fleet.identify import fleet_identify, reduce_fleet
     from torchid.report.fleet import tables, verdict
 
-    logs, model, store = units.listed(), units.model(settings), engine.kept(output)
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(settings)
     if engine.array is not None:
         assert store is not None
         with output.progress("reducing logs") as progress:
             part = reduce_fleet(
-                model, logs, store, workers=engine.crew(), part=engine.array, progress=progress
+                model, logs, store, workers=crew, part=engine.array, progress=progress
             )
         _say_part(output, part, engine.array)
         return
     with output.progress("reducing logs") as progress:
-        found = fleet_identify(model, logs, store=store, workers=engine.crew(), progress=progress)
+        found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
     output.write_json({**found.plain(), "seed": seed}, "fleet.json")
     output.verdict(verdict(found.record))
     output.say(*tables(found.record))
     output.warn(found.notes)
+
+
+@fleet_app.command("gap", cls=ProjectCommand)
+@command
+def gap_command(
+    *,
+    units: Units,
+    settings: Annotated[
+        GapSettings,
+        Fields(
+            rollout=False,
+            effects=opt.Searched,
+            background=opt.Names,
+            parameters=Literal["trusted", "free", "auto"],
+            seed=opt.Seed,
+        ),
+    ],
+    engine: Engine,
+    output: Reported,
+) -> None:
+    """Diagnose every log of a fleet: which unit has which gap, which effects are the type's, and
+    which a unit's own.
+
+    Example: `torchid fleet gap panda.urdf logs --workers 8 --out fleet --report gaps.html`
+
+    Args:
+        effects: Effects to search over, comma-separated; `all`.
+        background: As for `torchid gap`.
+        rollout: Simulate short motions before and after.
+    """
+    from torchid.fleet.gap import fleet_gap
+    from torchid.report.fleet import (
+        diagnosed_table,
+        effect_table,
+        fleet_gap_page,
+        gap_map,
+        gap_verdict,
+    )
+
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(FleetSettings())
+    with output.progress("diagnosing logs") as progress:
+        found = fleet_gap(
+            model,
+            logs,
+            settings=settings,
+            store=store,
+            workers=crew,
+            part=engine.array,
+            progress=progress,
+        )
+    if engine.array is not None:
+        _say_part(output, tuple(answer for answer, _ in found.answers), engine.array)
+        return
+    output.write_json({**found.plain(), "seed": settings.seed}, "fleet_gap.json")
+    output.draw(lambda: {"map": gap_map(found.record)})
+    output.write_page(
+        lambda origin: fleet_gap_page(found.record, origin),
+        files=output.hashed([("log", log.path, Path(log.path)) for log in logs]),
+        seeds={"seed": settings.seed},
+        settings={"effects": settings.effects or "all", "parameters": settings.parameters},
+    )
+    output.verdict(gap_verdict(found.record))
+    output.say(effect_table(found.record), diagnosed_table(found.record, 20))
+    output.warn(found.record.notes)
 
 
 def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:

@@ -229,14 +229,7 @@ def reduce_fleet(
         RefusedError: a worker has another torchid.
         TorchidError: a part that there is not.
     """
-    ordered = sorted(logs)
-    if part is not None:
-        i, n = part
-        if not 1 <= i <= n:
-            raise TorchidError(
-                "there is no such part.", got=f"{i}/{n}", expected="i/n, 1 <= i <= n"
-            )
-        ordered = ordered[i - 1 :: n]
+    ordered = part_of(logs, part)
     tasks = [LogTask(log, model, store.place) for log in ordered]
     found = attempted(answer_log, tasks, workers, "reducing logs", progress)
     answers = [
@@ -254,6 +247,21 @@ def reduce_fleet(
         again = LogAnswer(a.log, a.sha256, a.key, "refused", (same,))
         out.append(a if other is a.log else again)
     return tuple(out)
+
+
+def part_of(logs: Sequence[FleetLog], part: Part | None) -> list[FleetLog]:
+    """The logs in their order, or every n-th of them.
+
+    Raises:
+        TorchidError: a part that there is not.
+    """
+    ordered = sorted(logs)
+    if part is None:
+        return ordered
+    i, n = part
+    if not 1 <= i <= n:
+        raise TorchidError("there is no such part.", got=f"{i}/{n}", expected="i/n, 1 <= i <= n")
+    return ordered[i - 1 :: n]
 
 
 def fleet_identify(
@@ -293,7 +301,7 @@ def fleet_identify(
     >>> found
     Fleet('3r', 2 units, 0 odd)
     """
-    with _kept(store, workers) as place:
+    with kept(store, workers) as place:
         answers = reduce_fleet(model, logs, place, workers=workers, progress=progress)
         write_index(place, answers)
         used = [a for a in answers if a.verdict in USED]
@@ -335,7 +343,7 @@ def fleet_identify(
 
 
 @contextmanager
-def _kept(store: Store | None, workers: Workers) -> Iterator[Store]:
+def kept(store: Store | None, workers: Workers) -> Iterator[Store]:
     """The store, or one for the time being."""
     if store is not None:
         yield store
@@ -348,7 +356,7 @@ def _kept(store: Store | None, workers: Workers) -> Iterator[Store]:
         )
 
 
-def write_index(store: Store, answers: Sequence[LogAnswer]) -> None:
+def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -> None:
     """A table of all logs into the store, for duckdb or pandas."""
     rows = [
         {
@@ -363,11 +371,11 @@ def write_index(store: Store, answers: Sequence[LogAnswer]) -> None:
     if is_url(store.place):
         import fsspec
 
-        with fsspec.open(f"{store.place.rstrip('/')}/{INDEX}", "wb", auto_mkdir=True) as file:
+        with fsspec.open(f"{store.place.rstrip('/')}/{name}", "wb", auto_mkdir=True) as file:
             file.write(stream.getvalue())
         return
     Path(store.place).mkdir(parents=True, exist_ok=True)
-    with atomic_write(Path(store.place) / INDEX, "wb") as file:
+    with atomic_write(Path(store.place) / name, "wb") as file:
         file.write(stream.getvalue())
 
 

@@ -4,11 +4,12 @@ A task may be run twice, or be ended at any moment; its answer is in the store a
 all. What crosses the wire is the row of a log or the estimate of a session.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.doctor.examine import signal_checks
@@ -80,36 +81,62 @@ def answer_log(task: LogTask) -> LogAnswer:
         RefusedError: this worker has another torchid.
         TorchidError: the store cannot be written, or somebody writes to the log.
     """
-    torch.set_num_threads(1)
-    task.model.require_same_version()
-    store = Store(task.place)
     try:
-        with local_file(task.log.path) as path:
-            before = stamp(path)
-            digest = content_hash(path)
-            key = key_of({"kind": "factors", "log": digest, "model": task.model.key})
-            entry = store.read(key)
-            if entry is not None:
-                return _answer(task.log, digest, key, entry, found=True)
-            words, arrays = _reduced(task.model, path, task.log.path)
-            if stamp(path) != before:
-                raise ChangedError(f"'{task.log.path}' changed while it was read.")
+        digest, key, entry, found = answered(
+            task.log,
+            task.model,
+            Store(task.place),
+            {"kind": "factors"},
+            lambda path: _reduced(task.model, path, task.log.path),
+        )
     except LogError as error:  # there is no such file, or it cannot be opened
-        text = " ".join(str(error).split())
-        return LogAnswer(task.log, "", "", "refused", (text,))
+        return LogAnswer(task.log, "", "", "refused", (" ".join(str(error).split()),))
+    known: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in entry.words.items()
+    }
+    return LogAnswer(task.log, digest, key, **known, found=found)
+
+
+def answered(
+    log: FleetLog,
+    model: FleetModel,
+    store: Store,
+    question: Mapping[str, Any],
+    compute: Callable[[Path], tuple[dict[str, Any], dict[str, np.ndarray]]],
+) -> tuple[str, str, Entry, bool]:
+    """The answer to a question about a log: SHA-256 of the log, key, answer, and whether the store
+    had it.
+
+    Args:
+        log: which.
+        model: who asks.
+        store: where answers are kept.
+        question: what is asked besides.
+        compute: words and arrays of the log in a file.
+
+    Raises:
+        RefusedError: this worker has another torchid.
+        LogError: the log cannot be opened.
+        TorchidError: the store cannot be written, or somebody writes to the log.
+    """
+    torch.set_num_threads(1)
+    model.require_same_version()
+    with local_file(log.path) as path:
+        before = stamp(path)
+        digest = content_hash(path)
+        key = key_of({**question, "log": digest, "model": model.key})
+        entry = store.read(key)
+        if entry is not None:
+            return digest, key, entry, True
+        words, arrays = compute(path)
+        if stamp(path) != before:
+            raise ChangedError(f"'{log.path}' changed while it was read.")
     store.write(key, words, arrays)
-    return _answer(task.log, digest, key, Entry(words, arrays))
+    return digest, key, Entry(plain(words), arrays), False
 
 
 class ChangedError(TorchidError):
     """A log that somebody writes to: another try may find it whole."""
-
-
-def _answer(log: FleetLog, digest: str, key: str, entry: Entry, found: bool = False) -> LogAnswer:
-    known: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in entry.words.items()
-    }
-    return LogAnswer(log, digest, key, **known, found=found)
 
 
 def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -4,8 +4,12 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from torchid.fleet.gap import FleetGapRecord
 from torchid.fleet.identify import USED
 from torchid.fleet.record import FleetRecord, LogRow
+from torchid.report.colours import BLUE, GREY, RED
+from torchid.report.page.document import Origin, Page
+from torchid.report.panels import Figure, Picture, panel
 from torchid.report.table import Cell, Table, count, listed, short
 
 MOST = 20
@@ -101,3 +105,86 @@ def tables(found: FleetRecord) -> list[Table]:
     if any(log.verdict != "good" for log in found.logs):
         out.append(log_table(found.logs))
     return out
+
+
+SCOPES = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
+
+
+def gap_verdict(found: FleetGapRecord) -> str:
+    """Which effects the type has, and which are a unit's own."""
+    of_type = [e.label for e in found.effects if e.scope == "type"]
+    own = [f"{e.label} ({', '.join(e.units[:3])})" for e in found.effects if e.scope == "unit"]
+    said = f"{found.robot}, {count(len(found.units), 'unit')}: "
+    said += f"the type has {listed(of_type)}" if of_type else "no effect is surely the type's"
+    return said + (f"; units of their own have {listed(own, most=MOST)}." if own else ".")
+
+
+def effect_table(found: FleetGapRecord) -> Table:
+    """Effects over the fleet."""
+    rows: list[list[Cell]] = [
+        [
+            e.label, SCOPES[e.scope], f"{len(e.units)} of {len(found.units)}",
+            f"{100 * e.ci95[0]:.0f} .. {100 * e.ci95[1]:.0f}",
+            ", ".join(e.units[:4]) + (" ..." if len(e.units) > 4 else ""),
+            ", ".join(e.ambiguous_with),
+        ]
+        for e in found.effects
+    ]  # fmt: skip
+    columns = ("effect", "is", "units", "95 % [%]", "which", "or")
+    return Table("effects over the fleet", columns, rows, ("effect", "is"), ("which", "or"))
+
+
+def diagnosed_table(found: FleetGapRecord, most: int | None = None) -> Table:
+    """Logs, their gaps over the noise, and what is named."""
+    rows: list[list[Cell]] = [
+        [
+            log.unit, log.session, log.status.replace("_", " "),
+            _number(max(log.gap), ".2g") if log.gap else "-",
+            str(max(range(len(log.gap)), key=log.gap.__getitem__) + 1) if log.gap else "-",
+            "-" if log.closed is None else f"{100 * log.closed:.0f}",
+            "; ".join(log.effects) or log.evidence,
+        ]
+        for log in found.logs
+    ]  # fmt: skip
+    note = f"and {len(rows) - most} more" if most is not None and len(rows) > most else ""
+    columns = ("unit", "session", "status", "gap / noise", "joint", "closed [%]", "named")
+    words, names = ("named",), ("unit", "session", "status")
+    return Table("logs: the largest gap over the noise", columns, rows[:most], names, words, note)
+
+
+def gap_map(found: FleetGapRecord) -> Figure:
+    """Units by effects and places; what is named is filled, and the type's effects are blue."""
+    effects, units = found.effects, found.units
+    height = min(40.0, 1.6 + 0.16 * len(units))
+    figure, axes = panel(max(4.0, 2.5 + 0.3 * len(effects)), height)
+    colours = {"type": BLUE, "some": GREY, "unit": RED}
+    for k, effect in enumerate(effects):
+        at = [units.index(unit) for unit in effect.units]
+        axes.scatter([k] * len(at), at, marker="s", s=28, color=colours[effect.scope])
+    axes.set_xticks(range(len(effects)), [e.label for e in effects], rotation=60, ha="right")
+    axes.set_yticks(range(len(units)), units)
+    axes.set_ylim(len(units) - 0.5, -0.5)
+    axes.set_xlim(-0.5, max(1, len(effects)) - 0.5)
+    return figure
+
+
+def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
+    """The page of a fleet's gaps, sortable."""
+    caption = (
+        "Which unit has which effect, and where. Blue: surely more than half of the units have it; "
+        "red: surely fewer; grey: neither is sure."
+    )
+    named = sum(len(e.units) for e in found.effects)
+    alt = f"{len(found.units)} units by {len(found.effects)} effects and places, {named} named."
+    used = sum(log.closed is not None or bool(log.gap) for log in found.logs)
+    facts = [("units", str(len(found.units))), ("logs diagnosed", f"{used} of {len(found.logs)}")]
+    return Page(
+        title=f"Sim-to-real gaps of a fleet of {found.robot}",
+        verdict=gap_verdict(found),
+        facts=facts,
+        origin=origin,
+        pictures=[Picture("map", caption, alt, lambda: gap_map(found))],
+        tables=[effect_table(found).on_page(), diagnosed_table(found).on_page()],
+        notes=found.notes,
+        sortable=True,
+    )
