@@ -210,6 +210,13 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "extract_identified": lambda b: b.run(
         "extract", "3r_friction", b.identified(), "--method", "sdp", "--loss", "one-step"
     ),
+    "fleet": lambda b: b.run(
+        "fleet", "identify", "3r_friction", *(b.friction(k) for k in range(2)), "--cutoff", 8
+    ),
+    "fleet_gap": lambda b: b.run(
+        "fleet", "gap", "3r", b.friction(), "--effects", "coulomb_friction,viscous_friction",
+        "--parameters", "trusted",
+    ),
     "gap_detected_unexplained": lambda b: b.gap("friction", *NEVER),
     "gap_explained": lambda b: b.gap("friction", *FEW, "--no-rollout"),
     "gap_no_gap": lambda b: b.gap("none", *FEW, "--no-rollout"),
