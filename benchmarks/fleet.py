@@ -2,6 +2,7 @@
 """A simulated fleet: odd units found and false ones, coverage, and what a log costs.
 
     python benchmarks/fleet.py odd [--units 200] [--sessions 3] [--odd 12] [--json FILE]
+    python benchmarks/fleet.py drift
     python benchmarks/fleet.py speed [--logs 6] [--seconds 60] [--json FILE]
 
 `odd`: units of the 3R whose nine coefficients of friction differ from unit to unit (5 %) and from
@@ -29,6 +30,7 @@ from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
 from torchid.parallel.store import Store
 from torchid.robot.library import load_robot
+from torchid.statistics.drift import drift
 
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 SIZES = (0.0, 3.0, 4.0, 5.0, 6.0, 8.0)
@@ -114,6 +116,28 @@ def odd(units: int, sessions: int, count: int) -> dict:
     return out
 
 
+def detection(runs: int = 40, before: int = 10, after: int = 40) -> dict:
+    """Sessions until a change of so many standard deviations of a session is sure, and alarms
+    without a change: of one of 24 parameters, at one false alarm in 1000 sessions of a unit."""
+    threshold, out = 24 * 1000.0, {"runs": runs, "sizes": {}}
+    ones = torch.ones(before + after, dtype=torch.float64)
+    heat = torch.zeros(before + after, 0, dtype=torch.float64)
+    for size in (0.0, 1.0, 2.0, 3.0, 5.0, 8.0):
+        waited = []
+        for seed in range(runs):
+            g = torch.Generator().manual_seed(seed)
+            y = torch.randn(before + after, generator=g, dtype=torch.float64)
+            y[before:] += size
+            over = (drift(y, ones, 30 * ones, heat).evidence >= threshold).nonzero().flatten()
+            waited.append(float(over[0]) - before + 1 if len(over) else float("inf"))
+        waited.sort()
+        seen = sum(w < float("inf") for w in waited) / runs
+        median = waited[runs // 2] if seen > 0.5 else None
+        out["sizes"][f"{size:g}"] = {"median_sessions": median, "seen": seen}
+        print(size, out["sizes"][f"{size:g}"], flush=True)
+    return out
+
+
 def cpu() -> float:
     own, children = (
         resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
@@ -154,7 +178,7 @@ def speed(count: int, seconds: float) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "speed"))
+    parser.add_argument("what", choices=("odd", "speed", "drift"))
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--sessions", type=int, default=3)
     parser.add_argument("--odd", type=int, default=12)
@@ -166,6 +190,8 @@ def main() -> None:
     found = (
         odd(args.units, args.sessions, args.odd)
         if args.what == "odd"
+        else detection()
+        if args.what == "drift"
         else speed(args.logs, args.seconds)
     )
     if args.json is not None:

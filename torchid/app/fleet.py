@@ -230,6 +230,49 @@ def gap_command(
     output.warn(found.record.notes)
 
 
+@fleet_app.command("watch", cls=ProjectCommand)
+@command
+def watch_command(
+    *,
+    units: Units,
+    settings: Reduction,
+    engine: Engine,
+    every: float = 1000.0,
+    seed: opt.Seed = 0,
+    output: Kept,
+) -> None:
+    """What drifts: every parameter of every unit over its sessions, in the order of their names,
+    with an alarm that may be looked at after each of them.
+
+    A column `temperature` of the logs, where all sessions of a unit have it, explains what it can
+    before anything is called a change.
+
+    Example: `torchid fleet watch panda.yaml logs --every 1000 --out fleet`
+
+    Args:
+        rows: Rows fitted: while the own joint moves, or all.
+        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
+            the robot's own).
+        every: Sessions of a unit until a false alarm, at the least and on average.
+    """
+    from torchid.fleet.identify import fleet_identify
+    from torchid.fleet.watch import watch
+    from torchid.report.fleet import alarm_table, watch_verdict
+
+    if engine.array is not None:
+        raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(settings)
+    with output.progress("reducing logs") as progress:
+        fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
+    found = watch(fleet, every)
+    output.write_json({**found.plain(), "seed": seed}, "fleet_watch.json")
+    output.verdict(watch_verdict(found.record))
+    if found.alarms:
+        output.say(alarm_table(found.record))
+    output.warn(found.notes)
+
+
 def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:
     """What became of a part of the logs."""
     refused = [a for a in part if a.verdict in ("refused", "failed")]

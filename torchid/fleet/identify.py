@@ -55,6 +55,9 @@ INDEX = "index.parquet"
 USED = ("good", "doubtful")
 """Verdicts of logs that are used."""
 
+WORTH_PROCESSES = 40
+"""Units from which on processes are started to fit them."""
+
 FAR_FROM_PHYSICAL = 5.0
 """Standard deviations beyond which a value that no body has is worth a word: at less, what the
 model lacks is reason enough."""
@@ -321,7 +324,9 @@ def fleet_identify(
             )
             for unit, own in sorted(sessions.items())
         ]
-        units = attempted(answer_unit, tasks, workers, "fitting units", progress)
+        # A unit is fitted in tenths of a second, and a process starts in seconds.
+        crew = 1 if isinstance(workers, int) and len(tasks) < WORTH_PROCESSES else workers
+        units = attempted(answer_unit, tasks, crew, "fitting units", progress)
         done = [u for u in units if isinstance(u, UnitAnswer)]
         lost = [
             f"unit {task.unit} could not be fitted: {u.reason}"

@@ -9,10 +9,14 @@ import pyarrow.parquet
 
 from torchid.fleet.factors import STRETCH, in_stretches
 from torchid.log.columns import is_wanted, log_from_columns
-from torchid.log.formats import damaged, from_arrow
+from torchid.log.csv_file import csv_table
+from torchid.log.formats import damaged, from_arrow, parquet_table
 from torchid.log.model import Log
 from torchid.log.readers import open_log
 from torchid.log.table import Request
+
+TEMPERATURE = "temperature"
+"""Name of the column."""
 
 PART = 600_000
 """Rows read at a time: ten minutes at 1 kHz, 200 MB with positions, velocities and torques of
@@ -60,6 +64,20 @@ def _parts(file: pyarrow.parquet.ParquetFile, wanted: list[str], length: int) ->
             held += rest.num_rows
     if held:
         yield pa.Table.from_batches(waiting)
+
+
+def temperature_of(path: Path) -> float | None:
+    """Mean of a log's column `temperature` [degC], where it has one; of parquet and csv files."""
+    tables = {".parquet": parquet_table, ".csv": csv_table}
+    if path.is_dir() or path.suffix.lower() not in tables:
+        return None
+    table = tables[path.suffix.lower()](path, Request())
+    if TEMPERATURE not in table.columns:
+        return None
+    column = table.read([TEMPERATURE])[TEMPERATURE]
+    if column.dtype.kind not in "iuf" or not np.isfinite(column).any():
+        return None
+    return float(np.nanmean(column))
 
 
 def first_minute(log: Log) -> Log:

@@ -27,7 +27,7 @@ from torchid.fleet.factors import (
 from torchid.fleet.factors import combined as both
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
-from torchid.fleet.reading import first_minute, stretches
+from torchid.fleet.reading import first_minute, stretches, temperature_of
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.parallel.store import Entry, Store, content_hash, key_of, local_file, stamp
@@ -59,6 +59,7 @@ class LogAnswer:
         noise: (n,) what each joint's torque leaves beside the log's own fit [N m; N].
         correlation: of that, the longest [s].
         blocks: number of blocks.
+        temperature: mean of the log's column `temperature` [degC]; None without one.
         found: whether the answer was there already.
     """
 
@@ -71,6 +72,7 @@ class LogAnswer:
     noise: tuple[float | None, ...] = ()
     correlation: float = 0.0
     blocks: int = 0
+    temperature: float | None = None
     found: bool = False
 
 
@@ -165,6 +167,7 @@ def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], 
         "noise": fit.noise,
         "correlation": found.correlation,
         "blocks": len(found.factors.rows),
+        "temperature": temperature_of(path),
     }
     return plain(words), found.factors.arrays()
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from torchid.fleet.gap import FleetGapRecord
 from torchid.fleet.identify import USED
 from torchid.fleet.record import FleetRecord, LogRow
+from torchid.fleet.watch import WatchRecord
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
@@ -188,3 +189,32 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
         notes=found.notes,
         sortable=True,
     )
+
+
+def watch_verdict(found: WatchRecord) -> str:
+    """The clearest change, and how many there are."""
+    sessions = sum(len(u.sessions) for u in found.units)
+    over = f"{count(len(found.units), 'unit')} over {count(sessions, 'session')}"
+    if not found.alarms:
+        return f"{found.robot}, {over}: nothing has changed."
+    changed = len({a.unit for a in found.alarms})
+    return f"{found.robot}, {over}: {count(changed, 'unit')} changed. {found.alarms[0].sentence}."
+
+
+def alarm_table(found: WatchRecord) -> Table:
+    """What changed, the clearest first."""
+    rows: list[list[Cell]] = [
+        [
+            a.unit, short(a.parameter, LONGEST), a.since, a.said_at, _number(a.before),
+            _number(a.after), f"{a.percent:+.0f}",
+            "-" if a.by_temperature is None else f"{a.by_temperature:+.0f}",
+        ]
+        for a in found.alarms
+    ]  # fmt: skip
+    columns = ("unit", "base parameter", "since", "sure at", "before", "after", "by [%]",
+               "temperature's [%]")  # fmt: skip
+    note = (
+        f"False alarms: one in {found.false_alarm_every:g} sessions of a unit at most, on average."
+    )
+    names = ("unit", "base parameter", "since", "sure at")
+    return Table("what changed", columns, rows[:MOST], names, note=note)
