@@ -1,6 +1,6 @@
 """The same answers here, in processes and on a cluster, whatever happens to a worker."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 
 import pytest
 
@@ -35,6 +35,15 @@ def test_only_the_job_that_kills_its_process_is_blamed() -> None:
 def test_a_worker_that_is_killed_loses_nothing(tmp_path) -> None:
     todo = [(str(tmp_path), k) for k in range(5)]
     assert attempted(jobs.killed_once, todo, 2) == [0, 1, 2, 3, 4]
+
+
+def test_an_executor_that_has_ended_gives_failures_and_not_for_ever() -> None:
+    class Ended(Serial):
+        def submit(self, fn, /, *args, **kwargs):
+            raise BrokenExecutor("ended")
+
+    found = attempted(jobs.root, [1.0, 4.0], Ended(), retries=1)
+    assert [type(one) for one in found] == [Failure, Failure]
 
 
 def test_what_is_refused_ends_the_run() -> None:

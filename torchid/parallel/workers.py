@@ -259,7 +259,7 @@ def _finished(
         # Giving a task to a pool that has just ended says so, too.
         if isinstance(error, _Broken):
             raise
-        raise _Broken(list(running.values())) from error
+        raise _Broken(list(running.values()) or [left[0]]) from error
     finally:
         for future in running:
             future.cancel()
