@@ -61,7 +61,7 @@ from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import Diagnosis, Finding
 from torchid.gap.record import Parametric
 from torchid.gap.settings import GapSettings
-from torchid.withheld.parallel import end_with_parent
+from torchid.parallel.workers import end_with_parent
 
 
 def finding_row(found: Finding) -> dict[str, Any]:

@@ -40,7 +40,7 @@ napoleon_numpy_docstring = False
 
 NAVIGATION = {
     "How to": ("your-log", "robots", "log-doctor", "python", "export", "pair", "report", "compare",
-               "next-experiment"),
+               "fleet", "next-experiment"),
     "What it means": ("concepts", "effects", "equal-torque"),
     "How good it is": ("results", "gap-results", "position-results", "withheld", "trust"),
     "Python": ("api/*",),

@@ -5,8 +5,8 @@ The arm is the report's 3R as a URDF; its logs are simulated, with friction that
 
 import csv
 import math
-import shutil
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 

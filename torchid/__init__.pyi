@@ -28,10 +28,10 @@ from torchid.log.model import Log as Log
 from torchid.log.readers import read_log as read_log
 from torchid.log.readers import write_log as write_log
 from torchid.next_motion.design import excite_for as excite_for
+from torchid.pair.pair import compare_pair as compare_pair
 from torchid.position.diagnose import diagnose_positions as diagnose_positions
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.model import replay as replay
-from torchid.pair.pair import compare_pair as compare_pair
 from torchid.report.plots import draw as draw
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters

@@ -11,6 +11,7 @@ import torch
 from typer.testing import CliRunner
 
 from tests.compare.test_diagnoses import diagnosis, named
+from tests.fleet.simulated import Plan, make
 from tests.gap_files import hidden as untested
 from tests.withheld.fakes import answer, entry
 from torchid.app.commands import app
@@ -135,6 +136,15 @@ def _doctor(bench: Bench) -> dict[str, Any]:
     return bench.run("log", "doctor", "3r", log)
 
 
+def _watch(bench: Bench) -> dict[str, Any]:
+    """One unit whose friction falls after four of seven sessions."""
+    drift = {0: ("Fv2", -0.1, 4)}
+    plan = Plan(units=1, sessions=7, seconds=8.0, daily=0.02, drift=drift)
+    logs = make(load_robot("3r_friction"), plan, bench.folder / "watched")
+    paths = [log.path for log in logs]
+    return bench.run("fleet", "watch", "3r_friction", *paths, "--cutoff", 8, "--every", 10)
+
+
 def _score(bench: Bench) -> dict[str, Any]:
     """With answers by hand: what is scored is no diagnosis of today's."""
     cases = bench.folder / "cases"
@@ -234,6 +244,14 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "extract_identified": lambda b: b.run(
         "extract", "3r_friction", b.identified(), "--method", "sdp", "--loss", "one-step"
     ),
+    "fleet": lambda b: b.run(
+        "fleet", "identify", "3r_friction", *(b.friction(k) for k in range(2)), "--cutoff", 8
+    ),
+    "fleet_gap": lambda b: b.run(
+        "fleet", "gap", "3r", b.friction(), "--effects", "coulomb_friction,viscous_friction",
+        "--parameters", "trusted",
+    ),
+    "fleet_watch": _watch,
     "gap_detected_unexplained": lambda b: b.gap("friction", *NEVER),
     "gap_explained": lambda b: b.gap("friction", *FEW, "--no-rollout"),
     "gap_no_gap": lambda b: b.gap("none", *FEW, "--no-rollout"),

@@ -8,9 +8,9 @@ import pytest
 
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
+from torchid.parallel.workers import each
 from torchid.withheld import run as running
 from torchid.withheld.case_set import keys_beside, make
-from torchid.withheld.parallel import each
 from torchid.withheld.run import default_settings, jobs_of, run
 
 
@@ -96,7 +96,7 @@ def test_the_same_in_other_processes():
 
 def test_an_error_in_another_process_is_raised_here():
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        each(math.sqrt, [1.0, -1.0, 4.0], processes=2)
+        each(math.sqrt, [1.0, -1.0, 4.0], workers=2)
 
 
 def test_the_code_is_that_of_the_diagnosis():

@@ -14,6 +14,7 @@ from torchid.app.excite import excite_command
 from torchid.app.export import export_command
 from torchid.app.extract import atlas_command, extract_command
 from torchid.app.faults import flush, print_plainly, report
+from torchid.app.fleet import fleet_app
 from torchid.app.gap import gap_command
 from torchid.app.identify import identify_command
 from torchid.app.init import init_command
@@ -37,7 +38,7 @@ for _one in (
     init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
     extract_command, check_command, atlas_command, wrenches_command, payload_command, gap_command,
     correct_command, effects_command, export_command, compare_command, study_command,
-    withheld_app, demo_command,
+    fleet_app, withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)

@@ -223,18 +223,19 @@ def _find(path: Path) -> Opener | str:
 def _table(opener: Opener, path: Path, request: Request) -> Table:
     """What a file holds, with one error for whatever its library stumbles over, now or when its
     arrays are read."""
-    with _guarded(path):
+    with guarded(path):
         table = opener(path, request)
 
     def read(names: Sequence[str]) -> dict[str, np.ndarray]:
-        with _guarded(path):
+        with guarded(path):
             return table.read(names)
 
     return replace(table, read=read)
 
 
 @contextmanager
-def _guarded(path: Path) -> Iterator[None]:
+def guarded(path: Path) -> Iterator[None]:
+    """Whatever a library raises on a damaged file becomes a LogError that names it."""
     try:
         yield
     except TorchidError:

@@ -25,7 +25,7 @@ from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.files import atomic_write
 from torchid.json_data import picked, read_json, write_json
-from torchid.withheld.parallel import Progress, each
+from torchid.parallel.workers import Progress, each
 
 SCHEMA = "torchid.withheld/1"
 KEYS_SCHEMA = "torchid.withheld.keys/1"

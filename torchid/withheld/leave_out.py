@@ -15,9 +15,9 @@ from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
 from torchid.json_data import plain, read_json, write_json
+from torchid.parallel.workers import Progress, each
 from torchid.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid.withheld.measures import Verdict, rate, verdict
-from torchid.withheld.parallel import Progress, each
 from torchid.withheld.rows import named_record, row_of
 from torchid.withheld.run import ERROR, Job, default_settings, run
 

@@ -37,9 +37,9 @@ from torchid.gap.validate.folds import traces
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.log.sampling import resample
+from torchid.parallel.workers import Progress, each
 from torchid.results.record import Joint, Part, Record, Result, Rows
 from torchid.robot.model import Robot
-from torchid.withheld.parallel import Progress, each
 from torchid.withheld.settings import PLANTED
 
 LEVELS = (1.0, 2.0, 5.0, 10.0)

@@ -30,12 +30,12 @@ from torchid.gap.validate.folds import traces
 from torchid.json_data import read_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
+from torchid.parallel.workers import Progress
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.withheld.baselines import baseline_case
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.parallel import Progress
 from torchid.withheld.run import Job, default_settings, job_of, run, written
 
 LEVEL = 0.5

@@ -1,10 +1,8 @@
 """Diagnose every case of a set. Nothing here knows where keys are, or reads one."""
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,16 @@ from torchid import __version__
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
+from torchid.parallel.store import code as sources
+from torchid.parallel.workers import Progress, each
 from torchid.withheld.case_set import CaseSet
-from torchid.withheld.parallel import Progress, each
 
 ERROR = "error"
 """Status of a case whose diagnosis failed."""
 
-NOT_THE_DIAGNOSIS = ("app", "report", "withheld", "study", "extraction", "wrenches")
+NOT_THE_DIAGNOSIS = (
+    "app", "report", "withheld", "fleet", "study", "extraction", "wrenches", "parallel",
+)  # fmt: skip
 """Rooms that a diagnosis does not depend on."""
 
 
@@ -157,14 +158,6 @@ def _answer(job: Job) -> dict[str, Any]:
     return {**found.plain(), "corrected": plain(corrected)}
 
 
-@cache
 def code() -> str:
     """SHA-256, in hexadecimal, of the sources that a diagnosis depends on."""
-    root = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        name = path.relative_to(root)
-        if name.parts[0] not in NOT_THE_DIAGNOSIS:
-            digest.update(name.as_posix().encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return sources(NOT_THE_DIAGNOSIS)

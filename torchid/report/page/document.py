@@ -1,10 +1,12 @@
 """What a page consists of: the verdict, pictures, tables, and how all of it was obtained; and the
-page as HTML: one file, nothing to load, no script."""
+page as HTML: one file, nothing to load, and no script but one that sorts the tables of a page with
+many rows."""
 
 import hashlib
 import platform
 import shlex
 import time
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -82,6 +84,7 @@ class Page:
         origin: how to repeat it.
         pictures, findings, tables: the figures, what they say, and the numbers.
         notes: what to bear in mind, one sentence each.
+        sortable: whether its tables can be sorted by a click.
     """
 
     title: str
@@ -92,6 +95,7 @@ class Page:
     tables: Sequence[Table]
     notes: Sequence[str]
     findings: Sequence[str] = ()
+    sortable: bool = False
 
 
 def require_templates() -> None:
@@ -120,7 +124,10 @@ def render(page: Page) -> str:
         if room < 0:
             break
         drawn[picture.name] = svg
-    return template.render(page=page, drawn=drawn)
+    script = template.environment.get_template("sort.js").render() if page.sortable else ""
+    # The page allows this script by its hash, and no other.
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return template.render(page=page, drawn=drawn, script=script, script_hash=digest)
 
 
 def write_page(page: Page, path: str | Path) -> Path:

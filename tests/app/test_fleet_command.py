@@ -1,0 +1,87 @@
+"""`torchid fleet` from the outside."""
+
+import json
+
+import pytest
+
+from tests.fleet.simulated import Plan, make
+from torchid.robot.library import load_robot
+
+EFFECTS = ("--effects", "viscous_friction,coulomb_friction,torque_offset")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("fleet")
+    make(load_robot("3r_friction"), Plan(units=2, sessions=2), place)
+    return place
+
+
+def test_identify_writes_and_says_the_verdict_first(command, folder, tmp_path) -> None:
+    out = tmp_path / "out"
+    done = command("fleet", "identify", "3r_friction", folder, *EFFECTS, "--out", out)
+    assert done.code == 0, done.err
+    assert done.out.startswith("3r_friction: 2 units, 4 sessions, 4 logs")
+    assert "no unit can be called odd" in " ".join(done.out.split())
+    data = json.loads((out / "fleet.json").read_text())
+    assert data["schema"] == "torchid.fleet/1"
+    assert [u["unit"] for u in data["units"]] == ["arm-000", "arm-001"]
+    assert (out / "store" / "index.parquet").exists()
+
+
+def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
+    logs = sorted(folder.rglob("*.parquet"))
+    rows = [f"{log},{log.parent.name},{log.stem}" for log in logs]
+    manifest = tmp_path / "fleet.csv"
+    manifest.write_text("\n".join(["log,unit,session", *rows]) + "\n")
+    asked = ("fleet", "identify", "3r_friction", "--manifest", manifest, *EFFECTS,
+             "--store", tmp_path / "store")  # fmt: skip
+    for part in ("1/2", "2/2"):
+        done = command(*asked, "--array", part)
+        assert done.code == 0, done.err
+        assert f"part {part[0]} of 2: 2 logs, 0 of them not used" in done.out
+    done = command(*asked, "--json", tmp_path / "fleet.json")
+    assert done.code == 0, done.err
+    assert len(json.loads((tmp_path / "fleet.json").read_text())["logs"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "logs of a fleet are needed"),
+        (("--manifest", "none.csv"), "is no manifest"),
+        (("LOGS", "--array", "3/2"), "--array is no part"),
+        (("LOGS", "--array", "1/2"), "a place that all of them see"),
+        (("LOGS", "--scheduler", "tcp://a:1"), "a place that all of them see"),
+        (("LOGS", "--workers", "2", "--scheduler", "tcp://a:1"), "exclude each other"),
+        (("LOGS", "--cutoff", "-1"), "cut-off is out of range"),
+    ],
+)
+def test_bad_input(command, folder, arguments, said) -> None:
+    words = [folder if word == "LOGS" else word for word in arguments]
+    done = command("fleet", "identify", "3r_friction", *words)
+    assert done.code == 1
+    assert said in done.err
+
+
+def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
+    pytest.importorskip("jinja2")
+    page = tmp_path / "gaps.html"
+    done = command(
+        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
+        "--parameters", "trusted", "--out", tmp_path / "out", "--report", page,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    data = json.loads((tmp_path / "out" / "fleet_gap.json").read_text())
+    assert data["schema"] == "torchid.fleet_gap/1"
+    assert {e["effect"] for e in data["effects"]} == {"viscous_friction", "coulomb_friction"}
+    assert all(e["share"] == 1.0 for e in data["effects"] if e["effect"] == "coulomb_friction")
+    text = page.read_text()
+    assert "script-src 'sha256-" in text
+    assert "arm-001" in text
+    again = command(
+        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
+        "--parameters", "trusted", "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert again.code == 0, again.err
+    assert json.loads((tmp_path / "out" / "fleet_gap.json").read_text()) == data

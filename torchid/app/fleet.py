@@ -1,0 +1,283 @@
+"""`torchid fleet`: many units of one robot type, many logs, one machine or several."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from torchid.app import options as opt
+from torchid.app.output import Kept, Output, Reported
+from torchid.app.project import ProjectCommand
+from torchid.app.signature import Fields, Parsed, command
+from torchid.errors import TorchidError
+from torchid.fleet.settings import FleetSettings
+from torchid.gap.settings import GapSettings
+
+if TYPE_CHECKING:
+    from torchid.fleet.manifest import FleetLog
+    from torchid.fleet.model import FleetModel
+    from torchid.fleet.tasks import LogAnswer
+    from torchid.parallel.store import Store
+    from torchid.parallel.workers import Workers
+
+fleet_app = typer.Typer(
+    name="fleet",
+    no_args_is_help=True,
+    help="Many units of one robot type: the type, its spread, the odd ones.",
+)
+
+
+def _part(text: str) -> tuple[int, int]:
+    """--array i/n."""
+    first, _, last = text.partition("/")
+    if not (first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
+        raise TorchidError("--array is no part.", got=text, expected="I/N with 1 <= I <= N")
+    return int(first), int(last)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Units(opt.Arm, opt.Reading):
+    """One robot type and the logs of its units.
+
+    Attributes:
+        manifest: Table (.csv, .parquet) with the columns log, unit, session, in place of LOG...;
+            paths are relative to it.
+    """
+
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[LOG...]",
+            help="Logs, or folders of them: the folder that a log lies in is its unit, its own "
+            "name the session.",
+        ),
+    ] = None
+    manifest: opt.File = None
+
+    def listed(self) -> "tuple[FleetLog, ...]":
+        """The logs by unit and session."""
+        from torchid.fleet.manifest import fleet_logs, read_manifest
+
+        if (self.manifest is None) is (not self.logs):
+            raise TorchidError(
+                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
+            )
+        if self.manifest is not None:
+            return read_manifest(self.manifest)
+        return fleet_logs(self.logs or [])
+
+    def model(self, settings: FleetSettings) -> "FleetModel":
+        """What all of them are reduced to."""
+        from torchid.fleet.model import FleetModel
+
+        robot = self.load()
+        gain = None if self.gain is None else tuple(opt.numbers("--gain", self.gain, robot.n))
+        return FleetModel(robot, settings, self.request(robot.joint_names), gain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """Who does the work.
+
+    Attributes:
+        workers: Processes of one thread each.
+        scheduler: Address of a dask scheduler (tcp://HOST:8786), in place of processes.
+        array: The I-th of N parts of the logs, for batch systems; the rest of the work is done by a
+            run without it.
+        store: Folder or URL (s3://, gs://) of what is computed already; all workers see it
+            (default: DIR/store).
+    """
+
+    workers: opt.Count = 1
+    scheduler: Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT")] = None
+    array: Annotated[tuple[int, int] | None, typer.Option(metavar="I/N"), Parsed(_part)] = None
+    store: Annotated[str | None, typer.Option(metavar="DIR|URL")] = None
+
+    def crew(self) -> "Workers":
+        """Processes or a scheduler."""
+        if self.scheduler is not None and self.workers != 1:
+            raise TorchidError("--workers and --scheduler exclude each other.")
+        return self.scheduler or self.workers
+
+    def kept(self, output: Output) -> "Store | None":
+        """Where answers are kept; None for this run only."""
+        from torchid.parallel.store import Store
+
+        place = self.store or (output.out and str(output.out / "store"))
+        if place is None and (self.array or self.scheduler):
+            raise TorchidError(
+                "what several machines compute needs a place that all of them see.",
+                expected="--store DIR|URL, or --out DIR",
+            )
+        return Store(place) if place else None
+
+
+Reduction = Annotated[
+    FleetSettings,
+    Fields(
+        "reversal",
+        "rows",
+        "basis",
+        "level",
+        effects=opt.FittedEffects,
+        cutoff=Annotated[float, typer.Option(metavar="HZ")],
+    ),
+]
+
+
+@fleet_app.command("identify", cls=ProjectCommand)
+@command
+def identify_command(
+    *, units: Units, settings: Reduction, engine: Engine, seed: opt.Seed = 0, output: Kept
+) -> None:
+    """Base parameters of every unit and of the type: means, spread from unit to unit and from day
+    to day, and which units are odd.
+
+    Every log is reduced once to triangular factors, which are kept; the answer is the same to the
+    last bit for any number of workers. A log that cannot be used is a row with the reason.
+
+    Example: `torchid fleet identify panda.yaml logs --workers 8 --out fleet`
+
+    Args:
+        rows: Rows fitted: while the own joint moves, or all.
+        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
+            the robot's own).
+    """
+    from torchid.fleet.identify import fleet_identify, reduce_fleet
+    from torchid.report.fleet import tables, verdict
+
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(settings)
+    if engine.array is not None:
+        assert store is not None
+        with output.progress("reducing logs") as progress:
+            part = reduce_fleet(
+                model, logs, store, workers=crew, part=engine.array, progress=progress
+            )
+        _say_part(output, part, engine.array)
+        return
+    with output.progress("reducing logs") as progress:
+        found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
+    output.write_json({**found.plain(), "seed": seed}, "fleet.json")
+    output.verdict(verdict(found.record))
+    output.say(*tables(found.record))
+    output.warn(found.notes)
+
+
+@fleet_app.command("gap", cls=ProjectCommand)
+@command
+def gap_command(
+    *,
+    units: Units,
+    settings: Annotated[
+        GapSettings,
+        Fields(
+            rollout=False,
+            effects=opt.Searched,
+            background=opt.Names,
+            parameters=Literal["trusted", "free", "auto"],
+            seed=opt.Seed,
+        ),
+    ],
+    engine: Engine,
+    output: Reported,
+) -> None:
+    """Diagnose every log of a fleet: which unit has which gap, which effects are the type's, and
+    which a unit's own.
+
+    Example: `torchid fleet gap panda.urdf logs --workers 8 --out fleet --report gaps.html`
+
+    Args:
+        effects: Effects to search over, comma-separated; `all`.
+        background: As for `torchid gap`.
+        rollout: Simulate short motions before and after.
+    """
+    from torchid.fleet.gap import fleet_gap
+    from torchid.report.fleet import (
+        diagnosed_table,
+        effect_table,
+        fleet_gap_page,
+        gap_map,
+        gap_verdict,
+    )
+
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(FleetSettings())
+    with output.progress("diagnosing logs") as progress:
+        found = fleet_gap(
+            model,
+            logs,
+            settings=settings,
+            store=store,
+            workers=crew,
+            part=engine.array,
+            progress=progress,
+        )
+    if engine.array is not None:
+        _say_part(output, tuple(answer for answer, _ in found.answers), engine.array)
+        return
+    output.write_json({**found.plain(), "seed": settings.seed}, "fleet_gap.json")
+    output.draw(lambda: {"map": gap_map(found.record)})
+    output.write_page(
+        lambda origin: fleet_gap_page(found.record, origin),
+        files=output.hashed([("log", log.path, Path(log.path)) for log in logs]),
+        seeds={"seed": settings.seed},
+        settings={"effects": settings.effects or "all", "parameters": settings.parameters},
+    )
+    output.verdict(gap_verdict(found.record))
+    output.say(effect_table(found.record), diagnosed_table(found.record, 20))
+    output.warn(found.record.notes)
+
+
+@fleet_app.command("watch", cls=ProjectCommand)
+@command
+def watch_command(
+    *,
+    units: Units,
+    settings: Reduction,
+    engine: Engine,
+    every: float = 1000.0,
+    seed: opt.Seed = 0,
+    output: Kept,
+) -> None:
+    """What drifts: every parameter of every unit over its sessions, in the order of their names,
+    with an alarm that may be looked at after each of them.
+
+    A column `temperature` of the logs, where all sessions of a unit have it, explains what it can
+    before anything is called a change.
+
+    Example: `torchid fleet watch panda.yaml logs --every 1000 --out fleet`
+
+    Args:
+        rows: Rows fitted: while the own joint moves, or all.
+        basis: Base parameters as the report groups them, or as logs tell them apart best (default:
+            the robot's own).
+        every: Sessions of a unit until a false alarm, at the least and on average.
+    """
+    from torchid.fleet.identify import fleet_identify
+    from torchid.fleet.watch import watch
+    from torchid.report.fleet import alarm_table, watch_verdict
+
+    if engine.array is not None:
+        raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
+    crew, store = engine.crew(), engine.kept(output)
+    logs, model = units.listed(), units.model(settings)
+    with output.progress("reducing logs") as progress:
+        fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
+    found = watch(fleet, every)
+    output.write_json({**found.plain(), "seed": seed}, "fleet_watch.json")
+    output.verdict(watch_verdict(found.record))
+    if found.alarms:
+        output.say(alarm_table(found.record))
+    output.warn(found.notes)
+
+
+def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:
+    """What became of a part of the logs."""
+    refused = [a for a in part if a.verdict in ("refused", "failed")]
+    output.say(
+        f"part {array[0]} of {array[1]}: {len(part)} logs, {len(refused)} of them not used; the "
+        "same command without --array pools all parts"
+    )
+    output.warn(f"{a.log.path}: {a.evidence[-1]}" for a in refused)

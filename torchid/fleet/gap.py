@@ -1,0 +1,290 @@
+"""A diagnosis of every log of a fleet: which effects the type has, and which are a unit's own."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from msgspec import UNSET, UnsetType
+
+from torchid import __version__
+from torchid.errors import LogError, TorchidError
+from torchid.fleet.factors import with_gain
+from torchid.fleet.identify import Part as Share
+from torchid.fleet.identify import kept, part_of, write_index
+from torchid.fleet.manifest import FleetLog
+from torchid.fleet.model import FleetModel
+from torchid.fleet.tasks import LogAnswer, answered
+from torchid.gap.diagnose import diagnose
+from torchid.gap.settings import GapSettings
+from torchid.json_data import plain
+from torchid.log.readers import open_log
+from torchid.parallel.store import Store
+from torchid.parallel.workers import Failure, Progress, Workers, attempted
+from torchid.results.record import Joint, Part, Real, Record, Result, Rows
+from torchid.robot.library import named_record
+from torchid.statistics.proportion import clopper_pearson
+
+Scope = Literal["type", "some", "unit"]
+
+HALF = 0.5
+"""Share of the units: an effect that surely more of them have is the type's, one that surely fewer
+have is a unit's own."""
+
+
+@dataclass(frozen=True)
+class GapTask:
+    """A log to be diagnosed."""
+
+    log: FleetLog
+    model: FleetModel
+    settings: GapSettings
+    place: str
+
+
+def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
+    """Diagnose a log, unless the store has its diagnosis already; what became of the log, and the
+    diagnosis as its JSON has it, as far as a fleet needs it.
+
+    Raises:
+        RefusedError: this worker has another torchid.
+        TorchidError: the store cannot be written, or somebody writes to the log.
+    """
+
+    def compute(path):  # type: ignore[no-untyped-def]
+        try:
+            log = with_gain(open_log(path, task.model.request)[1], task.model)
+            found = diagnose(task.model.robot, log, settings=task.settings)
+        except TorchidError as error:
+            text = " ".join(str(error).replace(str(path), task.log.path).split())
+            return {"refused": text}, {}
+        return {"gap": found.plain(), "seconds": sum(log.duration)}, {}
+
+    question = {"kind": "gap", "settings": asdict(task.settings)}
+    try:
+        digest, key, entry, found = answered(
+            task.log, task.model, Store(task.place), question, compute
+        )
+    except LogError as error:
+        return LogAnswer(task.log, "", "", "refused", (" ".join(str(error).split()),)), {}
+    if "refused" in entry.words:
+        return LogAnswer(task.log, digest, key, "refused", (entry.words["refused"],)), {}
+    gap = entry.words["gap"]
+    wanted = ("status", "where", "which", "how_far")
+    answer = LogAnswer(task.log, digest, key, "good", (), entry.words["seconds"], found=found)
+    return answer, {name: gap[name] for name in wanted}
+
+
+class DiagnosedLog(Part, frozen=True, kw_only=True):
+    """One log and its diagnosis.
+
+    Attributes:
+        unit, session, log: which.
+        status: of the diagnosis; `refused` or `failed` where there is none.
+        evidence: why there is none.
+        key: of the whole diagnosis in the store.
+        gap: (n,) RMS gap of each joint as a share of the upper end of its noise floor.
+        closed: share of the gap that the effects close.
+        effects: that are named, e.g. `viscous_friction of joint 2`.
+    """
+
+    unit: str
+    session: str
+    log: str
+    status: str
+    evidence: str
+    key: str
+    gap: tuple[Real, ...]
+    closed: float | None
+    effects: tuple[str, ...]
+
+
+class FleetEffect(Part, frozen=True, kw_only=True):
+    """An effect at a place, over the fleet.
+
+    Attributes:
+        effect, family, joints: which.
+        units: that have it in one of their logs at least.
+        share, ci95: of the units, and its interval (Clopper and Pearson 1934).
+        scope: `type`: surely more than half of the units have it; `unit`: surely fewer; `some`.
+        ambiguous_with: that some diagnosis could not tell it from.
+        coefficients: by unit; of several logs the first one's.
+    """
+
+    effect: str
+    family: str
+    joints: tuple[Joint, ...]
+    units: tuple[str, ...]
+    share: float
+    ci95: tuple[float, float]
+    scope: Scope
+    ambiguous_with: tuple[str, ...]
+    coefficients: dict[str, dict[str, float]]
+
+    @property
+    def label(self) -> str:
+        """Name and place."""
+        return _label(self.effect, [j + 1 for j in self.joints])
+
+
+class FleetGapRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_gap/1"):
+    """A fleet's gaps as the JSON has them.
+
+    Attributes:
+        robot, robot_source, robot_tip: the type.
+        version: of torchid.
+        units: that have a diagnosis.
+        effects: the most common first.
+        logs: one entry each.
+        notes: sentences for the user.
+        seed: from a command.
+    """
+
+    robot: str
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    version: str
+    units: tuple[str, ...]
+    effects: tuple[FleetEffect, ...]
+    logs: tuple[DiagnosedLog, ...]
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[FleetEffect]:
+        """The effects."""
+        return Rows(self.effects)
+
+
+def _label(effect: str, joints: Sequence[int]) -> str:
+    """`backlash of joint 2`; joints from 1."""
+    if not joints:
+        return effect
+    return f"{effect} of joint {', '.join(map(str, joints))}"
+
+
+@dataclass(frozen=True, eq=False)
+class FleetGap(Result):
+    """Diagnoses of a fleet.
+
+    Attributes:
+        model: the type.
+        answers: of the logs, each with its diagnosis; empty where there is none.
+    """
+
+    model: FleetModel
+    answers: tuple[tuple[LogAnswer, dict[str, Any]], ...]
+
+    def __repr__(self) -> str:
+        return f"FleetGap('{self.model.robot.name}', {len(self.record.units)} units)"
+
+    @cached_property
+    def record(self) -> FleetGapRecord:
+        """As the JSON has it."""
+        units = sorted({a.log.unit for a, gap in self.answers if gap})
+        # By effect and place: units, what it cannot be told from, coefficients.
+        having: dict[tuple[str, str, tuple[int, ...]], list[tuple[str, dict]]] = defaultdict(list)
+        for answer, gap in self.answers:
+            for entry in gap.get("which", ()):
+                place = entry["effect"], entry["family"], tuple(entry["joints"])
+                having[place].append((answer.log.unit, entry))
+        effects = []
+        for (effect, family, joints), entries in having.items():
+            own = dict(reversed(entries))
+            low, high = clopper_pearson(len(own), len(units))
+            scope: Scope = "type" if low > HALF else "unit" if high < HALF else "some"
+            effects.append(
+                FleetEffect(
+                    effect=effect,
+                    family=family,
+                    joints=tuple(Joint(j - 1) for j in joints),
+                    units=tuple(sorted(own)),
+                    share=len(own) / len(units),
+                    ci95=(low, high),
+                    scope=scope,
+                    ambiguous_with=tuple(
+                        sorted({name for _, e in entries for name in e["ambiguous_with"]})
+                    ),
+                    coefficients={
+                        unit: {
+                            name: value
+                            for name, value in own[unit]["parameters"].items()
+                            if isinstance(value, float)
+                        }
+                        for unit in sorted(own)
+                    },
+                )
+            )
+        return FleetGapRecord.of(
+            self,
+            **named_record(self.model.robot),
+            version=__version__,
+            units=tuple(units),
+            effects=tuple(sorted(effects, key=lambda e: (-e.share, e.effect, e.joints))),
+            logs=tuple(_row(*pair) for pair in self.answers),
+            notes=self.model.robot.warnings,
+        )
+
+
+def _row(answer: LogAnswer, gap: dict[str, Any]) -> DiagnosedLog:
+    joints = gap["where"]["joints"] if gap else ()
+    return DiagnosedLog(
+        unit=answer.log.unit,
+        session=answer.log.session,
+        log=answer.log.path,
+        status=gap["status"] if gap else answer.verdict,
+        evidence=" ".join(answer.evidence),
+        key=answer.key,
+        gap=tuple(_ratio(j["gap_rms"], j["noise_floor_rms"][1]) for j in joints),
+        closed=gap["how_far"]["closed"] if gap else None,
+        effects=tuple(_label(e["effect"], e["joints"]) for e in gap.get("which", ())),
+    )
+
+
+def _ratio(gap: float | None, floor: float | None) -> float:
+    return gap / floor if gap is not None and floor else float("nan")
+
+
+def fleet_gap(
+    model: FleetModel,
+    logs: Sequence[FleetLog],
+    *,
+    settings: GapSettings | None = None,
+    store: Store | None = None,
+    workers: Workers = 1,
+    part: Share | None = None,
+    progress: Progress | None = None,
+) -> FleetGap:
+    """Diagnose every log of a fleet, and tell the type's effects from a unit's own.
+
+    Args:
+        model: the simulator, and how logs are read.
+        logs: which.
+        settings: of every diagnosis; rollouts are left out if None.
+        store: where diagnoses are kept; for this call only if None.
+        workers: who does it; see torchid.parallel.workers.
+        part: only this part of the logs.
+        progress: called with (stage, done, total).
+
+    Raises:
+        RefusedError: a worker has another torchid.
+        TorchidError: no log could be diagnosed, or a part that there is not.
+    """
+    settings = settings or GapSettings(rollout=False)
+    with kept(store, workers) as place:
+        tasks = [GapTask(log, model, settings, place.place) for log in part_of(logs, part)]
+        found = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)
+        answers: list[tuple[LogAnswer, dict[str, Any]]] = []
+        for task, one in zip(tasks, found, strict=True):
+            if isinstance(one, Failure):
+                reason = (f"{one.reason} ({one.tries} tries)",)
+                answers.append((LogAnswer(task.log, "", "", "failed", reason), {}))
+            else:
+                answers.append(one)
+        if part is None:
+            write_index(place, [a for a, _ in answers], "gap.parquet")
+    if not any(gap for _, gap in answers):
+        first = plain([a.evidence[-1] for a, _ in answers[:3]])
+        raise TorchidError("no log of the fleet could be diagnosed.", got="; ".join(first))
+    return FleetGap(model, tuple(answers))

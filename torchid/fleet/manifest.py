@@ -1,0 +1,118 @@
+"""Which log is of which unit and session."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from torchid.errors import TorchidError
+from torchid.log.csv_file import csv_table
+from torchid.log.formats import parquet_table
+from torchid.log.readers import is_log
+from torchid.log.table import Request
+from torchid.parallel.store import is_url
+
+COLUMNS = ("log", "unit", "session")
+
+
+@dataclass(frozen=True, order=True)
+class FleetLog:
+    """One log of a fleet.
+
+    Attributes:
+        unit: the one arm it is of.
+        session: when; logs of one session are taken as of one day's arm.
+        path: of a file or folder, or a URL that fsspec knows.
+    """
+
+    unit: str
+    session: str
+    path: str
+
+
+def fleet_logs(paths: Sequence[str | Path]) -> tuple[FleetLog, ...]:
+    """Logs whose unit is the folder that they lie in and whose session is their own name; a folder
+    that is no log stands for the logs in it, and in the folders in it.
+
+    Raises:
+        TorchidError: a folder without logs, or a log that is there twice.
+    """
+    found = []
+    for given in map(str, paths):
+        path = Path(given)
+        inside = [path]
+        if not is_url(given) and path.is_dir() and not is_log(path):
+            inside = sorted(p for p in path.rglob("*") if p.is_file() and is_log(p))
+            if not inside:
+                raise TorchidError(f"there is no log in the folder '{path}'.")
+        for one in inside:
+            place = given if is_url(given) else str(one)
+            unit = place.rpartition("/")[0].rpartition("/")[2] if is_url(given) else None
+            found.append(FleetLog(unit or one.resolve().parent.name, one.stem, place))
+    return _apart(found)
+
+
+def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
+    """Logs from a table (.csv, .parquet) with the columns log, unit and session; without a session,
+    each log is one. Paths are relative to the table.
+
+    Raises:
+        TorchidError: no such file, a column or an entry that is missing, a log that is there twice.
+    """
+    file = Path(file)
+    suffix = file.suffix.lower()
+    if not file.is_file() or suffix not in (".csv", ".parquet"):
+        raise TorchidError(
+            f"'{file}' is no manifest.",
+            got="no such file" if not file.is_file() else file.suffix or "no suffix",
+            expected="a .csv or .parquet file with the columns log, unit, session",
+        )
+    table = (csv_table if suffix == ".csv" else parquet_table)(file, Request())
+    missing = [name for name in COLUMNS[:2] if name not in table.columns]
+    if missing:
+        raise TorchidError(
+            f"the manifest '{file}' has no column {missing[0]}.",
+            expected="log, unit, session",
+            available=list(table.columns),
+        )
+    columns = {name: _words(a) for name, a in table.read([*_known(table.columns)]).items()}
+    columns.setdefault("session", [Path(path).stem for path in columns["log"]])
+    for name in COLUMNS:
+        if "" in columns[name]:
+            row = columns[name].index("") + 1
+            raise TorchidError(f"the manifest '{file}' has no {name} in row {row}.")
+    rows = zip(columns["unit"], columns["session"], columns["log"], strict=True)
+    return _apart(
+        [
+            FleetLog(unit, session, log if is_url(log) else str(file.parent / log))
+            for unit, session, log in rows
+        ]
+    )
+
+
+def _known(names: Iterable[str]) -> list[str]:
+    there = set(names)
+    return [name for name in COLUMNS if name in there]
+
+
+def _words(array: np.ndarray) -> list[str]:
+    """Cells as text; whole numbers, which units and sessions may be, without a point."""
+    cells = ("" if x is None or x != x else str(x) for x in array.tolist())
+    return [re.sub(r"(?<=\d)\.0$", "", cell) for cell in cells]
+
+
+def _apart(found: Sequence[FleetLog]) -> tuple[FleetLog, ...]:
+    """The logs in the order of unit, session and path, which are then in no other's place."""
+    if not found:
+        raise TorchidError("there is no log.", expected="LOG..., or a manifest")
+    twice = [p for p, k in Counter(_real(log.path) for log in found).items() if k > 1]
+    if twice:
+        raise TorchidError("a log is named twice.", got=twice[0], expected="each log once")
+    return tuple(sorted(found))
+
+
+def _real(path: str) -> str:
+    return path if is_url(path) else str(Path(path).resolve())

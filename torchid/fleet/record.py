@@ -1,0 +1,184 @@
+"""A fleet as its JSON has it: the schema torchid.fleet/1."""
+
+from typing import Literal
+
+from msgspec import UNSET, UnsetType, field
+
+from torchid.results.record import Ends, Part, Real, Record, Rows
+from torchid.typing import Float, Tensor
+
+Judged = Literal["good", "doubtful", "refused", "failed"]
+
+
+class LogRow(Part, frozen=True, kw_only=True):
+    """One log.
+
+    Attributes:
+        unit, session, log: which.
+        verdict: `good`; `doubtful`: used, and to be looked at; `refused`: not used; `failed`: the
+            task gave nothing, and is tried again the next time.
+        evidence: sentences.
+        sha256: of its content.
+        key: of its factors in the store.
+        seconds: of motion that was reduced.
+        noise: (n,) what each joint leaves beside the log's own fit [N m; N].
+        correlation: of that [s].
+        blocks: number of blocks.
+    """
+
+    unit: str
+    session: str
+    log: str
+    verdict: Judged
+    evidence: tuple[str, ...]
+    sha256: str
+    key: str
+    seconds: float
+    noise: tuple[Real, ...]
+    correlation: Real = field(name="correlation_s")
+    blocks: int
+
+
+class PooledParameter(Part, frozen=True, kw_only=True):
+    """One base parameter over the fleet.
+
+    Attributes:
+        name, unit: of it.
+        mean, std, ci95: of the type.
+        between, between_ci95: spread from unit to unit, one standard deviation.
+        daily, daily_ci95: from day to day of one unit.
+        noise: standard deviation of a typical session's estimate.
+        units, sessions: how many tell it.
+        sessions_needed: of one unit, until its own standard deviation is half the spread between
+            units; None where units do not differ.
+    """
+
+    name: str
+    unit: str
+    mean: Real
+    std: Real
+    ci95: Ends
+    between: Real = field(name="unit_std")
+    between_ci95: Ends = field(name="unit_std_ci95")
+    daily: Real = field(name="day_std")
+    daily_ci95: Ends = field(name="day_std_ci95")
+    noise: Real = field(name="noise_std")
+    units: int
+    sessions: int
+    sessions_needed: int | None
+
+
+class UnitRow(Part, frozen=True, kw_only=True):
+    """One unit.
+
+    Attributes:
+        unit: its name.
+        sessions: theirs.
+        logs: how many are used.
+        odd: whether it is called odd.
+        p: adjusted for the number of units.
+        values, std: (B,) base parameters, drawn towards the type by what its sessions leave open.
+        own, own_std: (B,) by its sessions alone.
+    """
+
+    unit: str
+    sessions: tuple[str, ...]
+    logs: int
+    odd: bool
+    p: Real = field(name="p_adjusted")
+    values: Float[Tensor, " B"]
+    std: Float[Tensor, " B"]
+    own: Float[Tensor, " B"]
+    own_std: Float[Tensor, " B"]
+
+
+class Oddity(Part, frozen=True, kw_only=True):
+    """What is odd about a unit.
+
+    Attributes:
+        unit, parameter: which.
+        value, std: of the unit, by its sessions alone.
+        others: mean of the other units.
+        spread: between them.
+        deviation: in standard deviations of what a normal unit's distance would be.
+        p: of it alone.
+        sentence: all of it in words.
+    """
+
+    unit: str
+    parameter: str
+    value: Real
+    std: Real
+    others: Real
+    spread: Real
+    deviation: Real
+    p: Real
+    sentence: str
+
+
+class SessionRow(Part, frozen=True, kw_only=True):
+    """One session of a unit by its own logs.
+
+    Attributes:
+        unit, session: which.
+        values, std: (B,) base parameters; null where these logs do not determine one.
+        noise: (n,) what each joint leaves [N m; N].
+        blocks: number of blocks.
+    """
+
+    unit: str
+    session: str
+    values: Float[Tensor, " B"]
+    std: Float[Tensor, " B"]
+    noise: Float[Tensor, " n"]
+    blocks: int
+
+
+class FleetSettingsRecord(Part, frozen=True, kw_only=True):
+    """As torchid.fleet.settings.FleetSettings."""
+
+    effects: tuple[str, ...]
+    cutoff: float = field(name="cutoff_hz")
+    reversal: float
+    rows: str
+    basis: str | None
+    level: float
+
+
+class FleetRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet/1"):
+    """A fleet of one robot type.
+
+    Attributes:
+        robot, robot_source, robot_tip: the type, and what it is loaded by.
+        version: of torchid.
+        base_names: (B,) of the base parameters.
+        parameters: over the fleet.
+        odd: what is odd about which unit, the clearest first.
+        units, sessions, logs: one entry each.
+        values: (B,) one fit of all rows of all units.
+        noise: (n,) what each joint leaves beside it [N m; N].
+        settings: as given.
+        notes: sentences for the user.
+        seed: from a command.
+    """
+
+    robot: str
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    version: str
+    base_names: tuple[str, ...]
+    parameters: tuple[PooledParameter, ...]
+    odd: tuple[Oddity, ...]
+    units: tuple[UnitRow, ...]
+    sessions: tuple[SessionRow, ...]
+    logs: tuple[LogRow, ...]
+    values: Float[Tensor, " B"] = field(name="one_fit")
+    noise: Float[Tensor, " n"] = field(name="one_fit_noise")
+    settings: FleetSettingsRecord
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[PooledParameter]:
+        """The parameters over the fleet."""
+        return Rows(self.parameters)

@@ -1,0 +1,260 @@
+"""The tasks of a fleet: pure functions of paths, settings and what a store holds, for any worker.
+
+A task may be run twice, or be ended at any moment; its answer is in the store as a whole or not at
+all. What crosses the wire is the row of a log or the estimate of a session.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchid.doctor.examine import signal_checks
+from torchid.errors import LogError, TorchidError
+from torchid.fleet.factors import (
+    Estimate,
+    Factors,
+    Solved,
+    estimate,
+    reduce_log,
+    solved,
+    tree,
+    with_gain,
+)
+from torchid.fleet.factors import combined as both
+from torchid.fleet.manifest import FleetLog
+from torchid.fleet.model import FleetModel
+from torchid.fleet.reading import first_minute, stretches, temperature_of
+from torchid.json_data import plain
+from torchid.log.model import Log
+from torchid.parallel.store import Entry, Store, content_hash, key_of, local_file, stamp
+
+ESTIMATED = ("values", "covariance", "freedom", "noise")
+"""Arrays of an estimate."""
+
+
+@dataclass(frozen=True)
+class LogTask:
+    """A log to be reduced."""
+
+    log: FleetLog
+    model: FleetModel
+    place: str
+
+
+@dataclass(frozen=True)
+class LogAnswer:
+    """What became of a log.
+
+    Attributes:
+        log: which.
+        sha256: of its content, in hexadecimal; empty where it could not be read.
+        key: of its factors in the store.
+        verdict: `good`; `doubtful`: used, and to be looked at; `refused`: not used.
+        evidence: sentences.
+        seconds: of motion that was reduced.
+        noise: (n,) what each joint's torque leaves beside the log's own fit [N m; N].
+        correlation: of that, the longest [s].
+        blocks: number of blocks.
+        temperature: mean of the log's column `temperature` [degC]; None without one.
+        found: whether the answer was there already.
+    """
+
+    log: FleetLog
+    sha256: str
+    key: str
+    verdict: str
+    evidence: tuple[str, ...]
+    seconds: float = 0.0
+    noise: tuple[float | None, ...] = ()
+    correlation: float = 0.0
+    blocks: int = 0
+    temperature: float | None = None
+    found: bool = False
+
+
+def answer_log(task: LogTask) -> LogAnswer:
+    """Reduce a log, unless the store has its factors already.
+
+    Raises:
+        RefusedError: this worker has another torchid.
+        TorchidError: the store cannot be written, or somebody writes to the log.
+    """
+    try:
+        digest, key, entry, found = answered(
+            task.log,
+            task.model,
+            Store(task.place),
+            {"kind": "factors"},
+            lambda path: _reduced(task.model, path, task.log.path),
+        )
+    except LogError as error:  # there is no such file, or it cannot be opened
+        return LogAnswer(task.log, "", "", "refused", (" ".join(str(error).split()),))
+    known: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in entry.words.items()
+    }
+    return LogAnswer(task.log, digest, key, **known, found=found)
+
+
+def answered(
+    log: FleetLog,
+    model: FleetModel,
+    store: Store,
+    question: Mapping[str, Any],
+    compute: Callable[[Path], tuple[dict[str, Any], dict[str, np.ndarray]]],
+) -> tuple[str, str, Entry, bool]:
+    """The answer to a question about a log: SHA-256 of the log, key, answer, and whether the store
+    had it.
+
+    Args:
+        log: which.
+        model: who asks.
+        store: where answers are kept.
+        question: what is asked besides.
+        compute: words and arrays of the log in a file.
+
+    Raises:
+        RefusedError: this worker has another torchid.
+        LogError: the log cannot be opened.
+        TorchidError: the store cannot be written, or somebody writes to the log.
+    """
+    torch.set_num_threads(1)
+    model.require_same_version()
+    with local_file(log.path) as path:
+        before = stamp(path)
+        digest = content_hash(path)
+        key = key_of({**question, "log": digest, "model": model.key})
+        entry = store.read(key)
+        if entry is not None:
+            return digest, key, entry, True
+        words, arrays = compute(path)
+        if stamp(path) != before:
+            raise ChangedError(f"'{log.path}' changed while it was read.")
+    store.write(key, words, arrays)
+    return digest, key, Entry(plain(words), arrays), False
+
+
+class ChangedError(TorchidError):
+    """A log that somebody writes to: another try may find it whole."""
+
+
+def _reduced(model: FleetModel, path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Words and factors of a log; only words where it cannot be used, whatever is wrong with it."""
+    evidence: list[str] = []
+
+    def watched() -> Iterator[Log]:
+        """The stretches, the first of which is looked at."""
+        for k, log in enumerate(stretches(path, model.request)):
+            if k == 0 and log.n == model.robot.n:
+                checks, _ = signal_checks(model.robot, first_minute(with_gain(log, model)))
+                bad = [c for c in checks if c.verdict in ("wrong", "doubtful")]
+                evidence.extend(f"{c.name}: {c.evidence}" for c in bad)
+            yield log
+
+    try:
+        found = reduce_log(model, watched())
+        fit = solved(found.factors, model.layout)
+    except TorchidError as error:
+        text = " ".join(str(error).replace(str(path), name).split())
+        return {"verdict": "refused", "evidence": [*evidence, text]}, {}
+    words: dict[str, Any] = {
+        "verdict": "doubtful" if evidence else "good",
+        "evidence": [*evidence, *found.warnings],
+        "seconds": found.seconds,
+        "noise": fit.noise,
+        "correlation": found.correlation,
+        "blocks": len(found.factors.rows),
+        "temperature": temperature_of(path),
+    }
+    return plain(words), found.factors.arrays()
+
+
+@dataclass(frozen=True)
+class UnitTask:
+    """Sessions of one unit to be fitted.
+
+    Attributes:
+        unit: its name.
+        sessions: by name the keys of their logs, sorted.
+        model, place: of the fleet.
+    """
+
+    unit: str
+    sessions: tuple[tuple[str, tuple[str, ...]], ...]
+    model: FleetModel
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class UnitAnswer:
+    """A unit fitted.
+
+    Attributes:
+        unit: its name.
+        sessions: an estimate each.
+        key: of the factors of all its rows, in the store.
+    """
+
+    unit: str
+    sessions: tuple[tuple[str, Estimate], ...]
+    key: str
+
+
+def answer_unit(task: UnitTask) -> UnitAnswer:
+    """Fit each session of a unit, and put the factors of all its rows into the store.
+
+    Raises:
+        RefusedError: this worker has another torchid.
+        TorchidError: the store lacks what it should have, or cannot be written.
+    """
+    torch.set_num_threads(1)
+    task.model.require_same_version()
+    store, layout = Store(task.place), task.model.layout
+    out, wholes = [], []
+    for name, keys in task.sessions:
+        key = key_of({"kind": "session", "logs": keys, "model": task.model.key})
+        entry = store.read(key)
+        if entry is None:
+            logs = [factors_in(store, k, task.model) for k in keys]
+            every = logs[0]
+            for more in logs[1:]:
+                every = every.beside(more)
+            fitted = estimate(every, task.model)
+            whole = tree([f.whole for f in logs], both)
+            kept = {f"estimate_{k}": getattr(fitted, k).numpy() for k in ESTIMATED}
+            kept |= whole.arrays()
+            store.write(key, {"blocks": fitted.blocks}, kept)
+            entry = Entry({"blocks": fitted.blocks}, kept)
+        parts = {k: torch.from_numpy(entry.arrays[f"estimate_{k}"]) for k in ESTIMATED}
+        out.append((name, Estimate(**parts, blocks=entry.words["blocks"])))
+        wholes.append(Factors.of_arrays(entry.arrays, layout))
+    # All sessions together, in the order of their names.
+    every_key = tuple(k for _, keys in task.sessions for k in keys)
+    key = key_of({"kind": "unit", "logs": every_key, "model": task.model.key})
+    if store.read(key) is None:
+        store.write(key, {}, tree(wholes, both).arrays())
+    return UnitAnswer(task.unit, tuple(out), key)
+
+
+def factors_in(store: Store, key: str, model: FleetModel) -> Factors:
+    """Factors from the store.
+
+    Raises:
+        TorchidError: they are not there.
+    """
+    entry = store.read(key)
+    if entry is None:
+        raise TorchidError(
+            f"the store '{store.place}' does not have {key[:12]}, which it had.",
+            hint="do all workers see the same folder?",
+        )
+    return Factors.of_arrays(entry.arrays, model.layout)
+
+
+def whole_type(store: Store, keys: list[str], model: FleetModel) -> tuple[Factors, Solved]:
+    """The factors of all units, and the fit of all rows."""
+    whole = tree((factors_in(store, key, model) for key in keys), both)
+    return whole, solved(whole, model.layout)

@@ -1,0 +1,235 @@
+"""What drifts: each parameter of each unit over its sessions, with an alarm that holds its rate."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from msgspec import UNSET, UnsetType, field
+
+from torchid import __version__
+from torchid.errors import TorchidError
+from torchid.fleet.identify import USED, Fleet
+from torchid.results.record import Part, Real, Record, Result, Rows
+from torchid.robot.library import named_record
+from torchid.statistics.drift import drift
+from torchid.statistics.robust import MAD_TO_SIGMA
+from torchid.typing import Float, Tensor
+
+SESSIONS = 1000.0
+"""Sessions of a unit until a false alarm, at the least and on average."""
+
+FEWEST = 3
+"""Sessions of a unit below which nothing is watched: two to know it by, one to compare."""
+
+
+class Alarm(Part, frozen=True, kw_only=True):
+    """A parameter of a unit that has changed.
+
+    Attributes:
+        unit, parameter: which.
+        since: first session after the change.
+        said_at: session at which it was sure.
+        before, after: values, temperature apart.
+        percent: by how much.
+        by_temperature: change that the temperature explains between the same sessions, in percent;
+            None without temperatures.
+        evidence: the detector's value, and what it must exceed.
+        threshold: that.
+        sentence: all of it in words.
+    """
+
+    unit: str
+    parameter: str
+    since: str
+    said_at: str
+    before: Real
+    after: Real
+    percent: Real
+    by_temperature: float | None = field(name="percent_by_temperature")
+    evidence: Real
+    threshold: Real
+    sentence: str
+
+
+class WatchedUnit(Part, frozen=True, kw_only=True):
+    """A unit and its sessions in order.
+
+    Attributes:
+        unit, sessions: which.
+        temperature: of each session [degC]; empty without.
+        evidence: the largest detector over the parameters after each session, as a share of the
+            threshold.
+    """
+
+    unit: str
+    sessions: tuple[str, ...]
+    temperature: tuple[Real, ...]
+    evidence: tuple[Real, ...]
+
+
+class WatchRecord(Record, frozen=True, kw_only=True, tag="torchid.fleet_watch/1"):
+    """What drifts in a fleet, as the JSON has it."""
+
+    robot: str
+    robot_source: str | None = None
+    robot_tip: str | UnsetType = UNSET
+    version: str
+    false_alarm_every: float = field(name="sessions_per_false_alarm")
+    alarms: tuple[Alarm, ...]
+    units: tuple[WatchedUnit, ...]
+    notes: tuple[str, ...]
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[Alarm]:
+        """The alarms."""
+        return Rows(self.alarms)
+
+
+@dataclass(frozen=True, eq=False)
+class Watch(Result):
+    """What drifts in a fleet.
+
+    Attributes:
+        fleet: identified.
+        every: sessions of a unit until a false alarm.
+        alarms, units, notes: as the record's.
+    """
+
+    fleet: Fleet
+    every: float
+    alarms: tuple[Alarm, ...]
+    units: tuple[WatchedUnit, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Watch('{self.fleet.model.robot.name}', {len(self.alarms)} alarms)"
+
+    @cached_property
+    def record(self) -> WatchRecord:
+        """As the JSON has it."""
+        return WatchRecord.of(
+            self,
+            **named_record(self.fleet.model.robot),
+            version=__version__,
+            false_alarm_every=self.every,
+        )
+
+
+def watch(fleet: Fleet, every: float = SESSIONS) -> Watch:
+    """Watch every parameter of every unit over its sessions, in the order of their names.
+
+    The spread from day to day, which no alarm shall be raised for, is that of the fleet. Of P
+    parameters each one must exceed P times `every`, so that the unit keeps the rate.
+
+    Args:
+        fleet: identified; sessions are named so that their order is that of time.
+        every: sessions of a unit until a false alarm, at the least and on average.
+
+    Raises:
+        TorchidError: no unit has enough sessions, or a rate below one session.
+    """
+    if not every >= 1:
+        raise TorchidError("a false alarm comes after one session at least.", got=every)
+    if not any(len(u.sessions) >= FEWEST for u in fleet.units):
+        raise TorchidError(
+            "no unit has sessions enough to be watched.",
+            got=max(len(u.sessions) for u in fleet.units),
+            expected=f"{FEWEST} of one unit",
+        )
+    warm = _temperatures(fleet)
+    daily, steps = _daily(fleet)
+    alarms: list[Alarm] = []
+    units: list[WatchedUnit] = []
+    for unit in fleet.units:
+        names = tuple(name for name, _ in unit.sessions)
+        if len(names) < FEWEST:
+            continue
+        known = [warm.get((unit.unit, name)) for name in names]
+        heat = torch.tensor([[t] for t in known if t is not None], dtype=torch.float64)
+        if len(heat) < len(names) or float(heat.std()) == 0:
+            heat = torch.zeros(len(names), 0, dtype=torch.float64)
+        values = torch.stack([e.values for _, e in unit.sessions], 1)
+        variances = torch.stack([e.std.square() for _, e in unit.sessions], 1) + daily.unsqueeze(1)
+        freedom = torch.stack([e.freedom for _, e in unit.sessions], 1).clamp(max=steps)
+        threshold = every * len(values)
+        strongest = torch.zeros(len(names), dtype=torch.float64)
+        for b, base in enumerate(fleet.base.names):
+            there = values[b].isfinite().nonzero().flatten()
+            if len(there) < FEWEST:
+                continue
+            found = drift(values[b, there], variances[b, there], freedom[b, there], heat[there])
+            share = found.evidence / threshold
+            strongest[there] = torch.maximum(strongest[there], share)
+            over = (share >= 1).nonzero().flatten().tolist()
+            if not over or found.since is None:
+                continue
+            since, said = there[found.since], there[over[0]]
+            percent = 100 * (found.after - found.before) / abs(found.before)
+            by_heat = None
+            if heat.shape[1]:
+                late = torch.arange(len(there)) >= found.since
+                warmer = heat[there][late].mean(0) - heat[there][~late].mean(0)
+                by_heat = float(100 * (found.slope @ warmer) / abs(found.before))
+            word = "rose" if percent > 0 else "fell"
+            apart = "" if by_heat is None else f", the temperature's {by_heat:+.0f} % apart"
+            alarms.append(
+                Alarm(
+                    unit=unit.unit,
+                    parameter=base,
+                    since=names[int(since)],
+                    said_at=names[int(said)],
+                    before=found.before,
+                    after=found.after,
+                    percent=percent,
+                    by_temperature=by_heat,
+                    evidence=float(found.evidence.max()),
+                    threshold=threshold,
+                    sentence=f"{unit.unit}: {base} {word} by {abs(percent):.0f} % since "
+                    f"{names[int(since)]}, from {found.before:.4g} to {found.after:.4g} "
+                    f"{fleet.base.units[b]}{apart}",
+                )
+            )
+        units.append(
+            WatchedUnit(
+                unit=unit.unit,
+                sessions=names,
+                temperature=tuple(heat[:, 0].tolist()) if heat.shape[1] else (),
+                evidence=tuple(strongest.tolist()),
+            )
+        )
+    alarms.sort(key=lambda a: (-a.evidence, a.unit, a.parameter))
+    return Watch(fleet, every, tuple(alarms), tuple(units), fleet.notes)
+
+
+def _daily(fleet: Fleet) -> tuple[Float[Tensor, " B"], int]:
+    """Variance from day to day (B,), and from how many steps it is known.
+
+    It is taken from the steps between neighbouring sessions of all units, by their median: a change
+    is one step among many, and does not hide itself as it would in the likelihood.
+    """
+    steps, noise = [], []
+    for unit in fleet.units:
+        values = torch.stack([e.values for _, e in unit.sessions], 1)
+        variances = torch.stack([e.std.square() for _, e in unit.sessions], 1)
+        steps.append(values.diff(dim=1))
+        noise.append(variances[:, 1:] + variances[:, :-1])
+    every = torch.cat(steps, 1)
+    typical = MAD_TO_SIGMA * every.abs().nanmedian(1).values
+    known = torch.cat(noise, 1).nanmedian(1).values
+    return ((typical.square() - known) / 2).clamp(min=0).nan_to_num(), every.shape[1]
+
+
+def _temperatures(fleet: Fleet) -> dict[tuple[str, str], float]:
+    """Mean temperature by unit and session, over logs that have one."""
+    found: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for a in fleet.logs:
+        if a.verdict in USED and a.temperature is not None:
+            found[a.log.unit, a.log.session].append(a.temperature)
+    return {key: _mean(own) for key, own in found.items()}
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

@@ -1,0 +1,303 @@
+"""One door to every engine: what runs here, in processes or on a cluster is an Executor of
+`concurrent.futures`, and functions of a module and their arguments are all that it is given.
+
+    1                   this process
+    4                   four processes of one thread each
+    "tcp://host:8786"   the workers of a dask scheduler
+    an Executor         of mpi4py, ipyparallel, loky, ...; whoever made it ends it
+"""
+
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from torchid.errors import MissingExtraError, TorchidError
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+Progress = Callable[[str, int, int], None]
+Workers = int | str | Executor
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+RETRIES = 2
+"""Times that a task is tried again."""
+
+PATIENCE = 20
+"""Time in which a dask scheduler must answer [s]."""
+
+
+class RefusedError(TorchidError):
+    """What no other worker would do better: it ends the whole run, and is not tried again."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A task that was tried several times and gave nothing.
+
+    Attributes:
+        reason: the last error, or that the process ended, in one line.
+        tries: how often.
+    """
+
+    reason: str
+    tries: int
+
+
+class Serial(Executor):
+    """Runs what it is given, here and at once."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """A future that is done."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@contextmanager
+def opened(workers: Workers, least: int = 1) -> Iterator[tuple[Executor, int]]:
+    """An executor, and how many tasks to give it at a time.
+
+    Args:
+        workers: see above.
+        least: processes are started even for `workers` of 1 where this is 2.
+
+    Raises:
+        TorchidError: a scheduler that does not answer, or a number below 1.
+        MissingExtraError: dask.distributed is not installed.
+    """
+    if isinstance(workers, Executor):
+        yield workers, 1_000_000
+    elif isinstance(workers, str):
+        with _cluster(workers) as (pool, cores):
+            yield pool, 2 * cores  # the next task waits at its worker, not at this end of the wire
+    elif workers < 1:
+        raise TorchidError("at least one worker is needed.", got=workers)
+    elif workers == 1 and least == 1:
+        yield Serial(), 1
+    else:
+        context = multiprocessing.get_context("spawn")
+        with _one_thread_each():
+            pool = ProcessPoolExecutor(workers, context, end_with_parent)
+            try:
+                # No more tasks than processes: when one ends, those given are those it was busy
+                # with or beside.
+                yield pool, workers
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("distributed", "cluster", "A dask scheduler") from error
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise TorchidError(
+            f"no dask scheduler answers at '{address}'.",
+            got=str(error).splitlines()[0] if str(error) else type(error).__name__,
+            expected="tcp://HOST:PORT of a running `dask scheduler`",
+        ) from error
+    with client:
+        cores = sum(client.nthreads().values())
+        if not cores:
+            raise TorchidError(
+                f"the scheduler at '{address}' has no workers.", hint=f"dask worker {address}"
+            )
+        with client.get_executor() as pool:
+            yield pool, cores
+
+
+def each(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    workers: Workers = 1,
+    stage: str = "",
+    progress: Progress | None = None,
+) -> list[Result]:
+    """The results, in the order of the jobs; the first error ends it.
+
+    Args:
+        function: of a module, so that another process can find it.
+        jobs: any number.
+        workers: who does it.
+        stage: what is done, for the progress.
+        progress: called with (stage, done, total).
+
+    Raises:
+        TorchidError: a process was ended from outside.
+    """
+    say = progress or (lambda stage, done, total: None)
+    say(stage, 0, len(jobs))
+    found: dict[int, Result] = {}
+    try:
+        with opened(1 if len(jobs) < 2 else workers) as (pool, slots):
+            for k, future in _finished(function, jobs, range(len(jobs)), pool, slots):
+                found[k] = future.result()
+                say(stage, len(found), len(jobs))
+    except BrokenExecutor as error:
+        raise TorchidError(
+            "a process was ended from outside; memory may have run out.",
+            hint="fewer `jobs=...`; what is done already stays",
+        ) from error
+    return [found[k] for k in range(len(jobs))]
+
+
+def attempted(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    workers: Workers = 1,
+    stage: str = "",
+    progress: Progress | None = None,
+    retries: int = RETRIES,
+) -> list[Result | Failure]:
+    """The results in the order of the jobs, a failure in the place of one that cannot be had.
+
+    A task that raises is tried again. Where a process ends (killed, out of memory), nobody knows
+    which of the tasks that were under way ended it; each of them is then run in a process of its
+    own, so that only the one that does it again is blamed.
+
+    Args:
+        function: idempotent: a task may run twice.
+        jobs, workers, stage, progress: as for `each`.
+        retries: times that a task is tried again.
+
+    Raises:
+        RefusedError: raised by a task.
+    """
+    say = progress or (lambda stage, done, total: None)
+    say(stage, 0, len(jobs))
+    found: dict[int, Result | Failure] = {}
+    tries: Counter[int] = Counter()
+    todo, suspects = deque(range(len(jobs))), deque[int]()
+
+    def failed(k: int, reason: str) -> bool:
+        """One more try that gave nothing; whether it was the last."""
+        tries[k] += 1
+        if tries[k] > retries:
+            found[k] = Failure(reason, tries[k])
+            say(stage, len(found), len(jobs))
+        return tries[k] > retries
+
+    while todo or suspects:
+        alone = bool(suspects)
+        batch = [suspects.popleft()] if alone else list(todo)
+        crew: Workers = 1 if alone and isinstance(workers, int) else workers
+        try:
+            with opened(crew, 2 if alone and workers != 1 else 1) as (pool, slots):
+                for k, future in _finished(function, jobs, batch, pool, slots):
+                    error = future.exception()
+                    if isinstance(error, BrokenExecutor | RefusedError):
+                        raise error
+                    if error is None:
+                        found[k] = future.result()
+                        say(stage, len(found), len(jobs))
+                    elif not failed(k, " ".join(f"{type(error).__name__}: {error}".split())):
+                        suspects.append(k)
+        except _Broken as broken:
+            ended = "the process that worked on it ended, killed or out of memory"
+            if not alone:
+                suspects.extend(broken.under_way)
+            elif not failed(batch[0], ended):
+                suspects.append(batch[0])
+        todo = deque(k for k in todo if k not in found and k not in suspects)
+    return [found[k] for k in range(len(jobs))]
+
+
+class _Broken(BrokenExecutor):
+    """An executor that ended, and the jobs that were under way."""
+
+    def __init__(self, under_way: Sequence[int]):
+        super().__init__()
+        self.under_way = list(under_way)
+
+
+def _finished(
+    function: Callable[[Job], Any],
+    jobs: Sequence[Job],
+    numbers: Sequence[int],
+    pool: Executor,
+    slots: int,
+) -> Iterator[tuple[int, Future[Any]]]:
+    """Jobs by number, each as it is done, no more than `slots` under way."""
+    left, running = deque(numbers), dict[Future[Any], int]()
+    try:
+        while left or running:
+            while left and len(running) < slots:
+                running[pool.submit(function, jobs[left[0]])] = left[0]
+                left.popleft()
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            # A future is cancelled where the engine behind it has gone, as with its scheduler.
+            broken = [f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)]
+            for future in sorted(done - set(broken), key=running.__getitem__):
+                yield running.pop(future), future
+            if broken:
+                raise _Broken(list(running.values()))
+    except BrokenExecutor as error:
+        # Giving a task to a pool that has just ended says so, too.
+        if isinstance(error, _Broken):
+            raise
+        raise _Broken(list(running.values()) or [left[0]]) from error
+    finally:
+        for future in running:
+            future.cancel()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started within have one thread; theirs are read when numpy and torch are loaded."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def end_with_parent() -> None:
+    """A process whose parent is killed would wait for work for ever; Ctrl-C ends what it does,
+    without a word, and a second later the process."""
+
+    def stop(number: int, frame: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ended = threading.Timer(1.0, os._exit, (130,))
+        ended.daemon = True
+        ended.start()
+        raise SystemExit(130)
+
+    signal.signal(signal.SIGINT, stop)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        multiprocessing.connection.wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
