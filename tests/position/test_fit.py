@@ -89,7 +89,7 @@ def test_a_fit_moves_only_what_is_free(found):
         (lambda log: log.replace(t=log.t + 0.015 * (torch.arange(len(log.t)) % 2)), "evenly"),
         (lambda log: log.select(slice(0, 200)), "too short"),
         (lambda log: log.replace(q=log.q[:, :2], u=log.u[:, :2]), "number of joints"),
-        (lambda log: log.replace(u=log.u * torch.tensor(float("nan"))), "no numbers"),
+        (lambda log: log.replace(u=log.u * torch.tensor(float("nan"))), "begins without commands"),
     ],
 )
 def test_a_log_that_tells_nothing_is_refused(change, words):

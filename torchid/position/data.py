@@ -36,7 +36,7 @@ JAW = 0.3
 SHORTEST_S = 10.0
 """Of less log no servo is told [s]."""
 MOVES = 0.01
-"""Commands that vary by less, as a standard deviation within motions, move no joint [rad]."""
+"""What varies by less, as a standard deviation within motions, does not move [rad]."""
 UNITS = {
     "degrees": DEGREES,
     "milliradians": 1e3,
@@ -178,7 +178,7 @@ def _check_same_unit(log: Log, u: Float[Tensor, "T n"]) -> None:
     for x in (u, log.q):
         apart = torch.cat([x[rows] - x[rows].mean(0) for rows in log.slices()])
         spread.append(apart.square().mean(0).sqrt())
-    moves = (spread[0] > MOVES) & (spread[1] > 0)
+    moves = (spread[0] > MOVES) & (spread[1] > MOVES)
     if not bool(moves.any()):
         return
     ratio = float((spread[0] / spread[1])[moves].median())
