@@ -9,7 +9,10 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.parallel.workers import Failure, RefusedError, Serial, attempted, each
 
 
-@pytest.mark.parametrize("workers", [1, 2, Serial(), ThreadPoolExecutor(3)], ids=repr)
+WORKERS = {"one": 1, "two": 2, "serial": Serial(), "threads": ThreadPoolExecutor(3)}
+
+
+@pytest.mark.parametrize("workers", WORKERS.values(), ids=WORKERS)
 def test_results_are_in_the_order_of_the_jobs(workers) -> None:
     said = []
     assert each(jobs.root, [1.0, 4.0, 9.0], workers, "roots", lambda *a: said.append(a)) == [
