@@ -8,7 +8,6 @@ from tests.parallel import jobs
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.parallel.workers import Failure, RefusedError, Serial, attempted, each
 
-
 WORKERS = {"one": 1, "two": 2, "serial": Serial(), "threads": ThreadPoolExecutor(3)}
 
 
