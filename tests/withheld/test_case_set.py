@@ -116,6 +116,8 @@ def test_a_damaged_set_is_refused(made):
         (json.dumps({k: v for k, v in data.items() if k != "seed"}), "incomplete"),
         (json.dumps(data | {"cases": []}), "lists no case"),
         (json.dumps(data | {"cases": ["case-0009"]}), "there is no"),
+        (json.dumps(data | {"cases": ["../case-0001"]}), "no folder in the set"),
+        (json.dumps(data | {"cases": [".."]}), "no folder in the set"),
     ):
         path.write_text(changed)
         with pytest.raises(TorchidError, match=words):

@@ -61,22 +61,20 @@ def parameter_table(found: FleetRecord) -> Table:
     """Means and spreads of the base parameters."""
     rows: list[list[Cell]] = [
         [
-            short(p.name, LONGEST), f"{_number(p.mean)} ± {_number(p.std, '.2g')}", p.unit,
+            short(p.name, LONGEST), f"{_number(p.mean)} ± {_number(p.std, '.2g')} {p.unit}",
             _number(p.between, ".2g"), _between(p.between_ci95), _number(p.daily, ".2g"),
             _number(p.noise, ".2g"), "-" if p.sessions_needed is None else str(p.sessions_needed),
         ]
         for p in found.parameters
     ]  # fmt: skip
-    columns = (
-        "base parameter", "mean", "unit", "unit to unit", "95 %", "day to day", "a session",
-        "sessions needed",
-    )  # fmt: skip
+    columns = ("base parameter", "mean", "units", "95 %", "days", "noise", "needed")
     note = (
-        "Standard deviations: between units, between days of one unit, and of a session's "
-        "estimate. Sessions of one unit until its own value is known to half the spread of units."
+        "Standard deviations between units, between days of one unit, and of a session's "
+        "estimate; sessions needed until a unit's own value is known to half the spread of units."
     )
     return Table(
-        f"{found.robot}: the type and its spread", columns, rows, ("base parameter", "unit"),
+        f"{found.robot}: the type and its spread", columns, rows,
+        words=("base parameter", "mean"),
         note=note,
     )  # fmt: skip
 

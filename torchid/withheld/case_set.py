@@ -109,6 +109,9 @@ def read_cases(folder: Path) -> CaseSet:
     if not found.ids:
         raise TorchidError(f"'{path}' lists no case.")
     for case in found.ids:
+        # Answers are written beside the logs: never outside of the set.
+        if case == ".." or Path(case).name != case:
+            raise TorchidError(f"'{path}' names a case that is no folder in the set.", got=case)
         for file in (found.robot(case), found.log(case)):
             if not file.is_file():
                 raise TorchidError(f"the set '{folder}' is incomplete: there is no '{file}'.")
