@@ -104,8 +104,10 @@ def test_joints_that_never_move_are_said():
 
 
 def test_a_log_in_which_nothing_moves_is_refused():
-    with pytest.raises(LogError, match="stands still"):
+    with pytest.raises(LogError, match="no joint moves"):
         prepare(ROBOT, changed(log(), [0.0, 0.0, 0.0]), None)
+    with pytest.raises(LogError, match="stands still"):
+        prepare(ROBOT, changed(log(), [1e-4, 1e-4, 1e-4]), None)
 
 
 def test_repeated_torques_have_an_age():

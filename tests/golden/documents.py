@@ -136,6 +136,15 @@ def _doctor(bench: Bench) -> dict[str, Any]:
     return bench.run("log", "doctor", "3r", log)
 
 
+def _fleet_gap(bench: Bench) -> dict[str, Any]:
+    """One log, in the folder of its unit."""
+    log = bench.folder / "unit-1" / "day-1.parquet"
+    log.parent.mkdir(exist_ok=True)
+    log.write_bytes(bench.friction().read_bytes())
+    few = ("--effects", "coulomb_friction,viscous_friction", "--parameters", "trusted")
+    return bench.run("fleet", "gap", "3r", log, *few)
+
+
 def _watch(bench: Bench) -> dict[str, Any]:
     """One unit whose friction falls after four of seven sessions."""
     drift = {0: ("Fv2", -0.1, 4)}
@@ -247,10 +256,7 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "fleet": lambda b: b.run(
         "fleet", "identify", "3r_friction", *(b.friction(k) for k in range(2)), "--cutoff", 8
     ),
-    "fleet_gap": lambda b: b.run(
-        "fleet", "gap", "3r", b.friction(), "--effects", "coulomb_friction,viscous_friction",
-        "--parameters", "trusted",
-    ),
+    "fleet_gap": _fleet_gap,
     "fleet_watch": _watch,
     "gap_detected_unexplained": lambda b: b.gap("friction", *NEVER),
     "gap_explained": lambda b: b.gap("friction", *FEW, "--no-rollout"),

@@ -339,7 +339,7 @@ def test_a_joint_that_never_moves(joint, settings):
 def test_nothing_moves():
     log = honest()
     still = log.replace(q=torch.zeros_like(log.q))
-    with pytest.raises(IdentificationError, match="no row is left"):
+    with pytest.raises(LogError, match="no joint moves"):
         identify(ROBOT, still, settings=QUICK)
 
 

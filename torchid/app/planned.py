@@ -33,7 +33,7 @@ class Room:
         workspace: Box that no moving link leaves, in the base frame [m].
     """
 
-    clearance: Annotated[float, typer.Option(min=0, max=10)] = CLEARANCE
+    clearance: float = CLEARANCE
     floor: Annotated[float | None, typer.Option(min=-100, max=100)] = None
     workspace: Annotated[str | None, typer.Option(metavar=_BOX)] = None
 

@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from msgspec import UNSET, UnsetType
+
 from torchid.gap.record import NoiseFloor, RegimeGap
 from torchid.results.record import Joint, Part, Real, Record, Rows
 
@@ -133,6 +135,7 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
         which: effects that one of both has more of, most of the gap first; None where it was not
             asked, for a reason that stands in the warnings.
         warnings: sentences for the user.
+        seed: from a command.
     """
 
     robot: str | None
@@ -145,6 +148,7 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
     faults: tuple[Fault, ...]
     which: tuple[OneSided, ...] | None
     warnings: tuple[str, ...] = ()
+    seed: int | UnsetType = UNSET
 
     @property
     def table(self) -> Rows[Fault]:
