@@ -28,6 +28,7 @@ SMALLER = {
     " --cases 40": " --cases 1",
     " --runs 10": " --runs 2 --stages 2",
     "kuka_lwr4 --kind random": "kuka_lwr4 --kind random --duration 5",
+    "--workers 8": "--workers 1",
     "torchid withheld leave-out": "true leave-out",  # long, and tested elsewhere
     # In a folder of its own: a project file holds for every command below it.
     "torchid init  ": "mkdir short; cp my_arm.urdf run[234].csv short; cd short; torchid init  ",
@@ -84,6 +85,9 @@ def _logs(folder: Path) -> None:
     for name, run in zip(names, real.trajectories(), strict=True):
         write_log(run, folder / f"{name}.csv")
     shutil.copy(folder / "run1.csv", folder / "arm.csv")
+    for k in (1, 2):  # a fleet of two
+        (folder / "logs" / f"arm-{k}").mkdir(parents=True)
+        shutil.copy(folder / f"run{k}.csv", folder / "logs" / f"arm-{k}" / "monday.csv")
     load = {"effect": "payload", "m": 0.5} | dict.fromkeys(LOAD, 0.0)
     for name, effects in (("sim", []), ("empty", []), ("full", [load])):
         log = simulate(robot, runs[0], effects=effects, seed=9)

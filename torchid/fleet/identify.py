@@ -18,7 +18,7 @@ import pyarrow.parquet
 import torch
 
 from torchid import __version__
-from torchid.errors import IdentificationError, TorchidError
+from torchid.errors import IdentificationError, TorchidError, visible
 from torchid.files import atomic_write
 from torchid.fleet.factors import Estimate, Solved
 from torchid.fleet.manifest import FleetLog
@@ -365,9 +365,9 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
     """A table of all logs into the store, for duckdb or pandas."""
     rows = [
         {
-            "log": a.log.path, "unit": a.log.unit, "session": a.log.session, "sha256": a.sha256,
-            "key": a.key, "verdict": a.verdict, "seconds": a.seconds,
-            "evidence": "\n".join(a.evidence),
+            "log": visible(a.log.path), "unit": visible(a.log.unit),
+            "session": visible(a.log.session), "sha256": a.sha256, "key": a.key,
+            "verdict": a.verdict, "seconds": a.seconds, "evidence": visible("\n".join(a.evidence)),
         }
         for a in answers
     ]  # fmt: skip

@@ -23,6 +23,7 @@ The command line goes before it. It is sought in the working directory and above
 relative to it. What belongs to the robot (tip, limits, payload) holds for the robot that it names.
 """
 
+import math
 import os
 import re
 import tomllib
@@ -150,6 +151,8 @@ def read_project(file: Path, commands: Commands) -> Project:
     found: dict[str, Any] = {name: page.text(data, name) for name in TEXTS if name in data}
     for name in ("robot", "out", "columns"):
         is_file = name != "columns" or "=" not in found.get(name, "=")
+        if name in ("robot", "out") and not isinstance(data.get(name, ""), str):
+            raise page.wrong(name, "", f"{name} names a file.", got=data[name])
         if name in found and is_file and not (name == "robot" and names_built_in(found[name])):
             found[name] = page.beside(found[name])
     for name in LISTS:
@@ -172,6 +175,11 @@ def read_project(file: Path, commands: Commands) -> Project:
         else:
             options[group] = page.options(data[group], commands[group], group)
     return Project(file, **found, options=options)
+
+
+def _endless(value: Any) -> bool:
+    """Whether a value is a number that is none, or beyond all numbers."""
+    return isinstance(value, float) and not math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -211,7 +219,7 @@ class _Page:
         if isinstance(value, dict) and key == "columns":
             value = [f"{k}={v}" for k, v in value.items()]
         parts = value if isinstance(value, list) else [value]
-        if not parts or any(isinstance(v, bool | dict | list) for v in parts):
+        if not parts or any(isinstance(v, bool | dict | list) or _endless(v) for v in parts):
             raise self.wrong(key, header, f"{key} cannot be this.", got=value, expected="text")
         return ",".join(str(part) for part in parts)
 
@@ -223,7 +231,7 @@ class _Page:
                 one = rest.pop()
                 if isinstance(one, list):
                     rest += one
-                elif isinstance(one, bool) or not isinstance(one, int | float):
+                elif isinstance(one, bool) or not isinstance(one, int | float) or _endless(one):
                     raise self.wrong(key, header, f"{key} is a number, or a list.", got=value)
         return table
 
