@@ -88,9 +88,3 @@ def among(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Ch
         choices=tuple(choices),
         chosen=chosen.name if chosen else None,
     )
-
-
-def joint_list(joints: Sequence[int]) -> str:
-    """`joint 3`, `joints 1, 4`."""
-    names = ", ".join(str(k + 1) for k in joints)
-    return f"joint{'s' if len(joints) > 1 else ''} {names}"

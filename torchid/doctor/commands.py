@@ -5,9 +5,10 @@ import math
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, joint_list
+from torchid.doctor.check import Check
 from torchid.log.checks import FOLLOWS, velocity_agreement
 from torchid.log.model import Log
+from torchid.robot.model import joint_list
 
 LATEST_S = 0.5
 """Longest lag that is looked for [s]."""

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchid.doctor.check import Check, joint_list
+from torchid.doctor.check import Check
 from torchid.doctor.cone import OWN
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.search import Search
 from torchid.log.model import Log
+from torchid.robot.model import joint_list
 
 CONDITION = 300.0
 """Of a joint's own columns, each scaled to one, from which they cannot be told apart."""

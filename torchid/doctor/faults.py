@@ -5,12 +5,13 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from torchid.doctor.check import Check, Choice, among, joint_list
+from torchid.doctor.check import Check, Choice, among
 from torchid.doctor.hypothesis import Judge
 from torchid.doctor.moves import LEAST_GAIN, Move
 from torchid.doctor.profile import profile
 from torchid.doctor.repair import TORQUE, Scale, within
 from torchid.doctor.search import CLEAR, Found, Search
+from torchid.robot.model import joint_list
 
 CHECK_OF = {
     "torque sign": "torque sign",

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from torchid.doctor.check import Check, joint_list
+from torchid.doctor.check import Check
 from torchid.doctor.repair import Repair, Scale, Unwrap
 from torchid.log.checks import (
     DEGREES,
@@ -16,7 +16,7 @@ from torchid.log.checks import (
     velocity_agreement,
 )
 from torchid.log.model import Log
-from torchid.robot.model import JointType, Robot
+from torchid.robot.model import JointType, Robot, joint_list
 
 COUNTS = 100.0
 """Positions beyond this [rad] that are whole numbers are encoder counts."""

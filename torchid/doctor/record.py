@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING
 
 from msgspec import UNSET, UnsetType
 
-from torchid.doctor.check import Check, Verdict, joint_list
+from torchid.doctor.check import Check, Verdict
 from torchid.json_data import plain
 from torchid.results.record import Joint, Part, Record, Rows
+from torchid.robot.model import joint_list
 
 if TYPE_CHECKING:
     from torchid.doctor.examine import Examination

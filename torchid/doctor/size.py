@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, Choice, Verdict, among, joint_list
+from torchid.doctor.check import Check, Choice, Verdict, among
 from torchid.doctor.cone import reach_of
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import Scale
 from torchid.doctor.search import CLEAR
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.model import Log
-from torchid.robot.model import JointType
+from torchid.robot.model import JointType, joint_list
 from torchid.statistics.jackknife import fit_statistics
 
 WRONG, ODD = 5.0, 2.2

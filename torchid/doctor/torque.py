@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.signal import welch
 
-from torchid.doctor.check import Check, joint_list
+from torchid.doctor.check import Check
 from torchid.log.model import Log
+from torchid.robot.model import joint_list
 from torchid.typing import Float, Tensor
 
 PILE = 0.004

@@ -7,12 +7,13 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from torchid.doctor.check import Check, Choice, among, joint_list
+from torchid.doctor.check import Check, Choice, among
 from torchid.doctor.repair import DropSignal, Reorder, Repair, Scale, ScaleTime
 from torchid.log.checks import DEGREES, FOLLOWS, MOVING, near, velocity_agreement
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
+from torchid.robot.model import joint_list
 
 RPM = 30.0 / math.pi
 LATE_S = 0.015

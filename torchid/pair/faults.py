@@ -20,7 +20,7 @@ from torchid.log.model import Log
 from torchid.log.sampling import resample, sampling_rate
 from torchid.pair.align import SAME_CLOCK, Both, correlations
 from torchid.pair.record import Fault, Side
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.statistics.jackknife import fit_statistics
@@ -136,7 +136,7 @@ def in_order(simulated: Log, both: list[Both]) -> Mended:
         found.append(
             Fault(
                 "sign", tuple(wrong), "simulator", -1.0, "1",
-                f"the {what} of {joints_words(wrong)} has the opposite sign",
+                f"the {what} of {joint_list(wrong)} has the opposite sign",
                 "Turn the joint's axis round in the file, or its signals' sign in the logger.",
             )
         )  # fmt: skip
@@ -203,7 +203,7 @@ def clipped(both: Sequence[Both]) -> list[Fault]:
         out.append(
             Fault(
                 "clipped", joints, side, these[0][2], unit,
-                f"{whose} {what} of {joints_words(joints)} stops at {levels} {unit}, which the "
+                f"{whose} {what} of {joint_list(joints)} stops at {levels} {unit}, which the "
                 "other one goes beyond",
                 f"Give the {what} the arm's own limit (ctrlrange, forcerange, effort, range).",
             )
@@ -399,7 +399,7 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
                     Fault(
                         "gain_units", tuple(off), "simulator", middle, "1",
                         f"the {name} of the simulator's servo is {middle:.3g} times the arm's on "
-                        f"{joints_words(off)}: {DEGREES:.1f} is a radian in degrees, so it takes "
+                        f"{joint_list(off)}: {DEGREES:.1f} is a radian in degrees, so it takes "
                         f"{words}",
                         "Convert the gains: 1 N m/degree is 57.3 N m/rad.",
                     )
@@ -412,7 +412,7 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
                 Fault(
                     "servo_gain", tuple(off), "simulator", ratios[off[0]], "1",
                     f"the stiffness of the simulator's servo is {said} times the arm's on "
-                    f"{joints_words(off)}",
+                    f"{joint_list(off)}",
                     "Give the simulator the arm's gains, in N m/rad.",
                 )
             )  # fmt: skip
@@ -429,7 +429,7 @@ def servo_faults(simulated: Sequence[Law], real: Sequence[Law]) -> list[Fault]:
             found.append(
                 Fault(
                     "gravity_compensation", tuple(adds), side, value, "1",  # type: ignore[arg-type]
-                    f"the {side}'s servo adds the gravity torque on {joints_words(adds)}, the "
+                    f"the {side}'s servo adds the gravity torque on {joint_list(adds)}, the "
                     "other one's does not",
                     "Switch gravity compensation on (or off) in both.",
                 )
@@ -530,7 +530,7 @@ def body_faults(simulated: Sequence[Share], real: Sequence[Share]) -> list[Fault
                 Fault(
                     "gravity_compensation", tuple(lacks), side,  # type: ignore[arg-type]
                     float(np.median([own[j].gravity for j in lacks])), "1",
-                    f"the {side}'s torque holds no gravity on {joints_words(lacks)}, the other "
+                    f"the {side}'s torque holds no gravity on {joint_list(lacks)}, the other "
                     "one's does: it is compensated beside the logged torque, or switched off",
                     "Switch gravity (or its compensation) on in both, or off in both.",
                 )
@@ -560,30 +560,26 @@ def body_faults(simulated: Sequence[Share], real: Sequence[Share]) -> list[Fault
             found.append(
                 Fault(
                     "friction_never_applied", tuple(none), side, 0.0, "N m",  # type: ignore[arg-type]
-                    f"{words} on {joints_words(none)}, where the other one has "
+                    f"{words} on {joint_list(none)}, where the other one has "
                     + listed_sizes([other[j].size[1] for j in none]) + " N m",
                     remedy,
                 )
             )  # fmt: skip
-    # Rotors.
-    for side, own, other in (("simulator", simulated, real), ("arm", real, simulated)):
-        turns = [j for j in range(len(pairs)) if other[j].rotor > SURE * other[j].std[3]]
-        none = [j for j in turns if own[j].rotor + own[j].std[3] < 2 * LITTLE * other[j].rotor]
-        if len(none) > 1 and len(none) > MOST * len(turns) and side == "simulator":
-            found.append(
-                Fault(
-                    "armature_zero", tuple(none), side, 0.0, "kg m^2",  # type: ignore[arg-type]
-                    f"the simulator's rotors have no inertia on {joints_words(none)}, where the "
-                    "arm's have " + listed_sizes([other[j].rotor for j in none]) + " kg m^2",
-                    "Set armature, rotor inertia times the square of the gear's ratio.",
-                )
-            )  # fmt: skip
+    # Rotors, which a simulator has only if its file says so.
+    turns = [j for j in range(len(pairs)) if real[j].rotor > SURE * real[j].std[3]]
+    none = [
+        j for j in turns if simulated[j].rotor + simulated[j].std[3] < 2 * LITTLE * real[j].rotor
+    ]
+    if len(none) > 1 and len(none) > MOST * len(turns):
+        found.append(
+            Fault(
+                "armature_zero", tuple(none), "simulator", 0.0, "kg m^2",
+                f"the simulator's rotors have no inertia on {joint_list(none)}, where the "
+                "arm's have " + listed_sizes([real[j].rotor for j in none]) + " kg m^2",
+                "Set armature, rotor inertia times the square of the gear's ratio.",
+            )
+        )  # fmt: skip
     return found
-
-
-def joints_words(joints: Sequence[int]) -> str:
-    """`joint 2`, `joints 2, 3`."""
-    return f"joint{'s' if len(joints) > 1 else ''} {', '.join(str(j + 1) for j in joints)}"
 
 
 def listed_sizes(values: Sequence[float]) -> str:

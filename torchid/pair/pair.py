@@ -298,7 +298,7 @@ def _one_sided(found: Finding, diagnosis: Diagnosis) -> OneSided:
     located = found.located or found.joints
     return OneSided(
         effect=found.effect.name,
-        joints=found.located or found.joints,
+        joints=located,
         more="arm" if has > had else "simulator",
         only=less < NOTHING * more,
         simulator=dict(zip(names, before, strict=True)),

@@ -11,7 +11,7 @@ that takes z to a on both sides. Inertial parameters are expressed in the link f
 """
 
 import copyreg
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -32,6 +32,12 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 Basis = Literal["report", "conditioned"]
 """Which base parameters stand for the others: the report's, or those of the best conditioning."""
 LIMITS = ("position", "velocity", "acceleration", "torque")
+
+
+def joint_list(joints: Sequence[int]) -> str:
+    """Joints (from 0) for people: `joint 3`, `joints 1, 4`."""
+    names = ", ".join(str(k + 1) for k in joints)
+    return f"joint{'s' if len(joints) > 1 else ''} {names}"
 
 
 def free_name(name: str, taken: set[str]) -> str:
