@@ -105,8 +105,8 @@ class Option:
                 its own can mean; or a text that cannot be read.
         """
         most = LARGEST_WHOLE if isinstance(given, int) else LARGEST_REAL
-        own = getattr(get_args(self.parameter.annotation)[1], "max", None)
-        if isinstance(given, int | float) and not abs(given) <= (own or most):
+        most = getattr(get_args(self.parameter.annotation)[1], "max", None) or most
+        if isinstance(given, int | float) and not abs(given) <= most:
             raise TorchidError(
                 f"{self.shown} is out of range.", got=given, expected=f"at most {most:g} in size"
             )

@@ -262,14 +262,19 @@ def _spent(
     """Degrees of freedom that the fit takes from each joint: the trace of its rows' part of the hat
     matrix."""
     free = (~held).nonzero().flatten()
-    triangle = torch.linalg.qr(factor[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(triangle, torch.eye(len(free)).to(triangle), upper=True)
+    inverse = _orthonormal(factor, free)
     spent = []
     for w, f, c in zip(weight.tolist(), r, layout.columns, strict=True):
         wide = f.new_zeros(len(f), layout.size)
         wide[:, list(c)] = w * f[:, :-1]
         spent.append((wide[:, free] @ inverse).square().sum())
     return torch.stack(spent)
+
+
+def _orthonormal(factor: Float[Tensor, "C C"], free: Int[Tensor, " F"]) -> Float[Tensor, "F F"]:
+    """Combinations of the free columns of a factor that are orthonormal."""
+    triangle = torch.linalg.qr(factor[:, free], mode="r").R
+    return torch.linalg.solve_triangular(triangle, torch.eye(len(free)).to(triangle), upper=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,8 +310,7 @@ def estimate(factors: Factors, model: FleetModel) -> Estimate:
     found = solved(factors, layout)
     free = (~found.held).nonzero().flatten()
     # Coordinates in which the fitted columns are orthonormal: no digits are lost to squares.
-    basis = torch.linalg.qr(found.factor[:, free], mode="r").R
-    inverse = torch.linalg.solve_triangular(basis, torch.eye(len(free)).to(basis), upper=True)
+    inverse = _orthonormal(found.factor, free)
     count = len(factors.rows)
     hessians = torch.zeros(count, len(free), len(free), dtype=torch.float64)
     gradients = torch.zeros(count, len(free), dtype=torch.float64)

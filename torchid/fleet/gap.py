@@ -67,7 +67,7 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
             task.log, task.model, Store(task.place), question, compute
         )
     except LogError as error:
-        return LogAnswer(task.log, "", "", "refused", (" ".join(str(error).split()),)), {}
+        return LogAnswer.unopened(task.log, error), {}
     if "refused" in entry.words:
         return LogAnswer(task.log, digest, key, "refused", (entry.words["refused"],)), {}
     gap = entry.words["gap"]
@@ -278,8 +278,7 @@ def fleet_gap(
         answers: list[tuple[LogAnswer, dict[str, Any]]] = []
         for task, one in zip(tasks, found, strict=True):
             if isinstance(one, Failure):
-                reason = (f"{one.reason} ({one.tries} tries)",)
-                answers.append((LogAnswer(task.log, "", "", "failed", reason), {}))
+                answers.append((LogAnswer.failed(task.log, one), {}))
             else:
                 answers.append(one)
         if part is None:

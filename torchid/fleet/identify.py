@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pyarrow as pa
@@ -19,7 +18,6 @@ import torch
 
 from torchid import __version__
 from torchid.errors import IdentificationError, TorchidError, visible
-from torchid.files import atomic_write
 from torchid.fleet.factors import Estimate, Solved
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
@@ -42,7 +40,7 @@ from torchid.fleet.tasks import (
     whole_type,
 )
 from torchid.identification.base_parameters import BaseParameters, physical_signs
-from torchid.parallel.store import Store, is_url
+from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
 from torchid.results.record import Result
 from torchid.robot.library import named_record
@@ -236,9 +234,7 @@ def reduce_fleet(
     tasks = [LogTask(log, model, store.place) for log in ordered]
     found = attempted(answer_log, tasks, workers, "reducing logs", progress)
     answers = [
-        LogAnswer(task.log, "", "", "failed", (f"{a.reason} ({a.tries} tries)",))
-        if isinstance(a, Failure)
-        else a
+        LogAnswer.failed(task.log, a) if isinstance(a, Failure) else a
         for task, a in zip(tasks, found, strict=True)
     ]
     # The same motion counts once, whatever it is called.
@@ -373,15 +369,7 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
     ]  # fmt: skip
     stream = io.BytesIO()
     pa.parquet.write_table(pa.Table.from_pylist(rows), stream)
-    if is_url(store.place):
-        import fsspec
-
-        with fsspec.open(f"{store.place.rstrip('/')}/{name}", "wb", auto_mkdir=True) as file:
-            file.write(stream.getvalue())
-        return
-    Path(store.place).mkdir(parents=True, exist_ok=True)
-    with atomic_write(Path(store.place) / name, "wb") as file:
-        file.write(stream.getvalue())
+    store.put(f"{store.place.rstrip('/')}/{name}", stream)
 
 
 def _notes(

@@ -31,6 +31,7 @@ from torchid.fleet.reading import first_minute, stretches, temperature_of
 from torchid.json_data import plain
 from torchid.log.model import Log
 from torchid.parallel.store import Entry, Store, content_hash, key_of, local_file, stamp
+from torchid.parallel.workers import Failure
 
 ESTIMATED = ("values", "covariance", "freedom", "noise")
 """Arrays of an estimate."""
@@ -75,6 +76,16 @@ class LogAnswer:
     temperature: float | None = None
     found: bool = False
 
+    @classmethod
+    def failed(cls, log: FleetLog, failure: Failure) -> "LogAnswer":
+        """Of a log whose task gave nothing."""
+        return cls(log, "", "", "failed", (f"{failure.reason} ({failure.tries} tries)",))
+
+    @classmethod
+    def unopened(cls, log: FleetLog, error: LogError) -> "LogAnswer":
+        """Of a log that is not there, or cannot be opened."""
+        return cls(log, "", "", "refused", (" ".join(str(error).split()),))
+
 
 def answer_log(task: LogTask) -> LogAnswer:
     """Reduce a log, unless the store has its factors already.
@@ -92,7 +103,7 @@ def answer_log(task: LogTask) -> LogAnswer:
             lambda path: _reduced(task.model, path, task.log.path),
         )
     except LogError as error:  # there is no such file, or it cannot be opened
-        return LogAnswer(task.log, "", "", "refused", (" ".join(str(error).split()),))
+        return LogAnswer.unopened(task.log, error)
     known: dict[str, Any] = {
         k: tuple(v) if isinstance(v, list) else v for k, v in entry.words.items()
     }

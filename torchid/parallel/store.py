@@ -80,13 +80,21 @@ class Store:
         text = json.dumps(plain(words), allow_nan=False).encode()
         stream = io.BytesIO()
         np.savez(stream, **{WORDS: np.frombuffer(text, np.uint8)}, **arrays)  # type: ignore[arg-type]
+        self.put(self.path(key), stream)
+
+    def put(self, place: str, stream: io.BytesIO) -> None:
+        """Write a file of the store, whole or not at all.
+
+        Raises:
+            TorchidError: it cannot be written: a full disk, a folder that takes no file.
+        """
         if is_url(self.place):
             import fsspec
 
-            with fsspec.open(self.path(key), "wb", auto_mkdir=True) as file:
+            with fsspec.open(place, "wb", auto_mkdir=True) as file:
                 file.write(stream.getbuffer())
             return
-        path = Path(self.path(key))
+        path = Path(place)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

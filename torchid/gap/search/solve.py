@@ -159,8 +159,8 @@ def solved(
     out = []
     for t, v, own in zip(best.terms, best.values, std.split([len(v) for v in values]), strict=True):
         twice = t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v)
-        apart = v * 0 if t.seen is None else v - t.centre
-        out.append(own.hypot(torch.tensor(twice, dtype=torch.float64)).hypot(apart))
+        spread = own.hypot(torch.tensor(twice, dtype=torch.float64))
+        out.append(spread if t.seen is None else spread.hypot(v - t.centre))
     return replace(best, std=tuple(out))
 
 
