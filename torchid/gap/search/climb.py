@@ -132,7 +132,7 @@ def moves(question: Question, fit: Fitted, instead: Term | None = None) -> list[
                 out.append((net - len(names) * question.price(), terms))
             if net > 0:
                 nets.append((net, terms))
-        if 2 * len(nets) >= question.joints and len(nets) > 1:
+        if 2 * len(nets) > question.joints and len(nets) > 1:
             together = tuple(t for _, terms in nets for t in terms)
             out.append((sum(net for net, _ in nets) - len(names) * question.price(), together))
     return sorted(out, key=lambda move: -move[0])

@@ -86,6 +86,7 @@ class Question:
         settings: how it is decided: the level, the least worth of a cause, the most causes.
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
+        barred: causes that are not offered, by their keys.
     """
 
     candidates: Candidates
@@ -93,6 +94,7 @@ class Question:
     settings: GapSettings
     rows: dict[int, Tensor] = field(default_factory=dict, repr=False)
     seen: dict[int, int] = field(default_factory=dict, repr=False)
+    barred: frozenset[object] = frozenset()
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -333,7 +335,7 @@ def directions(question: Question, term: Term) -> int:
 def common_names(terms: Iterable[Term], n: int) -> set[str]:
     """Effects that arms have on all joints, and that terms have on most of n."""
     count = Counter(t.name for t in terms if t.place is not None)
-    return {name for name, k in count.items() if KINDS[name].on_all and 2 * k >= n}
+    return {name for name, k in count.items() if KINDS[name].on_all and 2 * k > n}
 
 
 def in_turn(
@@ -414,7 +416,7 @@ def offers(question: Question, fit: Fitted, places: Sequence[Place] | None = Non
         held.append(h)
         pulls.append(b)
     # Each batch at once: squares, pulls and what is held of the candidates' columns.
-    present = {t.key for t in fit.terms if t.effects}
+    present = {t.key for t in fit.terms if t.effects} | question.barred
     out: list[Offer] = []
     for batch in question.candidates.batches:
         if places is not None and batch.place not in places:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from torchid.design.columns import Columns, Model, on_joint
+from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.gram import Normal, visible_root
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.transient import Contact
@@ -124,6 +124,7 @@ def explained(
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
         # Where a cause has left or bodies have joined, another one may say the rest better.
+        fit, left = resumed(question, folds, fit, left)
         fit, left = exchanged(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
@@ -200,6 +201,26 @@ def exchanged(
     return fit, out
 
 
+def resumed(
+    question: Question,
+    folds: Sequence[tuple[Normal, Normal]],
+    fit: Fitted,
+    left: Sequence[Term],
+) -> tuple[Fitted, list[Term]]:
+    """The search goes on without the causes that are not worth a name, for these have held what
+    others say, as long as the evidence rises."""
+    out = list(left)
+    while out:
+        barred = replace(question, barred=frozenset(t.key for t in out))
+        more, gone = worthy(barred, folds, climbed(barred, fit.terms[len(question.fixed) :]))
+        if better(question, [fit, more]) is fit:
+            break
+        fit, out = more, [*out, *gone]
+        if not gone:
+            break
+    return fit, out
+
+
 def with_bodies(question: Question, folds: Sequence[tuple[Normal, Normal]], fit: Fitted) -> Fitted:
     """All base parameters beside what was found, if they are worth it: last, for they hold a share
     of every cause. They displace what the evidence does not need beside them."""
@@ -250,21 +271,26 @@ def without_terms(
 
 
 def refined(question: Question, fit: Fitted) -> list[Effect]:
-    """Shapes of the terms between those of the grid, where they explain more."""
+    """Shapes between those of the grid, where they explain more: of the terms, and of the likeliest
+    further cause of each joint, which may lack evidence at the grid's shapes alone."""
     columns = question.candidates.columns
-    interval = columns.samples.interval
+    own = fit.terms[len(question.fixed) :]
+    further: dict[Place, Term] = {}
+    for net, (term, *_) in moves(question, fit):
+        if net > 0 and term.shapes > 0:
+            further.setdefault(term.place, term)
     out: list[Effect] = []
-    for term in fit.terms[len(question.fixed) :]:
+    for term in (*own, *further.values()):
         effect = term.effects[0] if len(term.effects) == 1 else None
         if isinstance(effect, JointEffect):
             movable = term.shapes > 0
         else:
+            interval = columns.samples.interval
             movable = isinstance(effect, ModelEffect) and bool(effect.around(0, interval))
         if effect is None or not movable:
             continue
         # The shape that leaves least, all coefficients fitted anew with it.
-        others = [t for t in fit.terms[len(question.fixed) :] if t is not term]
-        best = _closest(question, fit, others, effect, columns)
+        best = _closest(question, fit, [t for t in own if t is not term], effect, columns)
         if best is not None and best != effect:
             out.append(best)
     return out
