@@ -124,8 +124,8 @@ def explained(
         folds = question.candidates.gram.folds()
         fit, left = worthy(question, folds, fit)
         # Where a cause has left or bodies have joined, another one may say the rest better.
-        fit, left = resumed(question, folds, fit, left)
         fit, left = exchanged(question, folds, fit, left)
+        fit, left = resumed(question, folds, fit, left)
         whole = with_bodies(question, folds, fit)
         if whole is not fit:
             fit, left = exchanged(question, folds, whole, left)
