@@ -88,7 +88,6 @@ def _windows(
         inner = torch.linalg.pinv(gram, rtol=1e-6, hermitian=True)
         looked.append(((pull.transpose(1, 2) @ inner @ pull).flatten(), start, length))
     total = sum(len(gain) for gain, _, _ in looked)
-    slow = correlation_instants(r.T, bounds)
     found: list[tuple[float, int, int]] = []
     for gain, start, length in looked:
         for k in gain.argsort(descending=True)[:MOST].tolist():
@@ -97,6 +96,8 @@ def _windows(
             others = gain[(start - start[k]).abs() >= 2 * length]
             if len(others) < FEWEST_BLOCKS:
                 continue
+            # How slow chance is there, too: a push in the window is no noise.
+            slow = correlation_instants(r.T, _outside(bounds, int(start[k]), length))
             apart = len(others) * max(1, length // 2) / max(length, slow)
             usual = max(1.0, float(others.quantile(LEVEL)) / float(chi2.ppf(LEVEL, c)))
             # A scale known from so many windows apart: F in the place of chi^2.
@@ -105,3 +106,10 @@ def _windows(
                 found.append((score, int(start[k]), int(start[k]) + length))
     found.sort(reverse=True)
     return [(a, b) for _, a, b in found]
+
+
+def _outside(bounds: Sequence[slice], first: int, length: int) -> list[slice]:
+    """What is left of stretches of samples without a window and one as long on either side."""
+    low, high = first - length, first + 2 * length
+    cut = [(slice(b.start, min(b.stop, low)), slice(max(b.start, high), b.stop)) for b in bounds]
+    return [s for pair in cut for s in pair if s.stop > s.start]
