@@ -244,6 +244,7 @@ def test_causes_are_terms_but_what_most_joints_have_is_one(question: Question) -
     assert len(cause_groups(springs, 3)) == 3  # an arm that has one has no reason to have others
     assert common_names(dry[:2], 3) == {"coulomb_friction"}
     assert not common_names(dry[:1], 3)
+    assert not common_names(dry, 6)  # half of them are not most
     assert not common_names(springs, 3)
 
 

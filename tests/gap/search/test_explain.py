@@ -1,0 +1,64 @@
+"""What joins once others have left, and shapes that the grid does not hold."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tests.gap.problems import SIMPLE, measured, named, question_of, term, two_folds
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.periodic import Cogging
+from torchid.gap.search.climb import climbed, fitted, moves, worthy
+from torchid.gap.search.evidence import apart, offers
+from torchid.gap.search.explain import refined, resumed
+
+
+def test_what_is_barred_is_not_offered() -> None:
+    question = question_of(measured([(CoulombFriction(1), [0.6])]))
+    dry = term(question, "coulomb_friction", 1)
+    barred = replace(question, barred=frozenset([dry.key]))
+    empty = fitted(question)
+    assert any(o.term.key == dry.key for o in offers(question, empty))
+    assert not any(o.term.key == dry.key for o in offers(barred, empty))
+    assert ("coulomb_friction", 1) not in named(climbed(barred, ()).terms)
+
+
+def test_the_search_goes_on_without_what_has_left() -> None:
+    """Viscous friction has left, which the search may not take again; dry friction, which it stood
+    for, joins in its place."""
+    data = measured([(CoulombFriction(1), [0.6]), (ViscousFriction(0), [0.8])])
+    question = question_of(data, parts=two_folds(data))
+    folds = question.candidates.gram.folds()
+    left = [term(question, "viscous_friction", 1)]
+    start, _ = worthy(question, folds, fitted(question, [term(question, "viscous_friction", 0)]))
+    fit, gone = resumed(question, folds, start, left)
+    assert named(fit.terms) == {("coulomb_friction", 1), ("viscous_friction", 0)}
+    assert gone == left
+    # Where nothing has left nothing is looked for.
+    same, none = resumed(question, folds, start, [])
+    assert same is start
+    assert none == []
+
+
+@pytest.mark.parametrize("between", [0.35, 0.5])
+def test_a_shape_between_those_of_the_grid_is_found_before_its_cause_is(between: float) -> None:
+    """Cogging whose period lies between two of the grid's has its shape refined although it is no
+    term yet, and more evidence with the shape that is found."""
+    names = (*SIMPLE, "cogging")
+    data = measured([], noise=0.0)
+    grid = sorted(
+        {t.effects[0].k for t in question_of(data, names).candidates.terms if t.name == "cogging"}
+    )
+    k = grid[3] + between * (grid[4] - grid[3])
+    data = measured([(Cogging(1, k=k), [0.2, 0.1])])
+    question = question_of(data, names)
+    empty = fitted(question)
+    (best, *_) = (m for _, m in moves(question, empty) if m[0].name == "cogging")
+    (finer,) = (e for e in refined(question, empty) if e.name == "cogging" and e.joint == 1)
+    assert abs(finer.k - k) < 0.2 * abs(best[0].effects[0].k - k)
+    again = question_of(data, names, extra=[finer])
+    (own,) = (t for t in again.candidates.terms if t.effects == (finer,))
+    (near,) = (t for t in again.candidates.terms if t.effects == best[0].effects)
+    with_it, without = apart(again, fitted(again, [own]), fitted(again, [near]))
+    assert with_it.evidence > without.evidence
+    assert torch.isfinite(torch.tensor(with_it.evidence))
