@@ -147,8 +147,12 @@ def diagnose(
     say("judging", 0, 1)
     fitted_first = robot.parameters is None
     checked = check(found, data, None, folds, repeats, settings, fitted_first)
-    # What makes a fold worse that it was not fitted on leaves, until nothing does.
-    while gone := harmful(found, checked):
+    # What makes a fold worse that it was not fitted on leaves, until nothing does. Something was
+    # there that it took the place of.
+    least = found.question.least(found.empty.losses / found.question.normal.rows.clamp(min=1.0))
+    taken = False
+    while gone := harmful(found, checked, least):
+        taken = True
         found = without_terms(found, gone, data, block)
         checked = check(found, data, None, folds, repeats, settings, fitted_first)
     if judged is not None:
@@ -187,6 +191,7 @@ def diagnose(
             found.question.least(far.rms_before.square()),
             poor,
             shown=all(map(found.question.shows, found.terms)),
+            taken=taken,
         ),
         joints=joints,
         regimes=regimes,
@@ -336,12 +341,14 @@ def check(
     )
 
 
-def harmful(found: Explanation, checked: Checked) -> list[Term]:
-    """Terms that do no good on data that was not fitted: those located at a joint that gets worse,
-    and all that belong to the whole arm where the gap does not shrink at all. What happened once is
-    not asked."""
+def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
+    """Terms that do no good on data that was not fitted: those of a joint that gets worse; those
+    that several joints feel, where the one they are located at gets worse by what would be worth a
+    name; and all that belong to the whole arm where the gap does not shrink at all. What happened
+    once is not asked."""
     far = checked.far
-    worse = set((far.rms_after > far.rms_before).nonzero().flatten().tolist())
+    rise = far.rms_after - far.rms_before
+    own, shared = (set(x.nonzero().flatten().tolist()) for x in (rise > 0, rise >= least))
     out = []
     for term in found.terms:
         # What happened once cannot be foretold, so that held-out data say nothing about it; nor
@@ -349,13 +356,19 @@ def harmful(found: Explanation, checked: Checked) -> list[Term]:
         if any(e.event for e in term.effects) or found.question.shows(term):
             continue
         at = term.effects[0].joints if len(term.effects) == 1 else ()
+        worse = shared if term.place is None else own
         if worse.intersection(at) if at else not far.improves:
             out.append(term)
     return out
 
 
 def status_of(
-    said: Told, checked: Checked, least: Float[Tensor, " n"], poor: bool, shown: bool
+    said: Told,
+    checked: Checked,
+    least: Float[Tensor, " n"],
+    poor: bool,
+    shown: bool,
+    taken: bool = False,
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
     has an interval; what is left is unexplained where it exceeds the noise there and a flexible
@@ -367,6 +380,8 @@ def status_of(
         least: (n,) torque that is worth a name [N m; N].
         poor: whether the log could not show most effects.
         shown: whether another sensor than that of torque shows all that is told.
+        taken: whether something that the evidence had was taken back for the harm that it did: it
+            was no explanation, but the gap is there.
     """
     far, noise = checked.far, checked.noise
     excess = (far.rms_after / noise.floor.high.clamp(min=1e-12)).square()
@@ -380,7 +395,7 @@ def status_of(
         odd = clear = torch.zeros_like(odd)  # of the noise there is an upper bound only
     unexplained = bool((odd | clear | ((noise.structure > STRUCTURE) & (beyond > least))).any())
     if not (said.findings or said.parametric):
-        if unexplained:
+        if unexplained or taken:
             return "detected_unexplained"
         return "not_testable" if poor else "no_gap"
     if unexplained or not (shown or (far.improves and far.closed is not None)):
