@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import Fields, Switch, command
@@ -15,9 +16,6 @@ if TYPE_CHECKING:
     from torchid.export.correct import Correction
     from torchid.export.projection import Target
     from torchid.gap.diagnosis import Diagnosis
-    from torchid.log.model import Log
-    from torchid.robot.model import Robot
-
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "gazebo"]
 """What a corrected file can be for; the last three read one of the first two."""
@@ -81,7 +79,7 @@ def correct_command(
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     from torchid.export.export import require_name
-    from torchid.gap.diagnose import diagnose
+    from torchid.report.correction import shown
     from torchid.report.gap_words import verdict
 
     kind = file_format(to)
@@ -89,19 +87,19 @@ def correct_command(
         require_name(name)
     found, log, apart, _ = trials.open(output)
     with output.progress("reading") as progress:
-        result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
     output.verdict(verdict(result))
-    say_corrected(output, done)
+    output.tell(shown(done))
 
 
 def corrected_by(
     output: Output,
-    robot: "Robot",
-    full: "Robot | Diagnosis",
-    log: "Log",
-    held_out: "Log | None",
+    robot: "torchid.Robot",
+    full: "torchid.Robot | Diagnosis",
+    log: "torchid.Log",
+    held_out: "torchid.Log | None",
     to: "Target",
     name: str | None,
     keep: list[Path],
@@ -115,31 +113,9 @@ def corrected_by(
         robot, full, log, held_out, to, name, keep, settings, with_effects: see
             `torchid.export.correct.correct`.
     """
-    from torchid.export.correct import correct
-
-    folder = output.out or Path()
-    done = correct(
-        robot,
-        full,
-        log,
-        to,
-        folder,
-        name,
-        held_out=held_out,
-        settings=settings,
-        with_effects=with_effects,
-        keep=keep,
-    )
+    done = torchid.correct(
+        robot, full, log, to, output.out or Path(), name, held_out=held_out, settings=settings,
+        with_effects=with_effects, keep=keep,
+    )  # fmt: skip
     output.write_json(done.plain(), "correction.json")
     return done
-
-
-def say_corrected(output: Output, done: "Correction") -> None:
-    """Tell what a corrected file is worth."""
-
-    from torchid.report.correction import headline, tables
-
-    output.verdict(headline(done))
-    output.say(*tables(done))
-    output.warn(dict.fromkeys((*done.warnings, *(w for x in done.exports for w in x.warnings))))
-    output.say(f"\nwritten: {', '.join(map(str, done.files))}")

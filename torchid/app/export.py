@@ -5,8 +5,9 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.correct import corrected_by, say_corrected
+from torchid.app.correct import corrected_by
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
@@ -53,8 +54,6 @@ def export_command(
         held_out: Whole trajectories that judge what was refitted.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-
-    from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
     from torchid.export.results import (
         CORRECTED,
@@ -65,12 +64,9 @@ def export_command(
         robot_dynamics,
         set_dynamics,
     )
-    from torchid.report.robot import (
-        comparison_table,
-        effect_lines,
-        export_headline,
-    )
-    from torchid.robot.library import is_robot, load_both, load_robot, named_robot
+    from torchid.report.correction import shown as corrected_shown
+    from torchid.report.robot import export_shown
+    from torchid.robot.library import is_robot, load_both, named_robot
 
     settings = GapSettings()
     if is_robot(result):
@@ -87,7 +83,9 @@ def export_command(
             )
     else:
         path = Path(result)
-        nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+        nominal = (
+            named_robot(path, data, tip) if robot is None else torchid.load_robot(robot, tip=tip)
+        )
         original = nominal
         if "sets" in data:
             dynamics = set_dynamics(path, data, nominal, chosen, geometry)
@@ -105,21 +103,10 @@ def export_command(
         assert read is not None
         whole = dynamics.robot
         made = corrected_by(output, original, whole, read, apart, to, name, keep, settings)
-        say_corrected(output, made)
+        output.tell(corrected_shown(made))
         return
-    done = export_dynamics(
-        dynamics,
-        to,
-        output.out or Path(),
-        name,
-        nominal=nominal,
-        original=original,
-        geometry=geometry,
-        force=force,
-        seed=seed,
-        keep=keep,
-    )
-    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
-    output.say(comparison_table(done), *effect_lines(done))
-    output.warn(done.warnings)
-    output.say(f"\nwritten: {export_headline(done)}")
+    done = torchid.export_dynamics(
+        dynamics, to, output.out or Path(), name, nominal=nominal, original=original,
+        geometry=geometry, force=force, seed=seed, keep=keep,
+    )  # fmt: skip
+    output.give(done, f"export_{to}.json", export_shown, seed=seed)

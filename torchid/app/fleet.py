@@ -145,7 +145,7 @@ def identify_command(
             the robot's own).
     """
     from torchid.fleet.identify import fleet_identify, reduce_fleet
-    from torchid.report.fleet import tables, verdict
+    from torchid.report.fleet import shown
 
     crew, store = engine.crew(), engine.kept(output)
     logs, model = units.listed(), units.model(settings)
@@ -159,10 +159,7 @@ def identify_command(
         return
     with output.progress("reducing logs") as progress:
         found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
-    output.write_json({**found.plain(), "seed": seed}, "fleet.json")
-    output.verdict(verdict(found.record))
-    output.say(*tables(found.record))
-    output.warn(found.notes)
+    output.give(found.record, "fleet.json", shown, seed=seed)
 
 
 @fleet_app.command("gap", cls=ProjectCommand)
@@ -194,13 +191,7 @@ def gap_command(
         rollout: Simulate short motions before and after.
     """
     from torchid.fleet.gap import fleet_gap
-    from torchid.report.fleet import (
-        diagnosed_table,
-        effect_table,
-        fleet_gap_page,
-        gap_map,
-        gap_verdict,
-    )
+    from torchid.report.fleet import gap_shown
 
     crew, store = engine.crew(), engine.kept(output)
     logs, model = units.listed(), units.model(FleetSettings())
@@ -217,17 +208,14 @@ def gap_command(
     if engine.array is not None:
         _say_part(output, tuple(answer for answer, _ in found.answers), engine.array)
         return
-    output.write_json({**found.plain(), "seed": settings.seed}, "fleet_gap.json")
-    output.draw(lambda: {"map": gap_map(found.record)})
-    output.write_page(
-        lambda origin: fleet_gap_page(found.record, origin),
+    output.give(
+        found.record,
+        "fleet_gap.json",
+        gap_shown,
+        seed=settings.seed,
         files=output.hashed([("log", log.path, Path(log.path)) for log in logs]),
-        seeds={"seed": settings.seed},
         settings={"effects": settings.effects or "all", "parameters": settings.parameters},
     )
-    output.verdict(gap_verdict(found.record))
-    output.say(effect_table(found.record), diagnosed_table(found.record, 20))
-    output.warn(found.record.notes)
 
 
 @fleet_app.command("watch", cls=ProjectCommand)
@@ -257,7 +245,7 @@ def watch_command(
     """
     from torchid.fleet.identify import fleet_identify
     from torchid.fleet.watch import watch
-    from torchid.report.fleet import alarm_table, watch_verdict
+    from torchid.report.fleet import watch_shown
 
     if engine.array is not None:
         raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
@@ -266,11 +254,7 @@ def watch_command(
     with output.progress("reducing logs") as progress:
         fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
     found = watch(fleet, every)
-    output.write_json({**found.plain(), "seed": seed}, "fleet_watch.json")
-    output.verdict(watch_verdict(found.record))
-    if found.alarms:
-        output.say(alarm_table(found.record))
-    output.warn(found.notes)
+    output.give(found.record, "fleet_watch.json", watch_shown, seed=seed)
 
 
 def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Printed
 from torchid.app.project import ProjectCommand
@@ -147,9 +148,7 @@ def score_command(
         truth: Simulate cases again without noise: how far gaps are really closed.
         partial: Leave out cases that have no answer yet.
     """
-    from torchid.files import atomic_write
-    from torchid.report.withheld import headline, markdown, score_table
-    from torchid.report.withheld_figures import figures
+    from torchid.report.withheld import markdown, shown
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid.withheld.references import baseline_answers, oracle_answers, true_shares
     from torchid.withheld.summary import require_answers, summary
@@ -164,14 +163,9 @@ def score_command(
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
         true = true_shares(found, opened, answers, count, progress) if truth else None
     result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
-    output.write_json(result, "score.json")
-    drawn = output.draw(lambda: figures(result))
-    if output.out is not None:
-        with atomic_write(output.out / "score.md") as text:
-            text.write(markdown(result, drawn))
-        output.written.append(output.out / "score.md")
-    output.verdict(headline(result))
-    output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
+    said = output.keep(result, "score.json", shown)
+    output.write_text(markdown(result, [f"{name}.png" for name in said.figures]), "score.md")
+    output.tell(said)
 
 
 @withheld_app.command("leave-out")
@@ -194,7 +188,6 @@ def leave_out_command(
         effects: Effects to leave out in turn, comma-separated; `all`.
         per_effect: Cases of each effect.
     """
-    from torchid.files import atomic_write
     from torchid.report.withheld import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
 
@@ -211,9 +204,7 @@ def leave_out_command(
             progress=progress,
         )
     output.write_json(result, "leave_out.json")
-    with atomic_write(out / "leave_out.md") as text:
-        text.write(leave_out_markdown(result))
-    output.written.append(out / "leave_out.md")
+    output.write_text(leave_out_markdown(result), "leave_out.md")
     output.say(leave_out_headline(result))
 
 
@@ -246,12 +237,11 @@ def own_command(
         plant: Effects of one joint to plant in the log; `none` for none.
         joints: Joints where they are planted.
     """
-    from torchid.report.withheld import own_headline, own_tables
-    from torchid.withheld.own import withheld_own
+    from torchid.report.withheld import own_shown
 
     found, log, apart, _ = trials.open(output)
     with output.progress() as progress:
-        result = withheld_own(
+        result = torchid.withheld_own(
             found,
             log,
             untouched=apart,
@@ -261,8 +251,4 @@ def own_command(
             jobs=processes(jobs),
             progress=progress,
         )
-    output.write_json({**result.plain(), "seed": settings.seed}, "own.json")
-    output.verdict(own_headline(result))
-    output.say(*own_tables(result))
-    if not result.whole:
-        output.say("untouched data: the second half of every trajectory (--held-out for others)")
+    output.give(result, "own.json", own_shown, seed=settings.seed)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import command
@@ -13,7 +14,6 @@ from torchid.study.equal_torque.settings import MARGIN
 
 if TYPE_CHECKING:
     from torchid.effects.base import Motion
-    from torchid.robot.model import Robot
 
 
 @command
@@ -53,14 +53,11 @@ def wrenches_command(
         variants: Ask the question again with other outer bounds.
         resamples: Of the bootstrap of the intervals.
     """
-    from torchid.log.readers import read_log
-    from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.tables import findings, tables
+    from torchid.report.equal_torque import findings, shown
     from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
-    from torchid.study.equal_torque.study import equal_torque_study
 
     found = opt.limited(arm.load(), None, max_acceleration)
-    motion = None if trajectory is None else logged_motion(read_log(trajectory), found)
+    motion = None if trajectory is None else logged_motion(torchid.read_log(trajectory), found)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
     if sets:
@@ -68,7 +65,7 @@ def wrenches_command(
         return
     setting = equal_torque_setting(found, geometry=geometry, total_mass=total_mass, margin=margin)
     with output.progress() as progress:
-        study = equal_torque_study(
+        study = torchid.equal_torque_study(
             setting.robot,
             per_kind=per_kind,
             setting=setting,
@@ -78,16 +75,12 @@ def wrenches_command(
             seed=seed,
             progress=progress,
         )
-    told = findings(study)
-    output.write_json({**study.plain(), "findings": told}, "wrenches.json")
-    output.draw(lambda: figures(study))
-    output.say(*tables(study))
-    output.warn(study.warnings)
-    output.say("\n" + "\n".join(f"- {sentence}" for sentence in told))
+    data = {**study.plain(), "findings": findings(study)}
+    output.give(data, "wrenches.json", lambda _: shown(study))
 
 
 def _given(
-    robot: "Robot",
+    robot: "torchid.Robot",
     files: list[Path],
     reference: str | None,
     geometry: str | None,
@@ -98,8 +91,7 @@ def _given(
     output: Output,
 ) -> None:
     from torchid.feasibility.sets import other_robot, read_all_sets
-    from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
-    from torchid.study.equal_torque.given_sets import compare_wrenches
+    from torchid.report.given_sets import shown, unequal
     from torchid.study.equal_torque.record import given_record
 
     sets = read_all_sets(files, robot)
@@ -107,20 +99,10 @@ def _given(
         raise TorchidError(
             "--reference names none of the sets.", got=reference, available=sets.ids[:20]
         )
-    found = compare_wrenches(
-        robot,
-        sets,
-        reference,
-        motion=motion,
-        geometry=geometry,
-        total_mass=total_mass,
-        resamples=resamples,
-        seed=seed,
-    )
+    found = torchid.compare_wrenches(
+        robot, sets, reference, motion=motion, geometry=geometry, total_mass=total_mass,
+        resamples=resamples, seed=seed,
+    )  # fmt: skip
     told = [note for file in files if (note := other_robot(file, robot))] + unequal(found)
-    data = given_record(found, tuple(str(file) for file in files))
-    output.write_json({**data.plain(), "warnings": told, "seed": seed}, "wrenches.json")
-    output.draw(lambda: figures(found))
-    output.say(*tables(found))
-    output.warn(told)
-    output.say(f"\n{headline(found)}")
+    data = given_record(found, tuple(str(file) for file in files)).plain() | {"warnings": told}
+    output.give(data, "wrenches.json", lambda _: shown(found, told), seed=seed)

@@ -5,7 +5,7 @@ import math
 from torchid.export.correct import Correction
 from torchid.export.projection import Kept
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Table
+from torchid.report.table import Shown, Table, cells, joint_numbers
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -13,6 +13,17 @@ from torchid.typing import Tensor
 def _given(nominal: Robot) -> str:
     """What a file is compared with."""
     return "robot as given" if nominal.parameters is not None else "base parameters alone"
+
+
+def shown(done: Correction) -> Shown:
+    """All that there is to see of a correction."""
+    warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
+    return Shown(
+        verdict=headline(done),
+        parts=tables(done),
+        warnings=dict.fromkeys(warnings),
+        last=f"written: {', '.join(map(str, done.files))}",
+    )
 
 
 def headline(done: Correction) -> str:
@@ -29,7 +40,7 @@ def headline(done: Correction) -> str:
 def tables(done: Correction) -> list[Table]:
     """Errors, motion, effects without a field, and bodies."""
     judged, nominal, n = done.judged, done.nominal, done.nominal.n
-    joints = [str(j + 1) for j in range(n)]
+    joints = joint_numbers(n)
     rows = [
         (_given(nominal), judged.nominal),
         ("all effects", judged.full),
@@ -41,10 +52,7 @@ def tables(done: Correction) -> list[Table]:
         Table(
             f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]",
             ("", *joints, "mean"),
-            [
-                (name, *(_percent(x) for x in v.tolist()), _percent(float(v.nanmean())))
-                for name, v in rows
-            ],
+            [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows],
             words=("",),
         )
     ]
@@ -72,10 +80,6 @@ def tables(done: Correction) -> list[Table]:
             )
         )
     return [*out, _bodies(done.projection.robot, nominal)]
-
-
-def _percent(x: float) -> str:
-    return "-" if math.isnan(x) else f"{x:.1f}"
 
 
 def _away(error: Tensor, turns: list[bool]) -> list[str]:

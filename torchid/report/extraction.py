@@ -1,6 +1,9 @@
 """An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
 parameters the torque determines, and how far."""
 
+from collections.abc import Sequence
+from functools import partial
+
 import torch
 from rich.text import Text
 
@@ -12,13 +15,29 @@ from torchid.extraction.problem import FAR, Problem
 from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Cell, Table, count, listed
+from torchid.report.panels import Figure, Figures, finish, panel, rows_of
+from torchid.report.table import Cell, Shown, Table, count, listed
 from torchid.robot.inertia import InertialParameters
 
 _SHOWN = 12
 ON_THE_BOUNDARY = 1e-6
 """Degree below which a feasible set is said to be on the boundary."""
+
+
+def shown(found: Found) -> Shown:
+    """All that there is to see of an extraction."""
+    said, last = tables(found, found.proof), headline(found, found.proof)
+    return Shown(parts=said, warnings=found.warnings, last=last, figures=figures(found))
+
+
+def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
+    """All that there is to see of an atlas."""
+    return Shown(
+        parts=[atlas_table(atlas)],
+        warnings=notes,
+        last=atlas_headline(atlas, problem),
+        figures={"atlas": partial(atlas_figure, atlas.record)},
+    )
 
 
 def headline(found: Found, proof: Certificate | None) -> str:
@@ -118,6 +137,12 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
         least = [(name, f"{value:.5g}") for name, value in noticeable(proof).items()]
         out.append(Table(title, columns, least[:_SHOWN], words=columns[:1]))
     return out
+
+
+def figures(found: Found) -> Figures:
+    """What draws the search's course, where there was one."""
+    search = found.search
+    return {} if search is None else {"search": partial(search_figure, search, found.proof)}
 
 
 def search_figure(search: Extraction, proof: Certificate | None) -> Figure:

@@ -10,7 +10,6 @@ from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, un
 from torchid.gap.record import Experiment, NotTestable
 from torchid.gap.search.solve import NORMAL
 from torchid.report import gap_figures
-from torchid.report.gap_figures import joint_figure
 from torchid.report.gap_words import (
     CLEAR,
     REGIMES,
@@ -25,8 +24,11 @@ from torchid.report.gap_words import (
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
 from torchid.report.table import (
+    Shown,
     Table,
+    cells,
     interval,
+    joint_numbers,
     joint_unit,
     listed,
     percent,
@@ -39,6 +41,17 @@ from torchid.simulation.two_models import Rollout
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
+
+
+def shown(diagnosis: Diagnosis) -> Shown:
+    """All that there is to see of a diagnosis."""
+    return Shown(
+        verdict=verdict(diagnosis),
+        parts=[*tables(diagnosis), *remarks(diagnosis)],
+        warnings=diagnosis.warnings,
+        figures=gap_figures.figures(diagnosis),
+        page=partial(gap_page, diagnosis),
+    )
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -135,15 +148,15 @@ def how_far_table(diagnosis: Diagnosis) -> Table:
     """RMS per joint before and after, beside the noise."""
     far, floor = diagnosis.how_far, diagnosis.floor
     rows = [
-        (name, *(f"{v:.3g}" for v in level.tolist()), f"{float(level.norm()):.3g}")
+        (name, *cells(level), f"{float(level.norm()):.3g}")
         for name, level in (
             ("as given", far.rms_before), ("corrected", far.rms_after),
             ("noise, at least", floor.low), ("noise, at most", floor.high),
         )
     ]  # fmt: skip
-    joints = (str(j + 1) for j in range(diagnosis.robot.n))
     title = f"how far: RMS of what the model lacks [{torque_unit(diagnosis.robot)}]"
-    return Table(title, ["model", *joints, "all"], rows, words=("model",))
+    columns = ("model", *joint_numbers(diagnosis.robot.n), "all")
+    return Table(title, columns, rows, words=("model",))
 
 
 def budget_table(diagnosis: Diagnosis) -> Table:
@@ -332,7 +345,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
             f"matters little. Joint {worst + 1} holds {percent(share)} of the gap, "
             f"{when if clear else 'at no time more than at others'}.",
             f"Map of joints and kinds of motion. Shares of the gap: {', '.join(shares)}.",
-            lambda: gap_figures.map_figure(d),
+            partial(gap_figures.map_figure, d),
         )
     ]
     for k, joint in enumerate(gap_figures.worst_joints(d) if d.traces else ()):
@@ -348,7 +361,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
                 f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
                 f"and its spectrum: {change}.",
-                partial(joint_figure, d, joint),
+                partial(gap_figures.joint_figure, d, joint),
             ),
             Picture(
                 f"torque_{number}",
@@ -367,7 +380,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
             "model can be better than the grey noise; what of the blue bar rises above it is "
             "unexplained.",
             f"Bars of the gap before and after [{unit}]: {', '.join(said)}.",
-            lambda: gap_figures.bar_figure(d),
+            partial(gap_figures.bar_figure, d),
         )
     )
     if any((budget.parametric, budget.structural, budget.unexplained)):
@@ -379,7 +392,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "needs no new effect, only better numbers.",
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
-                lambda: gap_figures.budget_figure(d),
+                partial(gap_figures.budget_figure, d),
             )
         )
     if any(f.planted for f in d.findings):
@@ -392,7 +405,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "from which size on the cause is told, alone or in a set. It is the best that can "
                 "be hoped for: what is left of a real arm holds other causes, too.",
                 "Shares of draws in which each planted cause is told, and by size of the cause.",
-                lambda: gap_figures.planted_figure(d),
+                partial(gap_figures.planted_figure, d),
             )
         )
     return out

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 
@@ -18,17 +18,36 @@ from torchid.identification.settings import Rows
 from torchid.identification.validation import Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
-from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Table, joint_unit, listed, short, unit_words
+from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
+from torchid.report.table import (
+    Shown,
+    Table,
+    cells,
+    joint_numbers,
+    joint_unit,
+    listed,
+    short,
+    unit_words,
+)
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
 
 
+def shown(result: Identification) -> Shown:
+    """All that there is to see of an identification."""
+    return Shown(
+        parts=tables(result),
+        warnings=result.warnings,
+        last=headline(result),
+        figures=figures(result),
+        page=partial(identification_page, result),
+    )
+
+
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
-    effects = effect_tables(result)
-    return [parameter_table(result), *effects, error_table(result)]
+    return [parameter_table(result), *effect_tables(result), error_table(result)]
 
 
 def shown_errors(result: Identification) -> tuple[Errors, bool]:
@@ -41,7 +60,7 @@ def headline(result: Identification) -> str:
     """One sentence: what was identified, and how well it predicts."""
     shown, held = shown_errors(result)
     every_row, moving = (
-        ", ".join(f"{v:.1f}" if math.isfinite(v) else "-" for v in percent.tolist())
+        ", ".join(cells(percent, ".1f"))
         for percent in (shown.relative_percent, shown.relative_percent_moving)
     )
     errors = f"{every_row} (while moving: {moving})"
@@ -143,10 +162,6 @@ def effect_tables(result: Identification) -> list[Table]:
 
 def error_table(result: Identification) -> Table:
     """Relative errors per joint, in percent, and RMSE."""
-
-    def cells(values: Iterable[float]) -> list[str]:
-        return [f"{v:.2f}" if math.isfinite(v) else "-" for v in values]
-
     unit = "; ".join(dict.fromkeys(joint_unit(result.robot, j) for j in range(result.robot.n)))
     rows: list[list[str]] = []
     for data, errors in (("fit", result.fit), ("held out", result.held_out)):
@@ -158,15 +173,14 @@ def error_table(result: Identification) -> Table:
             ("raw torque", errors.relative_percent_raw),
         ):
             values = percent.tolist()
-            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)])])
-        rmse = [f"{v:.3g}" for v in errors.rmse.tolist()]
-        rows += [[f"{data}, RMSE [{unit}]", *rmse, ""], []]
+            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)], ".2f")])
+        rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
     return Table(
         f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note}; "
         f"moving: |dq| > {MOVING:g})",
-        ("data, rows", *(str(j + 1) for j in range(result.robot.n)), "mean"),
+        ("data, rows", *joint_numbers(result.robot.n), "mean"),
         rows,
         words=("data, rows",),
     )
@@ -384,7 +398,7 @@ def _pictures(result: Identification) -> list[Picture]:
             "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
             f"the line at 100 % cannot be told from zero ({poor}).",
             f"Bars, one a coefficient: {poor} cannot be told from zero.",
-            lambda: parameter_figure(result.record),
+            partial(parameter_figure, result.record),
         )
     )
     return out
@@ -404,6 +418,12 @@ QUANTITIES = (
     *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
 )
 """Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
+
+
+def payload_shown(payload: Payload) -> Shown:
+    """All that there is to see of a payload."""
+    tables, last = payload_tables(payload), payload_headline(payload)
+    return Shown(parts=tables, warnings=payload.warnings, last=last)
 
 
 def payload_tables(payload: Payload) -> list[Table]:
@@ -466,16 +486,19 @@ def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
 
 
-def figures(result: Identification) -> dict[str, Figure]:
-    """How well each parameter is known, and torques of every trajectory."""
+def figures(result: Identification) -> Figures:
+    """How well each parameter is known, and torques of every trajectory: what draws each figure, by
+    the names of their files."""
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result.record)}
+    drawn: dict[str, Callable[[], Figure | None]] = {
+        "parameters": partial(parameter_figure, result.record)
+    }
     for kind, words, predictions in (
         ("fit", "fitted data", result.fit_predictions),
         ("held_out", "held-out data", result.held_out_predictions),
     ):
         for prediction in predictions:
             name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
-            title = f"{prediction.name} ({words})"
-            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
+            title, rows = f"{prediction.name} ({words})", result.settings.rows
+            drawn[f"{kind}_{name}"] = partial(torque_figure, prediction, units, title, rows)
     return drawn

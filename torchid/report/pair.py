@@ -7,7 +7,7 @@ from torchid.gap.record import RegimeGap
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, WherePair
 from torchid.report.gap_words import CLEAR, effect_words, joints_words, measure, regime_words
-from torchid.report.table import Table, interval, listed, percent
+from torchid.report.table import Shown, Table, interval, listed, percent
 
 _MOST_REGIMES = 3
 
@@ -33,6 +33,11 @@ def _more(one: OneSided) -> str:
     who = {"arm": "the arm", "simulator": "the simulator"}[one.more]
     name = effect_words(one.effect)
     return f"{name} that only {who} has" if one.only else f"{name}, of which {who} has more"
+
+
+def shown(found: PairDiagnosis) -> Shown:
+    """All that there is to see of a pair."""
+    return Shown(verdict=verdict(found), parts=tables(found), warnings=found.record.warnings)
 
 
 def tables(found: PairDiagnosis) -> list[Table]:

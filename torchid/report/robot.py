@@ -6,7 +6,7 @@ from rich.text import Text
 
 from torchid.export.export import Export
 from torchid.json_data import picked, plain
-from torchid.report.table import Table, count
+from torchid.report.table import Shown, Table, count
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -58,6 +58,11 @@ def robot_warnings(robot: Robot) -> tuple[str, ...]:
     return tuple(said)
 
 
+def shown(robot: Robot) -> Shown:
+    """All that there is to see of a robot."""
+    return Shown(parts=robot_tables(robot), warnings=robot_warnings(robot))
+
+
 def robot_tables(robot: Robot) -> list[Table]:
     """Joints with limits, and links with parameters."""
     rows = []
@@ -95,6 +100,17 @@ def _interval(limits: list[float | None] | None) -> str:
     return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))
 
 
+def export_shown(done: Export) -> Shown:
+    """All that there is to see of an export."""
+    first, *others = map(str, done.files)
+    beside = f" (and {', '.join(others)})" if others else ""
+    return Shown(
+        parts=[comparison_table(done), *effect_lines(done)],
+        warnings=done.warnings,
+        last=f"written: {done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}",
+    )
+
+
 def comparison_table(done: Export) -> Table:
     """Who reloaded the file, and by how much its torque differs from the result's."""
     rows = []
@@ -118,10 +134,3 @@ def effect_lines(done: Export) -> list[str]:
     sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
     places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
     return [f"{count(len(words), 'effect')} {place}" for place, words in places if words]
-
-
-def export_headline(done: Export) -> str:
-    """What lies where, in one sentence."""
-    first, *others = (str(path) for path in done.files)
-    beside = f" (and {', '.join(others)})" if others else ""
-    return f"{done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}"

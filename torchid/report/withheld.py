@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchid.report.table import Table, pipe_table
+from torchid.report.table import Shown, Table, pipe_table
+from torchid.report.withheld_figures import figures
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
 Summary = Mapping[str, Any]
@@ -118,6 +119,13 @@ BASELINES = {"friction": "always friction, worst joint", "stlsq": "STLSQ", "bic"
 SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
+def shown(summary: Summary) -> Shown:
+    """All that there is to see of a score."""
+    sealed = f"SHA-256 of the keys: {summary['keys_sha256']}, as sealed"
+    said: list[Table | str] = [score_table(summary), sealed]
+    return Shown(verdict=headline(summary), parts=said, figures=figures(summary))
+
+
 def score_table(summary: Summary) -> Table:
     """Scores that there are cases for, beside targets and baselines."""
     rows = []
@@ -166,12 +174,12 @@ def beaten_by(summary: Summary) -> list[str]:
     ]
 
 
-def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
+def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """The whole report.
 
     Args:
         summary: from `torchid.withheld.summary`.
-        figures: files to show, relative to the report's.
+        drawn: files to show, relative to the report's.
     """
     scores = summary["scores"]
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
@@ -195,7 +203,7 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
             ["score", "torchid gap", "target", "met", *_names(summary, BASELINES)], rows
         ),
         comparison if summary["baselines"] else "",
-        *(f"![{name}]({name})" for name in figures),
+        *(f"![{name}]({name})" for name in drawn),
         "## Status by kind",
         counts_table("kind", scores["status"]),
         "## One effect, by effect",
@@ -330,6 +338,13 @@ def _percent(found: Mapping[str, Any]) -> str:
         return "-"
     low, high = found["ci95"]
     return f"{100 * found['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def own_shown(found: OwnCheck) -> Shown:
+    """All that there is to see of the check."""
+    half = "untouched data: the second half of every trajectory (--held-out for others)"
+    said: list[Table | str] = [*own_tables(found), *([] if found.whole else [half])]
+    return Shown(verdict=own_headline(found), parts=said)
 
 
 def own_headline(found: OwnCheck) -> str:

@@ -2,12 +2,13 @@
 a figure is drawn."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import BLUE, GREY, INK, ORANGE
-from torchid.report.panels import Figure, finish, new_figure, ruled, styled, tiles
+from torchid.report.panels import Figure, Figures, finish, new_figure, ruled, styled, tiles
 
 _SMALL = 8
 _COLUMNS = 3
@@ -16,16 +17,16 @@ _TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 Matrix = Mapping[str, Mapping[str, int]]
 
 
-def figures(summary: Mapping[str, Any]) -> dict[str, Figure]:
-    """All figures that there are data for, by the names of their files."""
-    scores = summary["scores"]
-    out = {}
-    if scores["confusion"] or scores["confusion_outside"]:
-        out["confusion"] = confusion_figure(scores["confusion"], scores["confusion_outside"])
+def figures(summary: Mapping[str, Any]) -> Figures:
+    """What draws each figure that there are data for, by the names of their files."""
+    scores, out = summary["scores"], {}
+    inside, outside = scores["confusion"], scores["confusion_outside"]
+    if inside or outside:
+        out["confusion"] = partial(confusion_figure, inside, outside)
     if scores["detection"]:
-        out["detection"] = detection_figure(scores["detection"])
+        out["detection"] = partial(detection_figure, scores["detection"])
     if scores["how_sure"]["curve"]:
-        out["reliability"] = reliability_figure(scores["how_sure"]["curve"])
+        out["reliability"] = partial(reliability_figure, scores["how_sure"]["curve"])
     return out
 
 

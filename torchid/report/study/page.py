@@ -4,8 +4,10 @@ folder with all of it, and the HTML page."""
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import default_population
@@ -18,8 +20,18 @@ from torchid.report.study.facts import by_feasibility, ids, number, verdict
 from torchid.report.study.motion_figures import motion_drawings, torque_drawings
 from torchid.report.study.search_figures import search_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Table, count, listed
+from torchid.report.table import Shown, Table, count, listed
 from torchid.study.result import Study
+
+
+def shown(study: Study) -> Shown:
+    """All that is printed of a study, and its page."""
+    return Shown(
+        parts=tables.all_tables(study),
+        warnings=study.warnings,
+        last=f"{facts.headline(study)}\n",
+        page=partial(study_page, study),
+    )
 
 
 def drawings(study: Study) -> list[Picture]:
@@ -178,6 +190,25 @@ def study_page(study: Study, origin: Origin) -> Page:
         tables=[*tables.all_tables(study), tables.reason_error_table(study)],
         notes=study.warnings,
     )
+
+
+def seeds_and_settings(study: Study) -> dict[str, dict[str, Any]]:
+    """For the page's origin."""
+    s = study.settings
+    motions = {
+        "excitation": s.excitation, "validation": s.validation, "sets' motion": s.sets_motion,
+        "reference motion": s.wrench_motion,
+    }  # fmt: skip
+    parts: dict[str, Any] = {"search": s.search} | motions
+    seeds = {f"seed of the {name}": part.seed for name, part in parts.items()}
+    told: dict[str, Any] = {
+        "effects": s.effects,
+        "geometry": s.geometry,
+        "total mass [kg]": s.total_mass,
+    }
+    for name, part in parts.items():
+        told[name] = {key: value for key, value in asdict(part).items() if key != "seed"}
+    return {"seeds": seeds, "settings": told | {"seconds": dict(study.seconds)}}
 
 
 def page_verdict(study: Study) -> str:
