@@ -8,7 +8,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
-from torchid.app.signature import Fields, Switch, command
+from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
@@ -41,14 +41,7 @@ def correct_command(
     with_effects: Switch = False,
     settings: Annotated[
         GapSettings,
-        Fields(
-            effects=opt.Searched,
-            background=opt.Names,
-            parameters=Literal["trusted", "free", "auto"],
-            held_out_fraction=opt.HeldOutFraction,
-            gain_std=opt.Share,
-            seed=opt.Seed,
-        ),
+        opt.GAP.only("effects background parameters held_out_fraction gain_std seed"),
     ],
     output: Computed,
 ) -> None:

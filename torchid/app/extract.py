@@ -72,13 +72,7 @@ def extract_command(
     settings: Annotated[
         SearchSettings,
         Fields(
-            "runs",
-            "stages",
-            "generations",
-            "population",
-            "penalty",
-            "schedule",
-            "polish",
+            "runs stages generations population penalty schedule polish",
             engine=EngineName,
             seed=opt.Seed,
         ),

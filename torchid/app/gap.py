@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,7 +11,7 @@ from torchid.app import options as opt
 from torchid.app.correct import Simulated, corrected_by, file_format
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
-from torchid.app.signature import Fields, command
+from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
@@ -31,22 +31,7 @@ class _Trials(opt.Trials):
 def gap_command(
     *,
     trials: _Trials,
-    settings: Annotated[
-        GapSettings,
-        Fields(
-            "rollout",
-            effects=opt.Searched,
-            background=opt.Names,
-            cutoff=opt.FitCutoff,
-            parameters=Literal["trusted", "free", "auto"],
-            held_out_fraction=opt.HeldOutFraction,
-            worthwhile=opt.LessThanOne,
-            worthwhile_torque=opt.LessThanOne,
-            gain_std=opt.Share,
-            max_effects=opt.Count,
-            seed=opt.Seed,
-        ),
-    ],
+    settings: Annotated[GapSettings, opt.GAP],
     save_model: opt.Written = None,
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,

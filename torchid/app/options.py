@@ -10,7 +10,7 @@ import typer
 
 from torchid.app.output import Output
 from torchid.app.project import current
-from torchid.app.signature import PLACE, WRITTEN, Parsed
+from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
@@ -127,8 +127,6 @@ Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[tuple[str, ...], typer.Option(metavar="A,B,C"), Parsed(names, "none")]
 Searched = Annotated[tuple[str, ...] | None, typer.Option(), Parsed(searched, "all")]
 Count = Annotated[int, typer.Option(min=1, max=100_000)]
-LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
-Share = Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)]
 Excited = Annotated[tuple[str, ...], typer.Option(), Parsed(effect_names, "none")]
 FittedEffects = Annotated[
     tuple[str, ...],
@@ -137,11 +135,25 @@ FittedEffects = Annotated[
 ]
 Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
-FitCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")]
 HeldOutFraction = Annotated[
     float,
     typer.Option(help="Without --held-out: the last part of each trajectory kept for validation."),
 ]
+_LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
+GAP = Fields(
+    "rollout",
+    effects=Searched,
+    background=Names,
+    cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
+    parameters=Literal["trusted", "free", "auto"],
+    held_out_fraction=HeldOutFraction,
+    worthwhile=_LessThanOne,
+    worthwhile_torque=_LessThanOne,
+    gain_std=Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)],
+    max_effects=Count,
+    seed=Seed,
+)
+"""Options of a diagnosis."""
 Method = Annotated[
     Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
 ]

@@ -319,16 +319,10 @@ def in_options(text: str) -> str:
 @cache
 def option_names() -> dict[str, str]:
     """Options of all commands, by the names of their arguments in Python."""
-    from torchid.app.commands import app
+    from torchid.app.commands import options_of_all
 
-    found, todo = {}, [typer.main.get_command(app)]
-    while todo:
-        one = todo.pop()
-        todo += getattr(one, "commands", {}).values()
-        for option in one.params:
-            if option.name is not None and option.opts[0].startswith("--"):
-                found[option.name] = option.opts[0]
-    return found
+    every = (option for options in options_of_all().values() for option in options)
+    return {option.name: option.shown for option in every if option.has_name}
 
 
 class _Console(Console):

@@ -195,14 +195,9 @@ def leave_out_command(
     assert out is not None  # it is required
     with output.progress() as progress:
         result = leave_out(
-            out,
-            seed,
-            effects=effects,
-            per_effect=per_effect,
-            jobs=processes(jobs),
-            again=again,
+            out, seed, effects=effects, per_effect=per_effect, jobs=processes(jobs), again=again,
             progress=progress,
-        )
+        )  # fmt: skip
     output.write_json(result, "leave_out.json")
     output.write_text(leave_out_markdown(result), "leave_out.md")
     output.say(leave_out_headline(result))
@@ -213,10 +208,7 @@ def leave_out_command(
 def own_command(
     *,
     trials: opt.Trials,
-    settings: Annotated[
-        GapSettings,
-        Fields(background=opt.Names, parameters=Literal["trusted", "free", "auto"], seed=opt.Seed),
-    ],
+    settings: Annotated[GapSettings, opt.GAP.only("background parameters seed")],
     plant: opt.Names = PLANTED,
     joints: Annotated[
         list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
@@ -242,13 +234,7 @@ def own_command(
     found, log, apart, _ = trials.open(output)
     with output.progress() as progress:
         result = torchid.withheld_own(
-            found,
-            log,
-            untouched=apart,
-            settings=settings,
-            plant=plant,
-            joints=joints,
-            jobs=processes(jobs),
-            progress=progress,
-        )
+            found, log, untouched=apart, settings=settings, plant=plant, joints=joints,
+            jobs=processes(jobs), progress=progress,
+        )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)
