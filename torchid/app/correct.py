@@ -72,8 +72,8 @@ def correct_command(
     if trials.held_out and settings.held_out_fraction:
         raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     from torchid.export.export import require_name
-    from torchid.report.correction import shown
     from torchid.report.gap_words import verdict
+    from torchid.report.robot import correction_shown
 
     kind = file_format(to)
     if name is not None:
@@ -84,7 +84,7 @@ def correct_command(
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
     output.verdict(verdict(result))
-    output.tell(shown(done))
+    output.tell(correction_shown(done))
 
 
 def corrected_by(

@@ -96,8 +96,8 @@ def gap_command(
     if servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
 
-    from torchid.report.correction import shown as corrected_shown
     from torchid.report.gap import shown
+    from torchid.report.robot import correction_shown
 
     with output.progress("reading") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
@@ -120,7 +120,7 @@ def gap_command(
         output.written.extend(beside.written)
     output.tell(said)
     if done is not None:
-        output.tell(corrected_shown(done))
+        output.tell(correction_shown(done))
 
 
 def _pair(
