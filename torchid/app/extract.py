@@ -1,6 +1,5 @@
 """`torchid extract` and `torchid atlas`: physical parameters from base parameters."""
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,13 +9,12 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Computed, Output, stage
+from torchid.app.output import Computed, stage
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
 
 if TYPE_CHECKING:
-    from torchid.extraction.found import Found
     from torchid.extraction.problem import LossName, Problem
     from torchid.identification.values import BaseValues
 
@@ -104,8 +102,7 @@ def extract_command(
     """
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
-    from torchid.extraction.found import Found, judged
-    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
+    from torchid.extraction.found import descended
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import loss_notes, shown
 
@@ -123,52 +120,30 @@ def extract_command(
         with output.progress("the best set"):
             found = torchid.best_set(problem, proof=proven, search_anyway=search_anyway)
     elif method == "log-cholesky":
-        began = time.monotonic()
         with output.progress("descending"):
-            made = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
-        sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
-        done = zip(sets.ids, made.converged.tolist(), strict=True)
-        short = ", ".join(name for name, converged in done if not converged)
-        if short:
-            short = f"not converged, so their loss may be larger than it need be: {short}"
-            notes = (*notes, short)
-        taken = time.monotonic() - began
-        found = Found(problem, "log-cholesky", *judged(problem, sets), None, taken)
+            found = descended(problem, runs=settings.runs, seed=settings.seed)
     else:
-        found = _searched(problem, settings, output, resume, opt.device(device_name))
-    notes = (*notes, *loss_notes(found, values))
+        checkpoint = None if output.out is None else output.out / "checkpoint.npz"
+        if checkpoint is not None and checkpoint.exists() != resume:
+            output.warn(
+                [
+                    f"there is no checkpoint in {output.out}: the search starts anew"
+                    if resume
+                    else f"{output.out} held the checkpoint of an interrupted search, which starts "
+                    "anew: --resume would have continued it"
+                ]
+            )
+        with resumable(checkpoint), output.progress() as progress:
+            found = torchid.extract(
+                problem, settings, checkpoint=checkpoint, resume=resume,
+                device=opt.device(device_name), report=stage(progress, "stages"),
+            ).found  # fmt: skip
+    notes = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, proof=proven, warnings=notes)
     if output.out is not None:
         sets_record(found.sets, problem.robot).save(output.out / "sets.json")
         output.written.append(output.out / "sets.json")
     output.give(found, "extraction.json", shown)
-
-
-def _searched(
-    problem: "Problem", settings: "SearchSettings", output: Output, resume: bool, where: str
-) -> "Found":
-    from torchid.extraction.found import Found, judged
-
-    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
-    if checkpoint is not None and checkpoint.exists() != resume:
-        output.warn(
-            (
-                f"there is no checkpoint in {output.out}: the search starts anew"
-                if resume
-                else f"{output.out} held the checkpoint of an interrupted search, which starts "
-                "anew: --resume would have continued it",
-            )
-        )
-    with resumable(checkpoint), output.progress() as progress:
-        found = torchid.extract(
-            problem,
-            settings,
-            checkpoint=checkpoint,
-            resume=resume,
-            device=where,
-            report=stage(progress, "stages"),
-        )
-    return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
 
 
 @command
