@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -165,10 +166,8 @@ def excite_command(
     planned = Planned(
         arm, kind, made, motion.rate, motion.speed, limits, clearance, unknown, designs, source
     )
-    if target is not None:
-        torchid.write_log(planned.log, target)
-        output.written.append(target)
-    output.written.extend(files.write(arm, made, motion.rate))
+    output.put(target, partial(torchid.write_log, planned.log))
+    files.write(arm, made, motion.rate, output)
     data = planned.plain(None if target is None else target.name)
     said = output.keep(data, "excitation.json", lambda _: words.shown(planned))
     output.tell(words.design_shown(planned))

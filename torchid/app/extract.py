@@ -140,9 +140,7 @@ def extract_command(
             ).found  # fmt: skip
     notes = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, proof=proven, warnings=notes)
-    if output.out is not None:
-        sets_record(found.sets, problem.robot).save(output.out / "sets.json")
-        output.written.append(output.out / "sets.json")
+    output.put(output.out and output.out / "sets.json", sets_record(found.sets, problem.robot).save)
     output.give(found, "extraction.json", shown)
 
 

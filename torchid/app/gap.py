@@ -1,6 +1,7 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -109,9 +110,7 @@ def gap_command(
         result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png"], files=files,
         settings=asked,
     )  # fmt: skip
-    if save_model is not None:
-        torchid.write_robot(result.corrected, save_model)
-        output.written.append(save_model)
+    output.put(save_model, partial(torchid.write_robot, result.corrected))
     done = None
     if kind is not None:
         keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
@@ -204,7 +203,5 @@ def _positions(
         result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
         files=files, settings={"servo": servo or "not said"},
     )  # fmt: skip
-    if save_model is not None:
-        result.corrected.write(save_model)
-        output.written.append(save_model)
+    output.put(save_model, result.corrected.write)
     output.tell(said)

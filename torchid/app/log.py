@@ -1,5 +1,6 @@
 """`torchid log`: what a log is, and what is wrong with it, before anything is computed from it."""
 
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -46,9 +47,7 @@ def doctor_command(
     log = arm.read(arm.logs, found)
     with output.progress("examining the log"):
         result = torchid.examine(found, log, fix or ())
-    if apply is not None:
-        torchid.write_log(result.mended(), apply)
-        output.written.append(apply)
+    output.put(apply, lambda path: torchid.write_log(result.mended(), path))
     # The fixes as --columns, where the logs have columns of our names.
     flag = None
     if result.repairs and not (arm.columns or arm.topic):
@@ -109,9 +108,7 @@ def show_command(
     if log.tau is None and log.current is not None and found is not None:
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
-    if out is not None:
-        torchid.write_log(log, out)
-        output.written.append(out)
+    output.put(out, partial(torchid.write_log, log))
     output.verdict(headline(seen))
     for table in seen.tables:
         if table is not None and table.topic is not None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +19,7 @@ from rich.text import Text
 from torchid.app import begun
 from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError, visible
-from torchid.files import atomic_write, probe
+from torchid.files import probe, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
@@ -133,19 +133,20 @@ class Output:
         if str(self.json_file) == "-":
             with suppress(BrokenPipeError):  # whoever reads standard output has left
                 write_json(data, Path("/dev/stdout"))
-        elif self.json_file is not None:
-            write_json(data, self.json_file)
-            self.written.append(self.json_file)
-        if self.out is not None:
-            write_json(data, self.out / name)
-            self.written.append(self.out / name)
+        else:
+            self.put(self.json_file, partial(write_json, data))
+        self.put(self.out and self.out / name, partial(write_json, data))
+
+    def put(self, path: Path | None, write: Callable[[Path], object]) -> None:
+        """Write a file, if it is asked for."""
+        if path is not None:
+            write(path)
+            self.written.append(path)
 
     def write_text(self, text: str, name: str) -> None:
         """To DIR/name, if it is given."""
         if self.out is not None:
-            with atomic_write(self.out / name) as file:
-                file.write(text)
-            self.written.append(self.out / name)
+            self.put(self.out / name, lambda path: write_text(path, text))
 
     def give(self, result: Any, name: str, show: "Callable[[Any], Shown]", **about: Any) -> None:
         """Write a result, and then print it; see `keep`."""
@@ -185,7 +186,7 @@ class Output:
                 file.unlink()
             for picture, draw in shown.figures.items():
                 if (figure := draw()) is not None:
-                    self.written.append(save(figure, self.out / f"{picture}.png"))
+                    self.put(self.out / f"{picture}.png", partial(save, figure))
         if shown.page is not None:
             self.write_page(shown.page, files=files, seeds={"seed": seed}, settings=settings or {})
         return shown
@@ -206,7 +207,7 @@ class Output:
         made = origin(
             arguments=sys.argv, started=self.started, seeds=seeds, settings=settings, files=files
         )
-        self.written.append(write_page(build(made), self.report))
+        self.put(self.report, partial(write_page, build(made)))
 
     def hashed(self, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
         """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if

@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -30,10 +31,6 @@ SetArgument = Annotated[
 RequiredSeed = Annotated[
     int, typer.Option(min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from.")
 ]
-Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes, of one thread each (default: all cores)."),
-]
 Again = Annotated[
     bool,
     typer.Option("--again", help="Replace answers of another torchid, or with other settings."),
@@ -41,13 +38,22 @@ Again = Annotated[
 _KEYS = typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
 
 
-def processes(jobs: int | None) -> int:
-    """The --jobs option; all cores that this process may use, by default."""
-    if jobs is not None:
-        return jobs
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        jobs: Processes, of one thread each (default: all cores).
+    """
+
+    jobs: Annotated[int | None, typer.Option(min=1)] = None
+
+    @property
+    def count(self) -> int:
+        """Of processes; all cores that this one may use, by default."""
+        if self.jobs is None and hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return self.jobs or os.cpu_count() or 1
 
 
 def _joints(text: str) -> list[int] | None:
@@ -69,7 +75,7 @@ def make_command(
     seed: RequiredSeed,
     mix: Literal["mixed", "release"] = "mixed",
     keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Printed,
 ) -> None:
     """Simulate arms with planted effects, independently of torchid, and seal what was planted.
@@ -85,7 +91,7 @@ def make_command(
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress:
-        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=processes(jobs), progress=progress)
+        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=workers.count, progress=progress)
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
         "make.json",
@@ -101,7 +107,7 @@ def run_command(
     folder: SetArgument,
     rollout: bool = False,
     again: Again = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Printed,
 ) -> None:
     """Diagnose every case of a set; no key is read. What is answered already stays.
@@ -117,7 +123,7 @@ def run_command(
     found = read_cases(folder)
     todo = jobs_of(found, default_settings(rollout=rollout))
     with output.progress() as progress:
-        answers = run(todo, jobs=processes(jobs), again=again, progress=progress)
+        answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
     statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
@@ -135,7 +141,7 @@ def score_command(
     oracle: bool = True,
     truth: bool = True,
     partial: Switch = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Kept,
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
@@ -158,7 +164,7 @@ def score_command(
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
     with output.progress() as progress:
-        count = processes(jobs)
+        count = workers.count
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
         true = true_shares(found, opened, answers, count, progress) if truth else None
@@ -176,7 +182,7 @@ def leave_out_command(
     effects: opt.Searched = None,
     per_effect: opt.Count = 1,
     again: Again = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Annotated[Output, Fields("json_file", "quiet", out=opt.Folder)],
 ) -> None:
     """Take every effect out of the library in turn, and diagnose cases that have it.
@@ -195,7 +201,7 @@ def leave_out_command(
     assert out is not None  # it is required
     with output.progress() as progress:
         result = leave_out(
-            out, seed, effects=effects, per_effect=per_effect, jobs=processes(jobs), again=again,
+            out, seed, effects=effects, per_effect=per_effect, jobs=workers.count, again=again,
             progress=progress,
         )  # fmt: skip
     output.write_json(result, "leave_out.json")
@@ -213,7 +219,7 @@ def own_command(
     joints: Annotated[
         list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
     ] = None,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Kept,
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
@@ -235,6 +241,6 @@ def own_command(
     with output.progress() as progress:
         result = torchid.withheld_own(
             found, log, untouched=apart, settings=settings, plant=plant, joints=joints,
-            jobs=processes(jobs), progress=progress,
+            jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.give(result, "own.json", own_shown, seed=settings.seed)
