@@ -9,7 +9,6 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import Switch, command
-from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
@@ -69,8 +68,6 @@ def correct_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it.
     """
-    if trials.held_out and settings.held_out_fraction:
-        raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     from torchid.export.export import require_name
     from torchid.report.gap_words import verdict
     from torchid.report.robot import correction_shown

@@ -83,8 +83,6 @@ def gap_command(
     for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
         if not given:
             raise typer.BadParameter(f"Missing argument '{name}'.")
-    if trials.held_out and settings.held_out_fraction:
-        raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     if for_ is not None and output.out is None:
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)

@@ -145,8 +145,7 @@ class Output:
 
     def write_text(self, text: str, name: str) -> None:
         """To DIR/name, if it is given."""
-        if self.out is not None:
-            self.put(self.out / name, lambda path: write_text(path, text))
+        self.put(self.out and self.out / name, lambda path: write_text(path, text))
 
     def give(self, result: Any, name: str, show: "Callable[[Any], Shown]", **about: Any) -> None:
         """Write a result, and then print it; see `keep`."""

@@ -111,14 +111,6 @@ def simulate_command(
     found = arm.load()
     effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
-    if moves and noise == "paper":
-        raise TorchidError(
-            "paper noise is for a torque that is computed from the trajectory.",
-            got="--noise paper with --effect or --closed-loop",
-            available=["--noise none", "--noise honest"],
-        )
-    if rate is not None and not moves:
-        raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
     motion = torchid.read_log(trajectory[0])
     with output.progress("simulating"):
         controller = Controller(control_frequency) if moves else None
