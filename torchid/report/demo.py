@@ -2,13 +2,7 @@
 
 from functools import partial
 
-from torchid.report.identification import (
-    effect_tables,
-    error_table,
-    headline,
-    torque_figure,
-    truth_figure,
-)
+from torchid.report import identification as one
 from torchid.report.log import trajectory_figure
 from torchid.report.table import Shown, Table
 from torchid.study.demo import Demo
@@ -31,16 +25,16 @@ def shown(paper: Demo, kuka: Demo) -> Shown:
             ),
             f"KUKA LWR IV+ with friction: designed trajectory, condition number {conditions}; "
             "encoder of 18 bits, torque noise of 1 %\n",
-            *effect_tables(result),
-            error_table(result),
+            *one.effect_tables(result),
+            one.error_table(result),
             *(f"! {warning}" for warning in result.warnings),
-            f"\n{headline(result)}",
+            f"\n{one.headline(result)}",
             f"{int(inside.sum())} of {len(inside)} true values lie inside their 95 % intervals "
             "(the report's own f_v6 is negative, so signs are left free here).",
         ],
         figures={
             "trajectory": partial(trajectory_figure, robot, kuka.motion, "designed trajectory"),
-            "validation": partial(torque_figure, new, ["N m"] * robot.n, title),
-            "parameters": partial(truth_figure, result, kuka.truth),
+            "validation": partial(one.torque_figure, new, ["N m"] * robot.n, title),
+            "parameters": partial(one.truth_figure, result, kuka.truth),
         },
     )

@@ -9,7 +9,7 @@ import torch
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
-from torchid.report.table import Shown, Table, cells
+from torchid.report.table import Shown, Table, cells, filled
 from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
@@ -27,14 +27,11 @@ def shown(study: EqualTorqueStudy) -> Shown:
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
     """Errors by kind, their differences, the degree, what any set can do, other assumptions."""
-    made = [kind_table(study), joint_table(study), effect_table(study)]
-    made += [degree_table(study), third_table(study)]
-    if study.reach:
-        made.append(reach_table(study))
-    made += [truth_table(study), firm_table(study)]
-    if study.variants:
-        made.append(variant_table(study))
-    return made
+    makers = (
+        kind_table, joint_table, effect_table, degree_table, third_table, reach_table, truth_table,
+        firm_table, variant_table,
+    )  # fmt: skip
+    return filled(*(make(study) for make in makers))
 
 
 def kind_table(study: EqualTorqueStudy) -> Table:
@@ -157,8 +154,10 @@ def firm_table(study: EqualTorqueStudy) -> Table:
     return Table(title, columns, rows, names=columns)
 
 
-def variant_table(study: EqualTorqueStudy) -> Table:
+def variant_table(study: EqualTorqueStudy) -> Table | None:
     """Medians and greatest errors under other assumptions."""
+    if not study.variants:
+        return None
     shown = [k for k in study.kinds if k != "total_mass"]
     rho = study.comparison.correlation.rho
     medians = {k: float(study.worst[study.rows(k)].median()) for k in study.kinds}

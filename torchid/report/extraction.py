@@ -16,7 +16,7 @@ from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, rows_of
-from torchid.report.table import Cell, Shown, Table, count, listed
+from torchid.report.table import Cell, Shown, Table, count, filled, listed
 from torchid.robot.inertia import InertialParameters
 
 _SHOWN = 12
@@ -123,20 +123,19 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
         rows.append(
             (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
         )
-    out = [
+    least = {} if proof is None else noticeable(proof)
+    without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
+    forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
+    columns = ("without the condition", "phi_min would be")
+    return filled(
         Table(
             f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",
             ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"),
             rows,
             words=("set", "reasons"),
-        )
-    ]
-    if proof is not None and noticeable(proof):
-        title = f"what forces phi_min = {proof.phi_min:.5g}"
-        columns = ("without the condition", "phi_min would be")
-        least = [(name, f"{value:.5g}") for name, value in noticeable(proof).items()]
-        out.append(Table(title, columns, least[:_SHOWN], words=columns[:1]))
-    return out
+        ),
+        Table(forced, columns, without, words=columns[:1]),
+    )
 
 
 def figures(found: Found) -> Figures:

@@ -12,7 +12,7 @@ from torchid.fleet.watch import WatchRecord
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Shown, Table, count, listed, short
+from torchid.report.table import Cell, Shown, Table, count, filled, listed, short
 
 MOST = 20
 """Rows of logs and units that the terminal shows; the JSON has all of them."""
@@ -47,7 +47,7 @@ def gap_shown(found: FleetGapRecord) -> Shown:
 
 def watch_shown(found: WatchRecord) -> Shown:
     """All that there is to see of what drifts."""
-    alarms = [alarm_table(found)] if found.alarms else []
+    alarms = filled(alarm_table(found))
     return Shown(verdict=watch_verdict(found), parts=alarms, warnings=found.notes)
 
 
@@ -121,12 +121,7 @@ def odd_table(found: FleetRecord) -> Table:
 
 def tables(found: FleetRecord) -> list[Table]:
     """All of them that have something to say."""
-    out = [parameter_table(found)]
-    if found.odd:
-        out.append(odd_table(found))
-    if any(log.verdict != "good" for log in found.logs):
-        out.append(log_table(found.logs))
-    return out
+    return filled(parameter_table(found), odd_table(found), log_table(found.logs))
 
 
 SCOPES = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}

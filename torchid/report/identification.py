@@ -23,6 +23,7 @@ from torchid.report.table import (
     Shown,
     Table,
     cells,
+    filled,
     joint_numbers,
     joint_unit,
     listed,
@@ -130,19 +131,15 @@ def effect_tables(result: Identification) -> list[Table]:
     everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
     if len(set(slides)) > 1:
         everywhere = []  # their units are not those of the column
-    out = []
-    if everywhere:
-        columns = [
-            f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
-            for kind in everywhere
-            for c in kind.coefficients
-        ]
-        rows = []
-        for j in range(robot.n):
-            own = {type(e): texts for e, texts in found if e.joints == (j,)}
-            rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
-        title = "effects on the joints (value ± std)"
-        out.append(Table(title, ("joint", *columns), rows, words=("joint",)))
+    columns = [
+        f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
+        for kind in everywhere
+        for c in kind.coefficients
+    ]
+    rows = []
+    for j in range(robot.n if everywhere else 0):
+        own = {type(e): texts for e, texts in found if e.joints == (j,)}
+        rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
     lines: list[tuple[str, ...]] = []
     for effect, texts in found:
         if type(effect) in everywhere:
@@ -153,11 +150,12 @@ def effect_tables(result: Identification) -> list[Table]:
             lines.append((effect.name, place, c.name, text, unit))
         for s, number in zip(effect.shapes, effect.shape_values, strict=True):
             lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
-    if lines:
-        columns = ["effect", "joint", "", "value ± std", "unit"]
-        title = "effects at their joints (shapes without a std are given, or were searched)"
-        out.append(Table(title, columns, lines, names=("effect", "joint", "", "unit")))
-    return out
+    heads = ("effect", "joint", "", "value ± std", "unit")
+    title = "effects at their joints (shapes without a std are given, or were searched)"
+    return filled(
+        Table("effects on the joints (value ± std)", ("joint", *columns), rows, words=("joint",)),
+        Table(title, heads, lines, names=("effect", "joint", "", "unit")),
+    )
 
 
 def error_table(result: Identification) -> Table:
@@ -437,22 +435,20 @@ def payload_tables(payload: Payload) -> list[Table]:
         for body in (payload.tool, payload.link)
     )
     named = zip(QUANTITIES, tool, link, strict=True)
-    out = [
+    changes = [
+        (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
+    ]
+    columns = ("coefficient", "unit", "change", "std")
+    title = "effects that changed with the load, not part of the payload"
+    return filled(
         Table(
             f"payload of {payload.robot} (value ± std, 95 % interval)",
             ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %"),
             [(*name, *own, *other) for name, own, other in named],
             names=("quantity", "unit"),
-        )
-    ]
-    if payload.friction_changes:
-        columns = ("coefficient", "unit", "change", "std")
-        rows = [
-            (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
-        ]
-        title = "effects that changed with the load, not part of the payload"
-        out.append(Table(title, columns, rows, words=columns[:2]))
-    return out
+        ),
+        Table(title, columns, changes, words=columns[:2]),
+    )
 
 
 def payload_headline(payload: Payload) -> str:

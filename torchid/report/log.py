@@ -16,7 +16,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Shown, Table, count, joint_unit
+from torchid.report.table import Cell, Shown, Table, count, filled, joint_unit
 from torchid.robot.model import JointType, Robot
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
@@ -150,7 +150,7 @@ def doctor_tables(examination: Examination) -> list[Table]:
         rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
     columns = ("verdict", "check", "evidence", "fix")
     title = f"log of {examination.robot.name}"
-    return [Table(title, columns, rows, names=columns[:2], words=columns[2:])] if rows else []
+    return filled(Table(title, columns, rows, names=columns[:2], words=columns[2:]))
 
 
 def fine(examination: Examination) -> str:

@@ -4,6 +4,7 @@ worth."""
 import math
 from typing import Any
 
+import torch
 from rich.text import Text
 
 from torchid.export.correct import Correction
@@ -11,7 +12,7 @@ from torchid.export.export import Export
 from torchid.export.projection import Kept
 from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.json_data import picked, plain
-from torchid.report.table import Shown, Table, cells, count, joint_numbers
+from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -179,46 +180,28 @@ def correction_tables(done: Correction) -> list[Table]:
         (f"the file alone, {judged.by}", judged.engine),
         ("with effects at run time", judged.run_time),
     ]
-    out = [
-        Table(
-            f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]",
-            ("", *joints, "mean"),
-            [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows],
-            words=("",),
+    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    # Positions in degrees and millimetres.
+    turns = (kind is JointType.REVOLUTE for kind in nominal.joint_types)
+    units = torch.tensor([math.degrees(1) if turn else 1e3 for turn in turns], dtype=torch.float64)
+    motion = [
+        (f"{one.horizon:g} s", name, *cells(away * units, ".2g"))
+        for one in judged.forward
+        for name, away in (
+            (_given(nominal), one.nominal), ("all effects", one.full), ("the file", one.engine),
         )
-    ]
-    motion = []
-    turns = [kind is JointType.REVOLUTE for kind in nominal.joint_types]
-    for one in judged.forward:
-        kinds = [
-            (_given(nominal), one.nominal),
-            ("all effects", one.full),
-            ("the file", one.engine),
-        ]
-        motion += [
-            (f"{one.horizon:g} s", name, *_away(v, turns)) for name, v in kinds if v is not None
-        ]
-    if motion:
-        title = "simulated motion, given the measured torque: error after a while [deg; mm]"
-        out.append(Table(title, ("after", "model", *joints), motion, words=("model",)))
-    if done.projection.kept:
-        out.append(
-            Table(
-                "effects without a field, which stay beside the file",
-                ("effect", "joints", "kept"),
-                [_kept(one, done.projection.to) for one in done.projection.kept],
-                words=("effect", "kept"),
-            )
-        )
-    return [*out, _bodies(done.projection.robot, nominal)]
-
-
-def _away(error: Tensor, turns: list[bool]) -> list[str]:
-    """Positions in degrees and millimetres."""
-    pairs = zip(error.tolist(), turns, strict=True)
-    return [
-        "-" if math.isnan(x) else f"{math.degrees(x) if turn else 1e3 * x:.2g}" for x, turn in pairs
-    ]
+        if away is not None
+    ]  # fmt: skip
+    kept = [_kept(one, done.projection.to) for one in done.projection.kept]
+    band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
+    after = "simulated motion, given the measured torque: error after a while [deg; mm]"
+    beside = "effects without a field, which stay beside the file"
+    return filled(
+        Table(band, ("", *joints, "mean"), errors, words=("",)),
+        Table(after, ("after", "model", *joints), motion, words=("model",)),
+        Table(beside, ("effect", "joints", "kept"), kept, words=("effect", "kept")),
+        _bodies(done.projection.robot, nominal),
+    )
 
 
 def _kept(one: Kept, to: str) -> tuple[str, str, str]:

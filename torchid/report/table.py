@@ -100,6 +100,11 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
+def filled(*tables: Table | None) -> list[Table]:
+    """Those of several tables that have rows."""
+    return [table for table in tables if table is not None and table.rows]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shown:
     """A result for people.

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torchid.report.table import Shown, Table, pipe_table
+from torchid.report.table import Shown, Table, filled, pipe_table
 from torchid.report.withheld_figures import figures
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
@@ -382,11 +382,10 @@ def own_tables(found: OwnCheck) -> list[Table]:
         for effect in dict.fromkeys(p.effect for p in found.planted)
     ]
     columns = ("effect", *(f"joint {j + 1}" for j in joints))
-    made = (
+    return filled(
         Table("Accepted effects, withheld", heads, withheld, words=heads),
         Table("Smallest size found, over noise", columns, planted, words=("effect",)),
     )
-    return [table for table in made if table.rows]
 
 
 def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:

@@ -26,7 +26,7 @@ from lxml import etree
 
 import torchid
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.files import atomic_write
+from torchid.files import write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.panels import Picture, literal
 from torchid.report.table import Table, printable
@@ -144,9 +144,7 @@ def write_page(page: Page, path: str | Path) -> Path:
     Raises:
         TorchidError: the file cannot be written, or Jinja2 is not installed.
     """
-    text = render(page)
-    with atomic_write(path) as stream:
-        stream.write(text)
+    write_text(path, render(page))
     return Path(path)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from torchid.errors import TorchidError
 from torchid.extraction.cma.search import default_population
 from torchid.feasibility.sets import joined, sets_record
-from torchid.files import atomic_write
+from torchid.files import write_text
 from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
@@ -20,7 +20,7 @@ from torchid.report.study.facts import by_feasibility, ids, kept, number, verdic
 from torchid.report.study.motion_figures import motion_drawings, torque_drawings
 from torchid.report.study.search_figures import search_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
-from torchid.report.table import Shown, Table, count, listed, torque_unit
+from torchid.report.table import Shown, Table, count, filled, listed, torque_unit
 from torchid.study.result import Study
 from torchid.wrenches.compare import ClassSummary
 from torchid.wrenches.resampling import Estimate
@@ -107,8 +107,8 @@ def search_table(study: Study) -> Table:
     )  # fmt: skip
 
 
-def certificate_table(study: Study) -> Table | None:
-    """phi_min of each group of bounds, and what stands in the way; None without certificates."""
+def certificate_table(study: Study) -> Table:
+    """phi_min of each group of bounds, and what stands in the way."""
     rows = []
     for bounds, c in study.certificates.items():
         # phi_min without each condition that raises it by more than a little, largest effect first.
@@ -122,7 +122,7 @@ def certificate_table(study: Study) -> Table | None:
         losses = (number(c.phi_min, 4), number(c.phi_strict, 4))
         rows.append((bounds, *losses, conditions, *stands, f"{c.seconds:.1f}"))
     words = ("bounds", "conditions", "forced by", "phi_min without", "no room for", "relaxed")
-    table = Table(
+    return Table(
         "what no search can beat: least loss of any feasible set",
         (words[0], "phi_min", "reached", *words[1:], "time [s]"),
         rows,
@@ -132,7 +132,6 @@ def certificate_table(study: Study) -> Table | None:
         "saves 5 % or more; no room for: conditions that the bounds meet on a face of theirs at "
         "most; relaxed: bounds that count in phi_min by a relaxation only.",
     )
-    return table if rows else None
 
 
 def reason_table(study: Study) -> Table:
@@ -262,12 +261,11 @@ def payload_table(study: Study) -> Table:
 
 def all_tables(study: Study) -> list[Table]:
     """Every table, in the page's order."""
-    found = (
+    return filled(
         identification_table(study), certificate_table(study), scenario_table(study),
         search_table(study), reason_table(study), torque_table(study), set_wrench_table(study),
         class_table(study), payload_table(study),
     )  # fmt: skip
-    return [table for table in found if table is not None]
 
 
 def _summary(c: ClassSummary) -> tuple[str, ...]:
@@ -322,13 +320,12 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     for name, parts in sets.items():
         sets_record(joined(parts), study.robot).save(folder / name)
     # The page comes last: where it is, all that it shows is there too.
-    with atomic_write(folder / "study.md") as stream:
-        stream.write(page(study, figures, list(sets)))
+    write_text(folder / "study.md", page(study, figures, list(sets)))
     return [folder / "study.md", *(folder / name for name in sets), *written]
 
 
 _PACKAGES = ("torchid", "Python", "torch", "numpy", "scipy", "clarabel", "matplotlib")
-_SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table | None], ...]], ...] = (
+_SECTIONS: tuple[tuple[str, str, tuple[Callable[[Study], Table], ...]], ...] = (
     ("Identification", "identification", (identification_table,)),
     ("Extraction", "extraction", (certificate_table, search_table)),
     ("Classification", "classification", (scenario_table, reason_table)),
@@ -355,7 +352,7 @@ def page(study: Study, drawings: Sequence[Picture], files: Sequence[str]) -> str
         parts.append(f"## {heading}\n")
         if section == "extraction":
             parts += _certificates(study)
-        parts += [table.markdown() for make in makers if (table := make(study)) is not None]
+        parts += [table.markdown() for table in filled(*(make(study) for make in makers))]
         parts += [
             f"![{d.name.replace('_', ' ')}]({d.file})\n\n*{d.caption}*\n"
             for d in drawings
