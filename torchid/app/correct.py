@@ -75,7 +75,7 @@ def correct_command(
     kind = file_format(to)
     if name is not None:
         require_name(name)
-    found, log, apart, _ = trials.open(output)
+    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
     with output.progress("reading") as progress:
         result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]

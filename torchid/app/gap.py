@@ -86,7 +86,7 @@ def gap_command(
     if for_ is not None and output.out is None:
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)
-    found, log, apart, files = trials.open(output)
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     torque = log.tau is not None and bool(log.tau.any())
     current = log.tau is None and log.current is not None and found.drive_gain is not None
     if log.u is not None and not torque and not current:

@@ -85,7 +85,7 @@ def identify_command(
     """
     from torchid.report.identification import shown
 
-    found, log, apart, files = trials.open(output)
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     with output.progress("reading") as progress:
         where = opt.device(device_name)
         result = torchid.identify(

@@ -246,14 +246,22 @@ class Trials(ArmAndLogs):
 
     held_out: LogFiles = None
 
-    def open(self, output: Output) -> "tuple[Robot, Log, Log | None, tuple[InputFile, ...]]":
+    def open(
+        self, output: Output, fraction: float = 0.0
+    ) -> "tuple[Robot, Log, Log | None, tuple[InputFile, ...]]":
         """The robot, the logs, those held out, and, for a page, what these files are.
 
+        Args:
+            output: that may want a page.
+            fraction: of every trajectory that is held out in place of logs.
+
         Raises:
-            TorchidError: an input cannot be read.
+            TorchidError: an input cannot be read, or logs and a fraction are held out.
         """
         from torchid.robot.library import robot_file
 
+        if self.held_out and fraction:
+            raise TorchidError("--held-out and --held-out-fraction exclude each other.")
         robot, apart = self.load(), self.held_out or []
         roles = [("log", path) for path in self.logs] + [("held-out log", path) for path in apart]
         named = [(role, str(path), path) for role, path in roles]
