@@ -23,7 +23,7 @@ from torchid.app.output import in_options
 from torchid.app.payload import payload_command
 from torchid.app.project import ProjectCommand
 from torchid.app.show import effects_command, robot_command
-from torchid.app.signature import Option
+from torchid.app.signature import Debug, Option
 from torchid.app.simulate import simulate_command
 from torchid.app.study import study_command
 from torchid.app.withheld import withheld_app
@@ -71,9 +71,7 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
-    ] = False,
+    debug: Debug = False,
 ) -> None:
     """What a robot arm's dynamics really are, and why the simulator disagrees with the arm."""
 

@@ -35,7 +35,7 @@ _Project = Annotated[
         "absent.",
     ),
 ]
-_Debug = Annotated[
+Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
 ]
 LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
@@ -146,7 +146,7 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
         options += made
     if project and any(option.name == "tip" for option in options):
         options.append(_option("project_file", _Project, None, {}))
-    options.append(_option("debug", _Debug, False, {}))
+    options.append(_option("debug", Debug, False, {}))
 
     def run(**given: Any) -> None:
         _require_apart(options, given)
