@@ -8,7 +8,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
-from torchid.app.project import ProjectCommand
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
@@ -21,11 +21,7 @@ if TYPE_CHECKING:
     from torchid.parallel.store import Store
     from torchid.parallel.workers import Workers
 
-fleet_app = typer.Typer(
-    name="fleet",
-    no_args_is_help=True,
-    help="Many units of one robot type: the type, its spread, the odd ones.",
-)
+fleet_app = group("fleet", "Many units of one robot type: the type, its spread, the odd ones.")
 
 
 def _part(text: str) -> tuple[int, int]:

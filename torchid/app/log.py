@@ -8,12 +8,10 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Printed, worded
-from torchid.app.project import ProjectCommand
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import command
 
-log_app = typer.Typer(
-    name="log", no_args_is_help=True, help="What a log is, before anything is computed from it."
-)
+log_app = group("log", "What a log is, before anything is computed from it.")
 
 
 @log_app.command("doctor", cls=ProjectCommand)

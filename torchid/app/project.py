@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import typer
 from typer.core import TyperCommand, TyperOption
 
 from torchid.project.file import Project, Taken, find_project, read_project
@@ -28,6 +29,11 @@ def current() -> Project:
 def read(file: Path) -> Project:
     """A project file, with the options of all commands."""
     return read_project(file, _commands())
+
+
+def group(name: str, about: str) -> typer.Typer:
+    """A group of commands, without any yet."""
+    return typer.Typer(name=name, no_args_is_help=True, help=about)
 
 
 class ProjectCommand(TyperCommand):

@@ -11,17 +11,13 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Printed
-from torchid.app.project import ProjectCommand
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
 
-withheld_app = typer.Typer(
-    name="withheld",
-    no_args_is_help=True,
-    help="Check the diagnosis on data whose cause was withheld from it.",
-)
+withheld_app = group("withheld", "Check the diagnosis on data whose cause was withheld from it.")
 
 SetArgument = Annotated[
     Path,
