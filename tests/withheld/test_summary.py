@@ -6,8 +6,7 @@ import pytest
 
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, beaten_by, headline, markdown, score_table
-from torchid.report.withheld_figures import figures
+from torchid.report.withheld import LINES, beaten_by, figures, headline, markdown, score_table
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.summary import require_answers, summary
 

@@ -31,7 +31,7 @@ from torchid.report import (
     identification,
     log,
     position_figures,
-    withheld_figures,
+    withheld,
 )
 from torchid.report import gap_figures as gap
 from torchid.report.panels import Figure, Figures
@@ -130,7 +130,7 @@ def kinds(result: Result) -> Figures:
         case Comparison() | GapComparison() | SetComparison():
             return compare.figures(result)
         case ScoreRecord():
-            return withheld_figures.figures(result.plain())
+            return withheld.figures(result.plain())
     return {}
 
 

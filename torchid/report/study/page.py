@@ -17,8 +17,7 @@ from torchid.report.page.document import Origin, Page, versions
 from torchid.report.panels import Picture, save_small
 from torchid.report.study import facts
 from torchid.report.study.facts import by_feasibility, ids, kept, number, verdict
-from torchid.report.study.motion_figures import motion_drawings, torque_drawings
-from torchid.report.study.search_figures import search_drawings
+from torchid.report.study.figures import motion_drawings, search_drawings, torque_drawings
 from torchid.report.study.wrench_figures import payload_drawings, wrench_drawings
 from torchid.report.table import Shown, Table, count, filled, listed, torque_unit
 from torchid.study.result import Study
