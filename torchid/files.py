@@ -145,6 +145,16 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         raise TorchidError(f"'{path}' cannot be written: {error.strerror or error}") from error
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text atomically.
+
+    Raises:
+        TorchidError: as `atomic_write`.
+    """
+    with atomic_write(path) as file:
+        file.write(text)
+
+
 def _open(path: Path, mode: str) -> IO[Any]:
     if "b" in mode:
         return open(path, mode)

@@ -3,13 +3,17 @@
 import hashlib
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from tests.gap.diagnoses import diagnosis
 from tests.report.page.reading import parsed, rows_of, text_of
 from tests.report.test_gap_page import SHORT
+from torchid.app.output import Output
 from torchid.report.page import document as rendering
+from torchid.report.study import page as study_report
+from torchid.report.table import Shown
 from torchid.robot.library import robot_file
 from torchid.study.settings import study_file
 
@@ -95,15 +99,19 @@ def test_study(command, tmp_path):
 
 
 def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
-    import torchid.app.study as room
-
     asked = []
-    monkeypatch.setattr("torchid.study.study.run_study", lambda settings, **_: settings)
-    monkeypatch.setattr(room, "_keep", lambda *_: {})
-    monkeypatch.setattr(room, "_say", lambda *_: None)
-    monkeypatch.setattr(room, "_report", lambda found, output, files: asked.append(
-        (found.name, output.report.name, files[0].sha256)
-    ))  # fmt: skip
+
+    def write(output, build, *, files, **_):
+        asked.append((build(None), output.report.name, files[0].sha256))
+
+    def run(settings, **_):
+        return SimpleNamespace(settings=settings, plain=dict)
+
+    monkeypatch.setattr("torchid.study.study.run_study", run)
+    monkeypatch.setattr(study_report, "study_page", lambda found, _: found.settings.name)
+    monkeypatch.setattr(study_report, "seeds_and_settings", lambda _: {})
+    monkeypatch.setattr(study_report, "shown", lambda _: Shown(parts=[]))
+    monkeypatch.setattr(Output, "write_page", write)
     done = command("study", "all", "--report", tmp_path / "page.html")
     assert done.code == 0, done.err
     names = ("3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction")

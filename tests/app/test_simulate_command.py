@@ -82,7 +82,7 @@ def test_honest_noise_hides_the_accelerations(command, trajectory, tmp_path) -> 
         (["--effect", "coulomb_friction:joint=1,Fc=1,Fv=2"], "'Fv' does not belong"),
         (["--effect", "coulomb_friction:joint=1,Fc"], "cannot be read at 'Fc'"),
         (["--effect", "saturation:joint=1,clip=1"], "limit [N m]"),
-        (["--rate", 200], "--rate needs"),
+        (["--rate", 200], "motion under control. expected: effects, or --closed-loop"),
         (["--closed-loop", "--noise", "paper"], "paper noise"),
         (["--closed-loop", "--rate", 0], "sampling rate"),
     ],

@@ -357,7 +357,8 @@ def test_impossible_and_bad_numbers(tmp_path):
 
 
 def test_the_record_of_a_json(tmp_path):
-    from torchid.report.motion import clearance_record, nearest_words
+    from torchid.next_motion.planned import clearance_record
+    from torchid.report.motion import nearest_words
 
     robot, clearance = made("7r", tmp_path)
     still = random_trajectory(robot, 0)

@@ -17,8 +17,8 @@ from torchid.report.panels import save
 def test_every_figure_is_drawn(status, tmp_path):
     drawn = figures(diagnosis(status))
     assert set(drawn) == {"where", "how_far", "gap_joint_2", "torque"}
-    for name, figure in drawn.items():
-        assert save(figure, tmp_path / f"{name}.png").stat().st_size > 5000
+    for name, draw in drawn.items():
+        assert save(draw(), tmp_path / f"{name}.png").stat().st_size > 5000
 
 
 def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
@@ -32,8 +32,8 @@ def test_figures_of_invalid_instants_zero_noise_and_two_trajectories(tmp_path):
         trace(coulomb, seconds=3.0, rate=100.0),
     )
     d = diagnosis(traces=traces, floor=floor(noise=0.0))
-    for name, figure in figures(d).items():
-        save(figure, tmp_path / f"{name}.png")
+    for name, draw in figures(d).items():
+        save(draw(), tmp_path / f"{name}.png")
 
 
 def test_no_traces_no_joint_figures():
@@ -48,7 +48,7 @@ def test_map_shows_clear_cells_only():
 
 def test_bars_have_the_heights_of_the_rms():
     d = diagnosis()
-    heights = [p.get_height() for p in figures(d)["how_far"].axes[0].patches]
+    heights = [p.get_height() for p in figures(d)["how_far"]().axes[0].patches]
     rms = torch.cat([d.how_far.rms_before, d.how_far.rms_after]).tolist()
     assert heights[:6] == pytest.approx(rms)
     assert heights[6:] == pytest.approx((d.floor.high - d.floor.low).tolist())
@@ -92,7 +92,7 @@ def test_samples_are_the_valid_ones():
 def test_a_negative_and_a_missing_result_are_drawn(tmp_path):
     d = diagnosis(findings=(FRICTION,))
     worse = HowFar(d.how_far.rms_after, d.how_far.rms_before, -0.5, (-0.7, 0.1))
-    save(figures(replace(d, how_far=worse))["how_far"], tmp_path / "worse.png")
+    save(figures(replace(d, how_far=worse))["how_far"](), tmp_path / "worse.png")
 
 
 def test_what_the_log_would_show_is_drawn_where_it_is_known(tmp_path):
@@ -101,7 +101,7 @@ def test_what_the_log_would_show_is_drawn_where_it_is_known(tmp_path):
     names = (finding.effect.name, "torque_offset")
     told = ((0.9, 0.05, 0.05), (0.4, 0.6, 0.0))
     planted = Planted(names, told, ((0.5, 0.1), (1.0, 0.9)))
-    drawn = figures(replace(d, findings=(replace(finding, planted=planted),)))["planted"]
+    drawn = figures(replace(d, findings=(replace(finding, planted=planted),)))["planted"]()
     texts = [t.get_text() for axes in drawn.axes for t in axes.texts]
     assert texts == ["90", "5", "5", "40", "60"]
     assert save(drawn, tmp_path / "planted.png").stat().st_size > 5000

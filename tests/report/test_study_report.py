@@ -16,13 +16,15 @@ from torchid.feasibility.sets import read_sets
 from torchid.report.log import trajectory_figure
 from torchid.report.study import facts
 from torchid.report.study.facts import headline, verdict
-from torchid.report.study.page import drawings, page, write_study
-from torchid.report.study.tables import (
+from torchid.report.study.page import (
     all_tables,
+    drawings,
     identification_table,
+    page,
     payload_table,
     scenario_table,
     set_wrench_table,
+    write_study,
 )
 from torchid.report.table import Table
 from torchid.study.motions import excitation

@@ -8,12 +8,10 @@ import pytest
 import torch
 from rich.console import Console
 
+from torchid.report import equal_torque, given_sets
+from torchid.report.equal_torque import findings
 from torchid.report.panels import save
 from torchid.report.table import Table
-from torchid.report.wrenches import figures as equal_torque_figures
-from torchid.report.wrenches import given_sets
-from torchid.report.wrenches import tables as equal_torque
-from torchid.report.wrenches.tables import findings
 from torchid.robot.library import load_robot
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.given_sets import given_sets as compare_given
@@ -113,7 +111,7 @@ def test_sentences_follow_the_intervals() -> None:
 
 @pytest.mark.parametrize("name", ["force_by_degree", "force_by_kind", "force_by_mass"])
 def test_figures_show_all_sets(name, tmp_path) -> None:
-    figure = equal_torque_figures.figures(study())[name]
+    figure = equal_torque.figures(study())[name]()
     assert save(figure, tmp_path / "f.png").stat().st_size > 10_000
     axes = [a for a in figure.axes if a.get_visible()]
     if name == "force_by_kind":
@@ -125,7 +123,7 @@ def test_figures_show_all_sets(name, tmp_path) -> None:
 
 
 def test_time_figure_shows_the_forces_of_the_reference() -> None:
-    figure = equal_torque_figures.time_figure(study())
+    figure = equal_torque.time_figure(study())
     lines = figure.axes[0].get_lines()
     assert len(lines) == 1 + len(KINDS)
     drawn = lines[-1].get_ydata()
@@ -144,7 +142,8 @@ def test_given_sets_are_listed_with_their_reasons(tmp_path) -> None:
         for reason in given().checked.reasons(k):
             assert reason in line
     assert given().sets.ids[int(worst.argmax())] in given_sets.headline(given())
-    for figure in given_sets.figures(given()).values():
+    for draw in given_sets.figures(given()).values():
+        figure = draw()
         assert save(figure, tmp_path / "f.png").stat().st_size > 10_000
 
 

@@ -6,8 +6,7 @@ import pytest
 
 from tests.withheld.fakes import answer, draw_case, entry, key_of
 from torchid.errors import TorchidError
-from torchid.report.withheld import LINES, beaten_by, headline, markdown, score_table
-from torchid.report.withheld_figures import figures
+from torchid.report.withheld import LINES, beaten_by, figures, headline, markdown, score_table
 from torchid.withheld.case_set import CaseSet
 from torchid.withheld.summary import require_answers, summary
 
@@ -123,11 +122,11 @@ def test_a_better_baseline_is_said(cases, keys, answers):
 def test_figures_are_drawn_of_what_there_is(cases, keys, answers):
     found = summary(cases, keys, answers)
     assert set(figures(found)) == {"confusion"}
-    axes = figures(found)["confusion"].axes[0]
+    axes = figures(found)["confusion"]().axes[0]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["coulomb friction", "air drag"]
     assert "viscous friction" in [t.get_text() for t in axes.get_xticklabels()]
     keys[1] |= {"kind": "severity", "level": 5.0}
     found = summary(cases, keys, answers)
     assert set(figures(found)) == {"confusion", "detection"}
-    panel = figures(found)["detection"].axes[0]
+    panel = figures(found)["detection"]().axes[0]
     assert [line.get_ydata().tolist() for line in panel.lines] == [[100.0], [100.0]]

@@ -1,15 +1,12 @@
 """`torchid check`: whether parameters can belong to a real arm."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
-
-if TYPE_CHECKING:
-    pass
 
 
 @command
@@ -44,20 +41,12 @@ def check_command(
         bounds: Also tell which parameters lie on these bounds.
         nearest: Write the feasible set nearest in torque to each infeasible one.
     """
-
     from torchid.export.nearest import nearest_sets
     from torchid.feasibility.asked import asked_about
     from torchid.feasibility.bounds import read_total_mass
     from torchid.feasibility.derived_bounds import named_bounds
     from torchid.feasibility.record import check_sets
-    from torchid.report.feasibility import (
-        DEGREE,
-        conditions_line,
-        findings_lines,
-        headline,
-        nearest_table,
-        tables,
-    )
+    from torchid.report.feasibility import findings_lines, shown
 
     asked = asked_about(params, robot, tip)
     found = asked.robot
@@ -84,13 +73,7 @@ def check_command(
             repaired = nearest_sets(check, asked.others, nearest, data, seed)
     if repaired is not None and nearest is not None and bool(repaired.feasible.any()):
         output.written.append(nearest)
-    output.write_json(data, "feasibility.json")
-    output.verdict(headline(check))
-    output.say(conditions_line(check), *tables(check))
-    if repaired is not None:
-        output.say(nearest_table(repaired))
-    output.say(DEGREE)
-    output.warn(data["warnings"])
+    output.give(data, "feasibility.json", lambda _: shown(check, repaired, data["warnings"]))
     findings = findings_lines(check)
     if findings:
         output.say("\nnot plausible, though not forbidden:")

@@ -1,7 +1,7 @@
 """All commands, and what happens when one fails."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,6 +23,7 @@ from torchid.app.output import in_options
 from torchid.app.payload import payload_command
 from torchid.app.project import ProjectCommand
 from torchid.app.show import effects_command, robot_command
+from torchid.app.signature import Debug, Option
 from torchid.app.simulate import simulate_command
 from torchid.app.study import study_command
 from torchid.app.withheld import withheld_app
@@ -47,6 +48,17 @@ for _one in (
         app.command(name, cls=ProjectCommand)(_one)
 
 
+def options_of_all() -> dict[str, list[Option]]:
+    """The options of every command, by its name with its group's: `log show`."""
+    found: dict[str, list[Option]] = {}
+    todo: list[tuple[str, Any]] = [("", app)]
+    while todo:
+        above, group = todo.pop()
+        todo += [(f"{above}{sub.name} ", sub.typer_instance) for sub in group.registered_groups]
+        found |= {above + one.name: one.callback.options for one in group.registered_commands}
+    return found
+
+
 def _version(asked: bool) -> bool:
     if asked:
         typer.echo(f"torchid {__version__}")
@@ -59,9 +71,7 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
-    ] = False,
+    debug: Debug = False,
 ) -> None:
     """What a robot arm's dynamics really are, and why the simulator disagrees with the arm."""
 

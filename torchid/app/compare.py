@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import command
@@ -33,29 +34,15 @@ def compare_command(
         on: Compare torque along this log, in place of random motion. May be given several times.
         robot: Where the results do not record it.
     """
-    from torchid.compare.identifications import Comparison
     from torchid.compare.reading import read_results
     from torchid.compare.results import common_robot, compared
-    from torchid.compare.sets import SetComparison
-    from torchid.report import compare
-    from torchid.report.compare_figures import figures
-    from torchid.robot.library import load_robot
+    from torchid.report.compare import shown
 
     read = read_results(results)
-    arm = common_robot(read, tip) if robot is None else load_robot(robot, tip=tip)
+    arm = common_robot(read, tip) if robot is None else torchid.load_robot(robot, tip=tip)
     if on and arm is None:
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     log = logs.read(on, arm) if on and arm is not None else None
     with output.progress("comparing"):
         found = compared(read, arm, on=log, seed=seed)
-    output.write_json({**found.plain(), "seed": seed}, "compare.json")
-    output.draw(lambda: figures(found))
-    if isinstance(found, Comparison):
-        verdict, tables = compare.verdict(found), compare.tables(found)
-    elif isinstance(found, SetComparison):
-        verdict, tables = compare.set_verdict(found), compare.set_tables(found)
-    else:
-        verdict, tables = compare.gap_verdict(found), compare.gap_tables(found)
-    output.verdict(verdict)
-    output.say(*tables)
-    output.warn(found.notes)
+    output.give(found, "compare.json", shown, seed=seed)

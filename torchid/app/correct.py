@@ -5,19 +5,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
-from torchid.app.signature import Fields, Switch, command
-from torchid.errors import TorchidError
+from torchid.app.signature import Switch, command
 from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
     from torchid.export.correct import Correction
     from torchid.export.projection import Target
     from torchid.gap.diagnosis import Diagnosis
-    from torchid.log.model import Log
-    from torchid.robot.model import Robot
-
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "gazebo"]
 """What a corrected file can be for; the last three read one of the first two."""
@@ -43,14 +40,7 @@ def correct_command(
     with_effects: Switch = False,
     settings: Annotated[
         GapSettings,
-        Fields(
-            effects=opt.Searched,
-            background=opt.Names,
-            parameters=Literal["trusted", "free", "auto"],
-            held_out_fraction=opt.HeldOutFraction,
-            gain_std=opt.Share,
-            seed=opt.Seed,
-        ),
+        opt.GAP.only("effects background parameters held_out_fraction gain_std seed"),
     ],
     output: Computed,
 ) -> None:
@@ -78,30 +68,28 @@ def correct_command(
         gain_std: How well the scale of each joint's torque is known, one standard deviation as a
             share of it.
     """
-    if trials.held_out and settings.held_out_fraction:
-        raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     from torchid.export.export import require_name
-    from torchid.gap.diagnose import diagnose
     from torchid.report.gap_words import verdict
+    from torchid.report.robot import correction_shown
 
     kind = file_format(to)
     if name is not None:
         require_name(name)
-    found, log, apart, _ = trials.open(output)
+    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
     with output.progress("reading") as progress:
-        result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
+        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     keep = [Path(trials.robot), *trials.logs, *(trials.held_out or ())]
     done = corrected_by(output, found, result, log, apart, kind, name, keep, settings, with_effects)
     output.verdict(verdict(result))
-    say_corrected(output, done)
+    output.tell(correction_shown(done))
 
 
 def corrected_by(
     output: Output,
-    robot: "Robot",
-    full: "Robot | Diagnosis",
-    log: "Log",
-    held_out: "Log | None",
+    robot: "torchid.Robot",
+    full: "torchid.Robot | Diagnosis",
+    log: "torchid.Log",
+    held_out: "torchid.Log | None",
     to: "Target",
     name: str | None,
     keep: list[Path],
@@ -115,31 +103,9 @@ def corrected_by(
         robot, full, log, held_out, to, name, keep, settings, with_effects: see
             `torchid.export.correct.correct`.
     """
-    from torchid.export.correct import correct
-
-    folder = output.out or Path()
-    done = correct(
-        robot,
-        full,
-        log,
-        to,
-        folder,
-        name,
-        held_out=held_out,
-        settings=settings,
-        with_effects=with_effects,
-        keep=keep,
-    )
+    done = torchid.correct(
+        robot, full, log, to, output.out or Path(), name, held_out=held_out, settings=settings,
+        with_effects=with_effects, keep=keep,
+    )  # fmt: skip
     output.write_json(done.plain(), "correction.json")
     return done
-
-
-def say_corrected(output: Output, done: "Correction") -> None:
-    """Tell what a corrected file is worth."""
-
-    from torchid.report.correction import headline, tables
-
-    output.verdict(headline(done))
-    output.say(*tables(done))
-    output.warn(dict.fromkeys((*done.warnings, *(w for x in done.exports for w in x.warnings))))
-    output.say(f"\nwritten: {', '.join(map(str, done.files))}")

@@ -22,12 +22,10 @@ def demo_command(
     Args:
         out: Folder for results.
     """
-    from torchid.report.demo import demo_record, figures, tables
-    from torchid.study.demo import kuka_demo, paper_demo
+    from torchid.report.demo import shown
+    from torchid.study.demo import demo_record, kuka_demo, paper_demo
 
     paper = paper_demo()
     with output.progress() as progress:
         kuka = kuka_demo(seed, opt.device(device_name), progress)
-    output.write_json(demo_record(paper, kuka), "demo.json")
-    output.draw(lambda: figures(kuka))
-    output.say(*tables(paper, kuka))
+    output.give(demo_record(paper, kuka), "demo.json", lambda _: shown(paper, kuka))

@@ -2,37 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output, stage
+from torchid.app.output import Computed, Progress, stage
 from torchid.app.planned import Controllers, Room
 from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
-from torchid.json_data import plain
 
 if TYPE_CHECKING:
     from torchid.excitation.clearance import Clearance
-    from torchid.excitation.fourier import FourierTrajectory
-    from torchid.excitation.torque import TorqueLimits
-    from torchid.excitation.trajectories import Sinusoid
-    from torchid.robot.model import Robot
-
-
-@dataclass(frozen=True)
-class Designed:
-    """Motions, their record, the torque limits that were kept, and what there is to say."""
-
-    made: "Sequence[FourierTrajectory | Sinusoid]"
-    record: dict[str, Any]
-    torque: "TorqueLimits | None"
-    told: Sequence[Any] = ()
-    warnings: Sequence[str] = ()
-    verdict: str | None = None
+    from torchid.excitation.design import Excitation
+    from torchid.excitation.informed import InformedDesign
+    from torchid.next_motion.separating_motion import Separation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,22 +125,11 @@ def excite_command(
         to: Trajectory file (.csv, .parquet, .npz).
         max_velocity: Velocity limits, in place of the robot's.
     """
-    from torchid.excitation.fourier import FourierTrajectory
-    from torchid.excitation.given import given_motions
+    from torchid.excitation.given import Motions, given_motions
     from torchid.excitation.restriction import restricted
-    from torchid.excitation.trajectories import trajectory_log
-    from torchid.log.model import Log
-    from torchid.log.readers import write_log
     from torchid.next_motion.design import read_asking
-    from torchid.report.log import trajectory_figure
-    from torchid.report.motion import (
-        clearance_record,
-        frictionless,
-        nearest_words,
-        not_checked,
-        torque_record,
-        torque_table,
-    )
+    from torchid.next_motion.planned import Planned
+    from torchid.report import motion as words
 
     target = to or (output.out and output.out / "trajectory.csv")
     if not (target or output.json_file or files.ros2 or files.urscript):
@@ -172,80 +149,50 @@ def excite_command(
     arm = opt.limited(found, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     clearance, unknown = room.of(arm, motion.usage)
-    if motion.result is not None:
-        designed = _next(arm, motion, clearance, motion.result, output)
-    elif motion.kind == "optimised":
-        designed = _optimised(arm, motion, clearance, output)
+    with output.progress() as progress:
+        designs = _designs(arm, motion, clearance, progress)
+    made: Motions
+    if designs:
+        made, limits = [design.trajectory for design in designs], designs[0].torque
     else:
         seeds = range(motion.seed, motion.seed + motion.count)
-        made, torque = given_motions(arm, motion.kind, seeds, clearance, **motion.series)
-        designed = Designed(made, {}, torque)
-    made, record, torque = designed.made, designed.record, designed.torque
-    kind = motion.kind if motion.result is None else "next"
+        made, limits = given_motions(arm, motion.kind, seeds, clearance, **motion.series)
     if motion.speed != 1:
         made = [x.at_speed(motion.speed) for x in made]
         # Gravity needs its torque at any speed, and the designed motion may have helped it.
-        kept = None if kind == "paper" else restricted(torque, clearance)
+        kept = None if motion.kind == "paper" else restricted(limits, clearance)
         made = made if kept is None else [kept.within(x) for x in made]
-    series = [x for x in made if isinstance(x, FourierTrajectory)]
-    record |= {"trajectories": _coefficients(series)} if series else {}
-
-    # What the motions ask of the drives, or that it is not known, and how near they come.
-    use = None if torque is None else torque.use(made)
-    nearest = None if clearance is None else clearance.nearest(made)
-    logs = [trajectory_log(x, motion.rate) for x in made]
-    log = Log.concatenate(logs) if len(logs) > 1 else logs[0]
-    if target is not None:
-        write_log(log, target)
-        output.written.append(target)
-    output.written.extend(files.write(arm, made, motion.rate))
-    output.write_json(
-        {
-            "schema": "torchid.excitation/1",
-            "robot": arm.name,
-            "kind": kind,
-            "file": None if target is None else target.name,
-            **record,
-            "speed": motion.speed,
-            "torque": torque_record(arm, use),
-            "clearance": clearance_record(clearance, nearest, unknown),
-            "warnings": list(log.warnings),
-        },
-        "excitation.json",
+    kind, source = (motion.kind, None) if motion.result is None else ("next", motion.result.name)
+    planned = Planned(
+        arm, kind, made, motion.rate, motion.speed, limits, clearance, unknown, designs, source
     )
-    title = f"{arm.name}: {kind} trajectory"
-    output.draw(
-        lambda: {
-            f"trajectory_{k}": trajectory_figure(arm, part, f"{title} {k}")
-            for k, part in enumerate(log.trajectories(), start=1)
-        }
-    )
-
-    if designed.verdict is not None:
-        output.verdict(designed.verdict)
-    output.say(*designed.told)
-    output.warn(designed.warnings)
-    if use is not None:
-        output.say(torque_table(arm, use))
-        output.warn(frictionless(use))
-    elif reason := not_checked(arm):
-        output.warn((reason,))
-    if clearance is not None and nearest is not None:
-        output.say(nearest_words(clearance, nearest), *clearance.notes)
-    output.warn((*unknown, *log.warnings))
+    output.put(target, partial(torchid.write_log, planned.log))
+    files.write(arm, made, motion.rate, output)
+    data = planned.plain(None if target is None else target.name)
+    said = output.keep(data, "excitation.json", lambda _: words.shown(planned))
+    output.tell(words.design_shown(planned))
+    output.tell(said)
 
 
-def _coefficients(series: "Sequence[FourierTrajectory]") -> list[dict[str, Any]]:
-    names = ("a", "b", "q0", "w_f", "duration", "ramp")
-    return [{name: plain(getattr(s, name)) for name in names} for s in series]
-
-
-def _optimised(
-    robot: "Robot", motion: Motion, clearance: "Clearance | None", output: Output
-) -> Designed:
-    from torchid.excitation.design import excite
-    from torchid.report.motion import HARDLY_BETTER
-
+def _designs(
+    robot: "torchid.Robot",
+    motion: Motion,
+    clearance: "Clearance | None",
+    progress: Progress | None,
+) -> "Sequence[Excitation | InformedDesign | Separation]":
+    """The designs asked for; none where motions are given."""
+    if motion.result is not None:
+        if motion.criterion == "condition":
+            raise TorchidError(
+                "--for a result has other criteria.",
+                got=motion.criterion,
+                available=["a_optimal", "d_optimal"],
+            )
+        made = torchid.excite_for(
+            motion.result, robot, goal=motion.criterion, restarts=motion.restarts,
+            seed=motion.seed, clearance=clearance, progress=progress, **motion.series,
+        )  # fmt: skip
+        return [made]
     settings = motion.series | {
         "effects": motion.effects,
         "restarts": motion.restarts,
@@ -254,58 +201,8 @@ def _optimised(
         "device": opt.device(motion.device_name),
         "clearance": clearance,
     }
-    found = []
-    with output.progress() as progress:
-        for k in range(motion.count):
-            told = stage(progress, f"trajectory {k + 1} of {motion.count}")
-            found.append(excite(robot, seed=motion.seed + k, progress=told, **settings))
-    said = [
-        f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
-        f"-> {design.condition_after:.0f}"
-        for k, design in enumerate(found, start=1)
-    ]
-    hardly = (HARDLY_BETTER,) if any(design.hardly for design in found) else ()
-    record = {
-        "criterion": settings["criterion"],
-        "basis": found[0].base.basis,
-        "condition_number_before": [f.start_condition for f in found],
-        "condition_number_after": [f.condition_after for f in found],
-        "hardly_better": [f.hardly for f in found],
-    }
-    return Designed([f.trajectory for f in found], record, found[0].torque, said, hardly)
-
-
-def _next(
-    robot: "Robot",
-    motion: Motion,
-    clearance: "Clearance | None",
-    result: Path,
-    output: Output,
-) -> Designed:
-    """The motion for a result, by its kind."""
-    from torchid.excitation.informed import InformedDesign
-    from torchid.next_motion.design import excite_for
-    from torchid.report import motion as words
-
-    if motion.criterion == "condition":
-        raise TorchidError(
-            "--for a result has other criteria.",
-            got=motion.criterion,
-            available=["a_optimal", "d_optimal"],
-        )
-    with output.progress() as progress:
-        made = excite_for(
-            result, robot, goal=motion.criterion, restarts=motion.restarts, seed=motion.seed,
-            clearance=clearance, progress=progress, **motion.series,
-        )  # fmt: skip
-    warnings = [words.HARDLY_BETTER] if made.hardly else []
-    if isinstance(made, InformedDesign):
-        verdict, table = words.informed_verdict(made), words.informed_table(made)
-        record = words.informed_record(made)
-    else:
-        verdict = words.separation_verdict(made, made.kind)
-        table = words.separation_table(made, made.kind)
-        record = {**words.separation_record(made, made.kind), "notes": list(made.notes)}
-        warnings = [*made.notes, *warnings]
-    record |= {"result": result.name, "hardly_better": made.hardly}
-    return Designed([made.trajectory], record, made.torque, [table], warnings, verdict)
+    out = []
+    for k in range(motion.count if motion.kind == "optimised" else 0):
+        told = stage(progress, f"trajectory {k + 1} of {motion.count}")
+        out.append(torchid.excite(robot, seed=motion.seed + k, progress=told, **settings))
+    return out

@@ -5,12 +5,12 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.correct import corrected_by, say_corrected
+from torchid.app.correct import corrected_by
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.gap.settings import GapSettings
 
 
 @command
@@ -53,73 +53,32 @@ def export_command(
         held_out: Whole trajectories that judge what was refitted.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
-
-    from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
-    from torchid.export.results import (
-        CORRECTED,
-        base_dynamics,
-        diagnosis_dynamics,
-        load,
-        model_of,
-        robot_dynamics,
-        set_dynamics,
-    )
-    from torchid.report.robot import (
-        comparison_table,
-        effect_lines,
-        export_headline,
-    )
-    from torchid.robot.library import is_robot, load_both, load_robot, named_robot
+    from torchid.export.results import carried
+    from torchid.report.robot import correction_shown, export_shown
 
-    settings = GapSettings()
-    if is_robot(result):
-        nominal, original = load_both(result, robot, tip)
-        dynamics = robot_dynamics(nominal)
-    elif CORRECTED in (data := load(Path(result))):
-        dynamics, settings = diagnosis_dynamics(Path(result))
-        nominal = original = model_of(Path(result), robot, tip)
-        if log is None and to in get_args(Target):
+    found = carried(result, robot, tip, chosen, geometry)
+    keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
+    if log is None:
+        if found.diagnosed and to in get_args(Target):
             raise TorchidError(
                 f"a diagnosis is refitted to what {to} can say, and needs its logs for that.",
                 hint="--log LOG (several times, with --gain or --columns as before); --to yaml "
                 "writes the corrected robot with all its effects",
             )
-    else:
-        path = Path(result)
-        nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
-        original = nominal
-        if "sets" in data:
-            dynamics = set_dynamics(path, data, nominal, chosen, geometry)
-        else:
-            dynamics = base_dynamics(path, nominal)
-    keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
-    if log is not None:
-        if to != "mjcf" and to != "urdf":
-            raise TorchidError(
-                "only files of simulators are refitted to a log.",
-                got=to,
-                available=get_args(Target),
-            )
-        read, apart = (reading.read(x, original) if x else None for x in (log, held_out))
-        assert read is not None
-        whole = dynamics.robot
-        made = corrected_by(output, original, whole, read, apart, to, name, keep, settings)
-        say_corrected(output, made)
+        done = torchid.export_dynamics(
+            found.dynamics, to, output.out or Path(), name, nominal=found.nominal,
+            original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
+        )  # fmt: skip
+        output.give(done, f"export_{to}.json", export_shown, seed=seed)
         return
-    done = export_dynamics(
-        dynamics,
-        to,
-        output.out or Path(),
-        name,
-        nominal=nominal,
-        original=original,
-        geometry=geometry,
-        force=force,
-        seed=seed,
-        keep=keep,
+    if to != "mjcf" and to != "urdf":
+        raise TorchidError(
+            "only files of simulators are refitted to a log.", got=to, available=get_args(Target)
+        )
+    read = reading.read(log, found.original)
+    apart = reading.read(held_out, found.original) if held_out else None
+    made = corrected_by(
+        output, found.original, found.dynamics.robot, read, apart, to, name, keep, found.settings
     )
-    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
-    output.say(comparison_table(done), *effect_lines(done))
-    output.warn(done.warnings)
-    output.say(f"\nwritten: {export_headline(done)}")
+    output.tell(correction_shown(made))

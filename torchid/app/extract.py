@@ -1,15 +1,15 @@
 """`torchid extract` and `torchid atlas`: physical parameters from base parameters."""
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Computed, Output, stage
+from torchid.app.output import Computed, stage
 from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, SearchSettings
@@ -17,7 +17,6 @@ from torchid.extraction.settings import EngineName, SearchSettings
 if TYPE_CHECKING:
     from torchid.extraction.problem import LossName, Problem
     from torchid.identification.values import BaseValues
-    from torchid.report.extraction import Found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +44,11 @@ class Sought:
         self, arm: opt.Arm, loss: "LossName" = "two-step"
     ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
         """The problem that the options describe, the base parameters, and notes for the user."""
-        from torchid.extraction.from_identification import problem_of
         from torchid.identification.values import nominal_base, read_base
 
         robot = arm.load()
         found = nominal_base(robot) if self.result is None else read_base(self.result, robot)
-        problem, notes = problem_of(
+        problem, notes = torchid.problem_of(
             robot,
             found,
             bounds=self.bounds,
@@ -72,13 +70,7 @@ def extract_command(
     settings: Annotated[
         SearchSettings,
         Fields(
-            "runs",
-            "stages",
-            "generations",
-            "population",
-            "penalty",
-            "schedule",
-            "polish",
+            "runs stages generations population penalty schedule polish",
             engine=EngineName,
             seed=opt.Seed,
         ),
@@ -110,10 +102,9 @@ def extract_command(
     """
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
-    from torchid.extraction.found import Found, best_set, judged
-    from torchid.extraction.log_cholesky.extract import extract_log_cholesky
+    from torchid.extraction.found import descended
     from torchid.feasibility.sets import sets_record
-    from torchid.report.extraction import headline, loss_notes, search_figure, tables
+    from torchid.report.extraction import loss_notes, shown
 
     if resume and output.out is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
@@ -127,60 +118,30 @@ def extract_command(
         notes = (*notes, *told)
     if method == "sdp":
         with output.progress("the best set"):
-            found = best_set(problem, proof=proven, search_anyway=search_anyway)
+            found = torchid.best_set(problem, proof=proven, search_anyway=search_anyway)
     elif method == "log-cholesky":
-        began = time.monotonic()
         with output.progress("descending"):
-            made = extract_log_cholesky(problem, runs=settings.runs, seed=settings.seed)
-        sets = problem.sets(made.p, [f"run_{k + 1}" for k in range(len(made.p))])
-        done = zip(sets.ids, made.converged.tolist(), strict=True)
-        short = ", ".join(name for name, converged in done if not converged)
-        if short:
-            short = f"not converged, so their loss may be larger than it need be: {short}"
-            notes = (*notes, short)
-        taken = time.monotonic() - began
-        found = Found(problem, "log-cholesky", *judged(problem, sets), None, taken)
+            found = descended(problem, runs=settings.runs, seed=settings.seed)
     else:
-        found = _searched(problem, settings, output, resume, opt.device(device_name))
-    notes = (*notes, *loss_notes(found, values))
-    output.write_json(replace(found, proof=proven, warnings=notes).plain(), "extraction.json")
-    if output.out is not None:
-        sets_record(found.sets, problem.robot).save(output.out / "sets.json")
-        output.written.append(output.out / "sets.json")
-    search = found.search
-    if search is not None:
-        output.draw(lambda: {"search": search_figure(search, proven)})
-    output.say(*tables(found, proven))
-    output.warn(notes)
-    output.say(f"\n{headline(found, proven)}")
-
-
-def _searched(
-    problem: "Problem", settings: "SearchSettings", output: Output, resume: bool, where: str
-) -> "Found":
-    from torchid.extraction.extract import extract
-    from torchid.extraction.found import Found, judged
-
-    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
-    if checkpoint is not None and checkpoint.exists() != resume:
-        output.warn(
-            (
-                f"there is no checkpoint in {output.out}: the search starts anew"
-                if resume
-                else f"{output.out} held the checkpoint of an interrupted search, which starts "
-                "anew: --resume would have continued it",
+        checkpoint = None if output.out is None else output.out / "checkpoint.npz"
+        if checkpoint is not None and checkpoint.exists() != resume:
+            output.warn(
+                [
+                    f"there is no checkpoint in {output.out}: the search starts anew"
+                    if resume
+                    else f"{output.out} held the checkpoint of an interrupted search, which starts "
+                    "anew: --resume would have continued it"
+                ]
             )
-        )
-    with resumable(checkpoint), output.progress() as progress:
-        found = extract(
-            problem,
-            settings,
-            checkpoint=checkpoint,
-            resume=resume,
-            device=where,
-            report=stage(progress, "stages"),
-        )
-    return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
+        with resumable(checkpoint), output.progress() as progress:
+            found = torchid.extract(
+                problem, settings, checkpoint=checkpoint, resume=resume,
+                device=opt.device(device_name), report=stage(progress, "stages"),
+            ).found  # fmt: skip
+    notes = (*notes, *found.warnings, *loss_notes(found, values))
+    found = replace(found, proof=proven, warnings=notes)
+    output.put(output.out and output.out / "sets.json", sets_record(found.sets, problem.robot).save)
+    output.give(found, "extraction.json", shown)
 
 
 @command
@@ -198,17 +159,15 @@ def atlas_command(
     Args:
         level: Of the confidence region of identified base parameters.
     """
-    from torchid.extraction.convex.atlas import atlas
-    from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
+    from torchid.report.extraction import atlas_shown
 
     problem, found, notes = sought.problem(arm)
     if found.held:
         held = ", ".join(found.held)
         notes = (*notes, f"held by the identification, and taken for exact here: {held}")
     with output.progress() as progress:
-        ranges = atlas(problem, covariance=found, level=level, progress=stage(progress, "ends"))
-    output.write_json({**ranges.plain(), "warnings": list(notes)}, "atlas.json")
-    output.draw(lambda: {"atlas": atlas_figure(ranges.record)})
-    output.say(atlas_table(ranges))
-    output.warn(notes)
-    output.say(f"\n{atlas_headline(ranges, problem)}")
+        ranges = torchid.atlas(
+            problem, covariance=found, level=level, progress=stage(progress, "ends")
+        )
+    data = {**ranges.plain(), "warnings": list(notes)}
+    output.give(data, "atlas.json", lambda _: atlas_shown(ranges, problem, notes))

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
-from torchid.app.project import ProjectCommand
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
@@ -21,11 +21,7 @@ if TYPE_CHECKING:
     from torchid.parallel.store import Store
     from torchid.parallel.workers import Workers
 
-fleet_app = typer.Typer(
-    name="fleet",
-    no_args_is_help=True,
-    help="Many units of one robot type: the type, its spread, the odd ones.",
-)
+fleet_app = group("fleet", "Many units of one robot type: the type, its spread, the odd ones.")
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -55,26 +51,6 @@ class Units(opt.Arm, opt.Reading):
     ] = None
     manifest: opt.File = None
 
-    def listed(self) -> "tuple[FleetLog, ...]":
-        """The logs by unit and session."""
-        from torchid.fleet.manifest import fleet_logs, read_manifest
-
-        if (self.manifest is None) is (not self.logs):
-            raise TorchidError(
-                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
-            )
-        if self.manifest is not None:
-            return read_manifest(self.manifest)
-        return fleet_logs(self.logs or [])
-
-    def model(self, settings: FleetSettings) -> "FleetModel":
-        """What all of them are reduced to."""
-        from torchid.fleet.model import FleetModel
-
-        robot = self.load()
-        gain = None if self.gain is None else tuple(opt.numbers("--gain", self.gain, robot.n))
-        return FleetModel(robot, settings, self.request(robot.joint_names), gain)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
@@ -94,32 +70,39 @@ class Engine:
     array: Annotated[tuple[int, int] | None, typer.Option(metavar="I/N"), Parsed(_part)] = None
     store: Annotated[str | None, typer.Option(metavar="DIR|URL")] = None
 
-    def crew(self) -> "Workers":
-        """Processes or a scheduler."""
-        if self.scheduler is not None and self.workers != 1:
-            raise TorchidError("--workers and --scheduler exclude each other.")
-        return self.scheduler or self.workers
-
-    def kept(self, output: Output) -> "Store | None":
-        """Where answers are kept; None for this run only."""
+    def begin(
+        self, units: Units, settings: FleetSettings, output: Output
+    ) -> "tuple[FleetModel, tuple[FleetLog, ...], Workers, Store | None]":
+        """What logs are reduced to, the logs, who reduces them, and where answers are kept: None
+        for this run only."""
+        from torchid.fleet.manifest import fleet_logs, read_manifest
+        from torchid.fleet.model import FleetModel
         from torchid.parallel.store import Store
 
+        if self.scheduler is not None and self.workers != 1:
+            raise TorchidError("--workers and --scheduler exclude each other.")
         place = self.store or (output.out and str(output.out / "store"))
         if place is None and (self.array or self.scheduler):
             raise TorchidError(
                 "what several machines compute needs a place that all of them see.",
                 expected="--store DIR|URL, or --out DIR",
             )
-        return Store(place) if place else None
+        if (units.manifest is None) is (not units.logs):
+            raise TorchidError(
+                "the logs of a fleet are needed.", expected="LOG..., or --manifest FILE"
+            )
+        found = units.manifest
+        logs = fleet_logs(units.logs or []) if found is None else read_manifest(found)
+        robot, gain = units.load(), units.gain
+        gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
+        model = FleetModel(robot, settings, units.request(robot.joint_names), gains)
+        return model, logs, self.scheduler or self.workers, Store(place) if place else None
 
 
 Reduction = Annotated[
     FleetSettings,
     Fields(
-        "reversal",
-        "rows",
-        "basis",
-        "level",
+        "reversal rows basis level",
         effects=opt.FittedEffects,
         cutoff=Annotated[float, typer.Option(metavar="HZ")],
     ),
@@ -145,10 +128,9 @@ def identify_command(
             the robot's own).
     """
     from torchid.fleet.identify import fleet_identify, reduce_fleet
-    from torchid.report.fleet import tables, verdict
+    from torchid.report.fleet import shown
 
-    crew, store = engine.crew(), engine.kept(output)
-    logs, model = units.listed(), units.model(settings)
+    model, logs, crew, store = engine.begin(units, settings, output)
     if engine.array is not None:
         assert store is not None
         with output.progress("reducing logs") as progress:
@@ -159,10 +141,7 @@ def identify_command(
         return
     with output.progress("reducing logs") as progress:
         found = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
-    output.write_json({**found.plain(), "seed": seed}, "fleet.json")
-    output.verdict(verdict(found.record))
-    output.say(*tables(found.record))
-    output.warn(found.notes)
+    output.give(found.record, "fleet.json", shown, seed=seed)
 
 
 @fleet_app.command("gap", cls=ProjectCommand)
@@ -172,13 +151,7 @@ def gap_command(
     units: Units,
     settings: Annotated[
         GapSettings,
-        Fields(
-            rollout=False,
-            effects=opt.Searched,
-            background=opt.Names,
-            parameters=Literal["trusted", "free", "auto"],
-            seed=opt.Seed,
-        ),
+        opt.GAP.only("effects background parameters seed", rollout=False),
     ],
     engine: Engine,
     output: Reported,
@@ -194,40 +167,25 @@ def gap_command(
         rollout: Simulate short motions before and after.
     """
     from torchid.fleet.gap import fleet_gap
-    from torchid.report.fleet import (
-        diagnosed_table,
-        effect_table,
-        fleet_gap_page,
-        gap_map,
-        gap_verdict,
-    )
+    from torchid.report.fleet import gap_shown
 
-    crew, store = engine.crew(), engine.kept(output)
-    logs, model = units.listed(), units.model(FleetSettings())
+    model, logs, crew, store = engine.begin(units, FleetSettings(), output)
     with output.progress("diagnosing logs") as progress:
         found = fleet_gap(
-            model,
-            logs,
-            settings=settings,
-            store=store,
-            workers=crew,
-            part=engine.array,
+            model, logs, settings=settings, store=store, workers=crew, part=engine.array,
             progress=progress,
-        )
+        )  # fmt: skip
     if engine.array is not None:
         _say_part(output, tuple(answer for answer, _ in found.answers), engine.array)
         return
-    output.write_json({**found.plain(), "seed": settings.seed}, "fleet_gap.json")
-    output.draw(lambda: {"map": gap_map(found.record)})
-    output.write_page(
-        lambda origin: fleet_gap_page(found.record, origin),
+    output.give(
+        found.record,
+        "fleet_gap.json",
+        gap_shown,
+        seed=settings.seed,
         files=output.hashed([("log", log.path, Path(log.path)) for log in logs]),
-        seeds={"seed": settings.seed},
         settings={"effects": settings.effects or "all", "parameters": settings.parameters},
     )
-    output.verdict(gap_verdict(found.record))
-    output.say(effect_table(found.record), diagnosed_table(found.record, 20))
-    output.warn(found.record.notes)
 
 
 @fleet_app.command("watch", cls=ProjectCommand)
@@ -257,20 +215,15 @@ def watch_command(
     """
     from torchid.fleet.identify import fleet_identify
     from torchid.fleet.watch import watch
-    from torchid.report.fleet import alarm_table, watch_verdict
+    from torchid.report.fleet import watch_shown
 
     if engine.array is not None:
         raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
-    crew, store = engine.crew(), engine.kept(output)
-    logs, model = units.listed(), units.model(settings)
+    model, logs, crew, store = engine.begin(units, settings, output)
     with output.progress("reducing logs") as progress:
         fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
     found = watch(fleet, every)
-    output.write_json({**found.plain(), "seed": seed}, "fleet_watch.json")
-    output.verdict(watch_verdict(found.record))
-    if found.alarms:
-        output.say(alarm_table(found.record))
-    output.warn(found.notes)
+    output.give(found.record, "fleet_watch.json", watch_shown, seed=seed)
 
 
 def _say_part(output: Output, part: "tuple[LogAnswer, ...]", array: tuple[int, int]) -> None:

@@ -1,23 +1,23 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.correct import Simulated, corrected_by, file_format, say_corrected
+from torchid.app.correct import Simulated, corrected_by, file_format
 from torchid.app.output import Output, Reported
 from torchid.app.project import current
-from torchid.app.signature import Fields, command
+from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
 if TYPE_CHECKING:
-    from torchid.log.model import Log
     from torchid.report.page.document import InputFile
-    from torchid.robot.model import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,22 +32,7 @@ class _Trials(opt.Trials):
 def gap_command(
     *,
     trials: _Trials,
-    settings: Annotated[
-        GapSettings,
-        Fields(
-            "rollout",
-            effects=opt.Searched,
-            background=opt.Names,
-            cutoff=opt.FitCutoff,
-            parameters=Literal["trusted", "free", "auto"],
-            held_out_fraction=opt.HeldOutFraction,
-            worthwhile=opt.LessThanOne,
-            worthwhile_torque=opt.LessThanOne,
-            gain_std=opt.Share,
-            max_effects=opt.Count,
-            seed=opt.Seed,
-        ),
-    ],
+    settings: Annotated[GapSettings, opt.GAP],
     save_model: opt.Written = None,
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,
@@ -98,12 +83,10 @@ def gap_command(
     for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
         if not given:
             raise typer.BadParameter(f"Missing argument '{name}'.")
-    if trials.held_out and settings.held_out_fraction:
-        raise TorchidError("--held-out and --held-out-fraction exclude each other.")
     if for_ is not None and output.out is None:
         raise TorchidError("--for writes a file, and needs --out DIR.")
     kind = None if for_ is None else file_format(for_)
-    found, log, apart, files = trials.open(output)
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     torque = log.tau is not None and bool(log.tau.any())
     current = log.tau is None and log.current is not None and found.drive_gain is not None
     if log.u is not None and not torque and not current:
@@ -112,40 +95,29 @@ def gap_command(
     if servo is not None:
         raise TorchidError("--servo is for logs of commands and positions; these have torques.")
 
-    from torchid.gap.diagnose import diagnose
-    from torchid.report.gap import gap_page, remarks, tables
-    from torchid.report.gap_figures import figures
-    from torchid.report.gap_words import verdict
-    from torchid.robot.writer import write_robot
+    from torchid.report.gap import shown
+    from torchid.report.robot import correction_shown
 
     with output.progress("reading") as progress:
-        result = diagnose(found, log, held_out=apart, settings=settings, progress=progress)
-    output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
-    if save_model is not None:
-        write_robot(result.corrected, save_model)
-        output.written.append(save_model)
-    # The worst joints of an earlier run may have been others.
-    output.draw(lambda: figures(result), old=["gap_joint_*.png"])
+        result = torchid.diagnose(found, log, held_out=apart, settings=settings, progress=progress)
     asked = {k: v for k, v in result.plain()["settings"].items() if k not in ("seed", "only")}
     asked["effects"] = asked["effects"] or "all"
     asked |= {"band of the report [Hz]": result.band, "cut-off [Hz]": result.cutoff}
-    output.write_page(
-        lambda origin: gap_page(result, origin),
-        files=files,
-        seeds={"seed": settings.seed},
+    # The worst joints of an earlier run may have been others.
+    said = output.keep(
+        result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png"], files=files,
         settings=asked,
-    )
+    )  # fmt: skip
+    output.put(save_model, partial(torchid.write_robot, result.corrected))
     done = None
     if kind is not None:
         keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
         beside = replace(output, json_file=None)
         done = corrected_by(beside, found, result, log, apart, kind, None, keep, settings)
         output.written.extend(beside.written)
-    output.verdict(verdict(result))
-    output.say(*tables(result), *remarks(result))
-    output.warn(result.warnings)
+    output.tell(said)
     if done is not None:
-        say_corrected(output, done)
+        output.tell(correction_shown(done))
 
 
 def _pair(
@@ -158,10 +130,8 @@ def _pair(
     for_: str | None,
 ) -> None:
     """A simulator's logs against the arm's."""
-    from torchid.log.model import Log
     from torchid.log.readers import open_logs
-    from torchid.pair.pair import compare_pair
-    from torchid.report.pair import tables, verdict
+    from torchid.report.pair import shown
 
     if not simulated or not real:
         raise TorchidError(
@@ -189,35 +159,29 @@ def _pair(
     robot = trials.load() if trials.robot else None
     names = () if robot is None else robot.joint_names
 
-    def read(paths: list[Path]) -> Log:
+    def read(paths: list[Path]) -> "torchid.Log":
         opened = open_logs(paths, trials.request(names))
-        logs = [log for _, log in opened]
-        return Log.concatenate([trials.with_torque(log, log.n) for log in logs])
+        return torchid.Log.concatenate([trials.with_torque(log, log.n) for _, log in opened])
 
     with output.progress("reading") as progress:
         logs = read(simulated), read(real)
-        result = compare_pair(*logs, robot, settings=settings, progress=progress)
-    output.write_json({**result.plain(), "seed": settings.seed}, "pair.json")
-    output.verdict(verdict(result))
-    output.say(*tables(result))
-    output.warn(result.record.warnings)
+        result = torchid.compare_pair(*logs, robot, settings=settings, progress=progress)
+    output.give(result, "pair.json", shown, seed=settings.seed)
 
 
 def _positions(
     output: Output,
-    robot: "Robot",
-    log: "Log",
-    apart: "Log | None",
+    robot: "torchid.Robot",
+    log: "torchid.Log",
+    apart: "torchid.Log | None",
     save_model: Path | None,
     settings: GapSettings,
     files: "tuple[InputFile, ...]",
     servo: str | None,
 ) -> None:
     """The diagnosis of logs that have commands and no torques."""
-    from torchid.position.diagnose import diagnose_positions
     from torchid.position.nominal import nominal_servos
-    from torchid.report.position import position_page, position_tables, position_verdict
-    from torchid.report.position_figures import figures
+    from torchid.report.position import shown
 
     default = GapSettings(seed=settings.seed)
     changed = [
@@ -231,19 +195,11 @@ def _positions(
         )
     nominal = nominal_servos(robot, servo)
     with output.progress("reading") as progress:
-        result = diagnose_positions(robot, log, held_out=apart, progress=progress)
+        result = torchid.diagnose_positions(robot, log, held_out=apart, progress=progress)
     result = replace(result, nominal=nominal)
-    output.write_json({**result.plain(), "seed": settings.seed}, "gap.json")
-    if save_model is not None:
-        result.corrected.write(save_model)
-        output.written.append(save_model)
-    output.draw(lambda: figures(result), old=["gap_joint_*.png", "which.png"])
-    output.write_page(
-        lambda origin: position_page(result, origin),
-        files=files,
-        seeds={"seed": settings.seed},
-        settings={"servo": servo or "not said"},
-    )
-    output.verdict(position_verdict(result))
-    output.say(*position_tables(result))
-    output.warn(result.warnings)
+    said = output.keep(
+        result, "gap.json", shown, seed=settings.seed, old=["gap_joint_*.png", "which.png"],
+        files=files, settings={"servo": servo or "not said"},
+    )  # fmt: skip
+    output.put(save_model, result.corrected.write)
+    output.tell(said)

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Reported
 from torchid.app.signature import Fields, Parsed, Switch, command
@@ -82,30 +83,17 @@ def identify_command(
         error_cutoff: Report errors under this filter, not the fit's.
         compiled: Compile the regressor (needs a C++ compiler); for very long logs.
     """
-    from torchid.identification.identify import identify
-    from torchid.report.identification import figures, headline, identification_page, tables
+    from torchid.report.identification import shown
 
-    found, log, apart, files = trials.open(output)
+    found, log, apart, files = trials.open(output, settings.held_out_fraction)
     with output.progress("reading") as progress:
-        result = identify(
-            found,
-            log,
-            held_out=apart,
-            settings=settings,
-            device=opt.device(device_name),
-            progress=progress,
+        where = opt.device(device_name)
+        result = torchid.identify(
+            found, log, held_out=apart, settings=settings, device=where, progress=progress
         )
-    data = {**result.plain(), "seed": seed}
-    output.write_json(data, "identification.json")
+    told = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
-    output.draw(lambda: figures(result), old=old)
-    output.write_page(
-        lambda origin: identification_page(result, origin),
-        files=files,
-        seeds={"seed": seed},
-        settings=data["settings"] | {"cut-off used [Hz]": result.cutoff},
+    output.give(
+        result, "identification.json", shown, seed=seed, old=old, files=files, settings=told
     )
-    output.say(*tables(result))
-    output.warn(result.warnings)
-    output.say(f"\n{headline(result)}")

@@ -12,7 +12,7 @@ from torchid.app.output import Output
 from torchid.app.project import read
 from torchid.app.signature import WRITTEN, Fields, Switch, command
 from torchid.errors import TorchidError
-from torchid.files import atomic_write
+from torchid.files import write_text
 from torchid.project.file import NAME
 
 
@@ -58,9 +58,7 @@ def init(
         question = f"{said}: drive gains [N m/A] of {n} joints, or Enter"
         given = typer.prompt(question, default="", show_default=False) or None
     gains = None if given is None else opt.numbers("--gain", given, n)
-    with atomic_write(to) as file:
-        file.write(found.text(to, out, gains))
-    output.written.append(to)
+    output.put(to, lambda path: write_text(path, found.text(path, out, gains)))
     read(to)
     output.say(
         f"robot: {found.name}, {n} joints",

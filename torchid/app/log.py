@@ -1,17 +1,17 @@
 """`torchid log`: what a log is, and what is wrong with it, before anything is computed from it."""
 
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed, Printed, shown
-from torchid.app.project import ProjectCommand
+from torchid.app.output import Computed, Printed, worded
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import command
 
-log_app = typer.Typer(
-    name="log", no_args_is_help=True, help="What a log is, before anything is computed from it."
-)
+log_app = group("log", "What a log is, before anything is computed from it.")
 
 
 @log_app.command("doctor", cls=ProjectCommand)
@@ -35,31 +35,24 @@ def doctor_command(
         fix: Of fixes that are equally good, the one to take, by the name that is said. May be
             given several times; without it --apply takes none of them.
     """
-    from torchid.doctor.examine import examine
     from torchid.doctor.flag import columns_flag
-    from torchid.doctor.record import conclusion, record
-    from torchid.log.readers import open_log, write_log
+    from torchid.doctor.record import record
+    from torchid.log.readers import open_log
     from torchid.log.table import Request
-    from torchid.report.log import choices, doctor_tables, fine, torque_figure
+    from torchid.report.log import doctor_shown
 
     found = arm.load()
     log = arm.read(arm.logs, found)
     with output.progress("examining the log"):
-        result = examine(found, log, fix or ())
-    if apply is not None:
-        write_log(result.mended(), apply)
-        output.written.append(apply)
+        result = torchid.examine(found, log, fix or ())
+    output.put(apply, lambda path: torchid.write_log(result.mended(), path))
     # The fixes as --columns, where the logs have columns of our names.
     flag = None
     if result.repairs and not (arm.columns or arm.topic):
         read = [open_log(log, Request())[0] for log in arm.logs]
         own = [set() if table is None else set(table.columns) for table in read]
         flag = columns_flag(result.repairs, found.n, set.intersection(*own))
-    output.write_json({**record(result, flag).plain(), "seed": seed}, "doctor.json")
-    output.draw(lambda: {} if (figure := torque_figure(result)) is None else {"doctor": figure})
-    output.say(*doctor_tables(result), fine(result), f"\n{conclusion(result)}")
-    if result.undecided:
-        output.say(choices(result))
+    output.give(record(result, flag), "doctor.json", lambda _: doctor_shown(result), seed=seed)
     if apply is not None:
         count = len(result.repairs)
         output.say(f"{apply} is a copy with {count} fix{'es' if count != 1 else ''}")
@@ -92,7 +85,6 @@ def show_command(
     """
     from torchid.design.repeats import repeated_motion
     from torchid.log.overview import look_at, overview_record
-    from torchid.log.readers import write_log
     from torchid.log.ros import topics_of
     from torchid.report.log import headline, log_tables, repeats_table, topics_table
     from torchid.robot.model import JointType
@@ -114,9 +106,7 @@ def show_command(
     if log.tau is None and log.current is not None and found is not None:
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
-    if out is not None:
-        write_log(log, out)
-        output.written.append(out)
+    output.put(out, partial(torchid.write_log, log))
     output.verdict(headline(seen))
     for table in seen.tables:
         if table is not None and table.topic is not None:
@@ -128,7 +118,7 @@ def show_command(
         output.say(f"not used: {', '.join(seen.unused[:40])}")
     output.warn(seen.warnings)
     if seen.problem is not None:
-        output.say(shown("this log cannot be used as it is: ", "red") + shown(seen.problem))
+        output.say(worded("this log cannot be used as it is: ", "red") + worded(seen.problem))
     if out is not None:
         gained = "" if log is seen.log else ", with torque: current times the drive gains"
         output.say(f"{log.samples} samples{gained}")

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app.output import Output
 from torchid.app.project import current
-from torchid.app.signature import PLACE, WRITTEN, Parsed
+from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed
 from torchid.errors import TorchidError
 
 if TYPE_CHECKING:
-    from torchid.log.model import Log
     from torchid.log.table import Request
     from torchid.report.page.document import InputFile
-    from torchid.robot.model import Robot
 
 LARGEST_SEED = 2**63 - 1
 """That torch's generators take."""
@@ -127,8 +126,6 @@ Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
 Names = Annotated[tuple[str, ...], typer.Option(metavar="A,B,C"), Parsed(names, "none")]
 Searched = Annotated[tuple[str, ...] | None, typer.Option(), Parsed(searched, "all")]
 Count = Annotated[int, typer.Option(min=1, max=100_000)]
-LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
-Share = Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)]
 Excited = Annotated[tuple[str, ...], typer.Option(), Parsed(effect_names, "none")]
 FittedEffects = Annotated[
     tuple[str, ...],
@@ -137,11 +134,25 @@ FittedEffects = Annotated[
 ]
 Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
-FitCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")]
 HeldOutFraction = Annotated[
     float,
     typer.Option(help="Without --held-out: the last part of each trajectory kept for validation."),
 ]
+_LessThanOne = Annotated[float, typer.Option(min=0, max=0.99)]
+GAP = Fields(
+    "rollout",
+    effects=Searched,
+    background=Names,
+    cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
+    parameters=Literal["trusted", "free", "auto"],
+    held_out_fraction=HeldOutFraction,
+    worthwhile=_LessThanOne,
+    worthwhile_torque=_LessThanOne,
+    gain_std=Annotated[float | None, typer.Option(min=0, max=0.99, show_default=False)],
+    max_effects=Count,
+    seed=Seed,
+)
+"""Options of a diagnosis."""
 Method = Annotated[
     Literal["ols", "wls", "huber"], typer.Option(help="Least squares: plain, weighted, robust.")
 ]
@@ -180,7 +191,7 @@ class Reading:
         mapping = None if columns is None else read_mapping(columns)
         return Request(mapping, self.topic or project.topic, tuple(joints), own is None)
 
-    def with_torque(self, log: "Log", n: int) -> "Log":
+    def with_torque(self, log: "torchid.Log", n: int) -> "torchid.Log":
         """Currents of n joints times the gains that are given, or those of the project file where
         the log has currents alone."""
         known = current().gain
@@ -190,15 +201,14 @@ class Reading:
             return log.with_torque(numbers("gain", known, n))
         return log
 
-    def read(self, paths: Sequence[Path], robot: "Robot") -> "Log":
+    def read(self, paths: Sequence[Path], robot: "torchid.Robot") -> "torchid.Log":
         """Files as the trajectories of one log."""
-        from torchid.log.model import Log
         from torchid.log.readers import open_logs
 
         if self.gain is not None:
             numbers("--gain", self.gain, robot.n)
         opened = open_logs(paths, self.request(robot.joint_names))
-        return self.with_torque(Log.concatenate([log for _, log in opened]), robot.n)
+        return self.with_torque(torchid.Log.concatenate([log for _, log in opened]), robot.n)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +222,7 @@ class Arm:
     robot: Annotated[str, typer.Argument(metavar="ROBOT")]
     tip: Tip = None
 
-    def load(self) -> "Robot":
+    def load(self) -> "torchid.Robot":
         """The robot."""
         return load(self.robot, self.tip)
 
@@ -234,14 +244,22 @@ class Trials(ArmAndLogs):
 
     held_out: LogFiles = None
 
-    def open(self, output: Output) -> "tuple[Robot, Log, Log | None, tuple[InputFile, ...]]":
+    def open(
+        self, output: Output, fraction: float = 0.0
+    ) -> "tuple[torchid.Robot, torchid.Log, torchid.Log | None, tuple[InputFile, ...]]":
         """The robot, the logs, those held out, and, for a page, what these files are.
 
+        Args:
+            output: that may want a page.
+            fraction: of every trajectory that is held out in place of logs.
+
         Raises:
-            TorchidError: an input cannot be read.
+            TorchidError: an input cannot be read, or logs and a fraction are held out.
         """
         from torchid.robot.library import robot_file
 
+        if self.held_out and fraction:
+            raise TorchidError("--held-out and --held-out-fraction exclude each other.")
         robot, apart = self.load(), self.held_out or []
         roles = [("log", path) for path in self.logs] + [("held-out log", path) for path in apart]
         named = [(role, str(path), path) for role, path in roles]
@@ -250,17 +268,18 @@ class Trials(ArmAndLogs):
         return robot, log, self.read(apart, robot) if apart else None, files
 
 
-def load(name: str, tip: str | None) -> "Robot":
+def load(name: str, tip: str | None) -> "torchid.Robot":
     """A robot; one that the project file names with the limits and the payload that it says."""
     from torchid.effects.registry import nominal_effects
-    from torchid.robot.library import load_robot
 
-    robot = current().on(load_robot(name, tip=tip))
+    robot = current().on(torchid.load_robot(name, tip=tip))
     nominal_effects(robot)  # known, complete and in range, also where they are not used
     return robot
 
 
-def limited(robot: "Robot", velocity: str | None, acceleration: str | None) -> "Robot":
+def limited(
+    robot: "torchid.Robot", velocity: str | None, acceleration: str | None
+) -> "torchid.Robot":
     """The robot with velocity or acceleration limits from the command line."""
     changed = {}
     for name, text in (("velocity", velocity), ("acceleration", acceleration)):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,15 +19,14 @@ from rich.text import Text
 from torchid.app import begun
 from torchid.app.signature import PLACE, WRITTEN, Fields
 from torchid.errors import TorchidError, visible
-from torchid.files import probe
+from torchid.files import probe, write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from matplotlib.figure import Figure
-
     from torchid.report.page.document import InputFile, Origin, Page
+    from torchid.report.table import Shown
 
 Progress = Callable[[str, int, int], None]
 """Takes stage, done, total; a total of 0 where it is not known."""
@@ -134,48 +133,62 @@ class Output:
         if str(self.json_file) == "-":
             with suppress(BrokenPipeError):  # whoever reads standard output has left
                 write_json(data, Path("/dev/stdout"))
-        elif self.json_file is not None:
-            write_json(data, self.json_file)
-            self.written.append(self.json_file)
-        if self.out is not None:
-            write_json(data, self.out / name)
-            self.written.append(self.out / name)
+        else:
+            self.put(self.json_file, partial(write_json, data))
+        self.put(self.out and self.out / name, partial(write_json, data))
 
-    def draw(
-        self, make: "Callable[[], Mapping[str, Figure]]", *, old: Sequence[str] = ()
-    ) -> list[str]:
-        """Write figures into DIR, if it is given.
+    def put(self, path: Path | None, write: Callable[[Path], object]) -> None:
+        """Write a file, if it is asked for."""
+        if path is not None:
+            write(path)
+            self.written.append(path)
+
+    def write_text(self, text: str, name: str) -> None:
+        """To DIR/name, if it is given."""
+        self.put(self.out and self.out / name, lambda path: write_text(path, text))
+
+    def give(self, result: Any, name: str, show: "Callable[[Any], Shown]", **about: Any) -> None:
+        """Write a result, and then print it; see `keep`."""
+        self.tell(self.keep(result, name, show, **about))
+
+    def keep(
+        self,
+        result: Any,
+        name: str,
+        show: "Callable[[Any], Shown]",
+        *,
+        seed: int | None = None,
+        old: Sequence[str] = (),
+        files: "Sequence[InputFile]" = (),
+        settings: Mapping[str, object] | None = None,
+    ) -> "Shown":
+        """Write a result: its JSON, its figures into DIR, its page, whichever are asked for.
 
         Args:
-            make: the figures by name.
+            result: that can be `plain`, or is plain already.
+            name: of the JSON in DIR.
+            show: what there is to see of the result; asked when its JSON is safe.
+            seed: stands in the JSON and on the page.
             old: patterns of pictures that an earlier run may have left under other names.
+            files, settings: what the result was made of, for the page.
 
         Returns:
-            Names of the pictures.
+            What is left to print.
         """
-        if self.out is None:
-            return []
-        from torchid.report.panels import save
+        data = result if isinstance(result, Mapping) else result.plain()
+        self.write_json(data if seed is None else {**data, "seed": seed}, name)
+        shown = show(result)
+        if self.out is not None:
+            from torchid.report.panels import save
 
-        for pattern in old:
-            for file in self.out.glob(pattern):
+            for file in (file for pattern in old for file in self.out.glob(pattern)):
                 file.unlink()
-        drawn = [save(figure, self.out / f"{name}.png") for name, figure in make().items()]
-        self.written.extend(drawn)
-        return [file.name for file in drawn]
-
-    def hashed(self, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
-        """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if
-        no page is asked for.
-
-        Raises:
-            TorchidError: an input cannot be read.
-        """
-        if self.report is None:
-            return ()
-        from torchid.report.page.document import input_files
-
-        return input_files(named)
+            for picture, draw in shown.figures.items():
+                if (figure := draw()) is not None:
+                    self.put(self.out / f"{picture}.png", partial(save, figure))
+        if shown.page is not None:
+            self.write_page(shown.page, files=files, seeds={"seed": seed}, settings=settings or {})
+        return shown
 
     def write_page(
         self,
@@ -193,26 +206,46 @@ class Output:
         made = origin(
             arguments=sys.argv, started=self.started, seeds=seeds, settings=settings, files=files
         )
-        write_page(build(made), self.report)
-        self.written.append(self.report)
+        self.put(self.report, partial(write_page, build(made)))
+
+    def hashed(self, named: Sequence[tuple[str, str, Path]]) -> "tuple[InputFile, ...]":
+        """Sizes and hashes of inputs (role, name to show, path), before they are used; nothing if
+        no page is asked for.
+
+        Raises:
+            TorchidError: an input cannot be read.
+        """
+        if self.report is None:
+            return ()
+        from torchid.report.page.document import input_files
+
+        return input_files(named)
+
+    def tell(self, shown: "Shown") -> None:
+        """Print all that there is to say of a result."""
+        if shown.verdict:
+            self.verdict(shown.verdict)
+        self.say(*shown.parts)
+        self.warn(shown.warnings)
+        self.say(*([f"\n{shown.last}"] if shown.last else []))
 
     def say(self, *objects: Any) -> None:
         """Print for people, one after another, unless quiet: texts as they are, without markup."""
         for one in () if self.silent or self.unsaid else objects:
             try:
-                self.console.print(shown(one) if isinstance(one, str) else one)
+                self.console.print(worded(one) if isinstance(one, str) else one)
             except OSError as error:  # a full disk; the work goes on
                 self.unsaid.append(error)
                 return
 
     def verdict(self, text: str) -> None:
         """Print the answer, which stands out."""
-        self.say(shown(f"{text}\n", "bold"))
+        self.say(worded(f"{text}\n", "bold"))
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print warnings, one a line."""
         for warning in warnings:
-            self.say(shown("! ", "yellow") + shown(warning))
+            self.say(worded("! ", "yellow") + worded(warning))
 
     @contextmanager
     def progress(self, first: str = "") -> Iterator[Progress | None]:
@@ -258,7 +291,7 @@ Reported = Annotated[Output, Fields("json_file", "out", "report", "quiet", "thre
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
 
 
-def shown(text: str, style: str = "") -> Text:
+def worded(text: str, style: str = "") -> Text:
     """A text of the library for the terminal."""
     return Text(visible(in_options(text)), style)
 
@@ -286,16 +319,10 @@ def in_options(text: str) -> str:
 @cache
 def option_names() -> dict[str, str]:
     """Options of all commands, by the names of their arguments in Python."""
-    from torchid.app.commands import app
+    from torchid.app.commands import options_of_all
 
-    found, todo = {}, [typer.main.get_command(app)]
-    while todo:
-        one = todo.pop()
-        todo += getattr(one, "commands", {}).values()
-        for option in one.params:
-            if option.name is not None and option.opts[0].startswith("--"):
-                found[option.name] = option.opts[0]
-    return found
+    every = (option for options in options_of_all().values() for option in options)
+    return {option.name: option.shown for option in every if option.has_name}
 
 
 class _Console(Console):

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed
 from torchid.app.signature import Fields, command
@@ -45,18 +46,13 @@ def payload_command(
         rows: Rows fitted. At rest friction can hold any torque, and so part of a payload's.
         signs: Coefficients physics forbids to be negative: hold at zero, or leave.
     """
-    from torchid.identification.payload import payload
-    from torchid.report.identification import payload_headline, payload_tables
+    from torchid.report.identification import payload_shown
 
     found = arm.load()
     empty, full = arm.read(arm.logs, found), arm.read(loaded, found)
     where = opt.device(device_name)
     with output.progress() as progress:
-        carried = payload(
+        carried = torchid.payload(
             found, empty, full, model=model, settings=settings, device=where, progress=progress
         )
-    data = {**carried.plain(), "seed": seed}
-    output.write_json(data, "payload.json")
-    output.say(*payload_tables(carried))
-    output.warn(carried.warnings)
-    output.say(f"\n{payload_headline(carried)}")
+    output.give(carried, "payload.json", payload_shown, seed=seed)

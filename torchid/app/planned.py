@@ -1,23 +1,21 @@
 """What a planned motion keeps clear of, and the files that it goes into."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
+from torchid.app.output import Output
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.excitation.settings import CLEARANCE
-from torchid.files import atomic_write
+from torchid.files import write_text
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
     from torchid.excitation.clearance import Clearance
-    from torchid.excitation.fourier import FourierTrajectory
-    from torchid.excitation.trajectories import Sinusoid
-    from torchid.robot.model import Robot
+    from torchid.excitation.given import Motions
 
 _BOX = "XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX"
 
@@ -37,7 +35,9 @@ class Room:
     floor: Annotated[float | None, typer.Option(min=-100, max=100)] = None
     workspace: Annotated[str | None, typer.Option(metavar=_BOX)] = None
 
-    def of(self, robot: "Robot", usage: float) -> "tuple[Clearance | None, tuple[str, ...]]":
+    def of(
+        self, robot: "torchid.Robot", usage: float
+    ) -> "tuple[Clearance | None, tuple[str, ...]]":
         """What the robot's motions are checked for, None where there is nothing; and what is not
         checked for want of knowledge, one sentence each.
 
@@ -75,7 +75,7 @@ class Controllers:
     ros2: opt.Written = None
     urscript: opt.Written = None
 
-    def check(self, robot: "Robot", count: int) -> None:
+    def check(self, robot: "torchid.Robot", count: int) -> None:
         """That the files can hold what is asked for.
 
         Raises:
@@ -88,15 +88,10 @@ class Controllers:
         if self.urscript:
             require_six_joints(robot)
 
-    def write(
-        self, robot: "Robot", made: "Sequence[FourierTrajectory | Sinusoid]", rate: float
-    ) -> list[Path]:
-        """The files written."""
+    def write(self, robot: "torchid.Robot", made: "Motions", rate: float, output: Output) -> None:
+        """Write what is asked for."""
         from torchid.excitation.controllers import joint_trajectory, urscript
 
-        if self.ros2:
-            write_json(joint_trajectory(robot, made[0].sample(rate)), self.ros2)
-        if self.urscript:
-            with atomic_write(self.urscript) as file:
-                file.write(urscript(robot, made[0].sample(rate)))
-        return [path for path in (self.ros2, self.urscript) if path]
+        first = made[0].sample(rate)
+        output.put(self.ros2, lambda path: write_json(joint_trajectory(robot, first), path))
+        output.put(self.urscript, lambda path: write_text(path, urscript(robot, first)))

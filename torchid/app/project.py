@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import typer
 from typer.core import TyperCommand, TyperOption
 
 from torchid.project.file import Project, Taken, find_project, read_project
@@ -28,6 +29,11 @@ def current() -> Project:
 def read(file: Path) -> Project:
     """A project file, with the options of all commands."""
     return read_project(file, _commands())
+
+
+def group(name: str, about: str) -> typer.Typer:
+    """A group of commands, without any yet."""
+    return typer.Typer(name=name, no_args_is_help=True, help=about)
 
 
 class ProjectCommand(TyperCommand):
@@ -98,20 +104,14 @@ def _path(ctx: Any) -> str:
 @cache
 def _commands() -> dict[str, dict[str, Taken]]:
     """The options of each command that takes a project file, by their names without dashes."""
-    from torchid.app.commands import app
+    from torchid.app.commands import options_of_all
 
-    found: dict[str, dict[str, Taken]] = {}
-    todo: list[tuple[str, Any]] = [("", app)]
-    while todo:
-        above, group = todo.pop()
-        todo += [(f"{above}{sub.name} ", sub.typer_instance) for sub in group.registered_groups]
-        for one in group.registered_commands:
-            options = getattr(one.callback, "options", ())
-            if any(option.name == "project_file" for option in options):
-                name = one.name or one.callback.__name__.removesuffix("_command")
-                found[above + name] = {
-                    option.shown.lstrip("-"): Taken(option.name, *option.takes)
-                    for option in options
-                    if option.name not in ("project_file", "debug")
-                }
-    return found
+    return {
+        command: {
+            option.shown.lstrip("-"): Taken(option.name, *option.takes)
+            for option in options
+            if option.name not in ("project_file", "debug")
+        }
+        for command, options in options_of_all().items()
+        if any(option.name == "project_file" for option in options)
+    }

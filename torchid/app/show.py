@@ -16,13 +16,10 @@ def robot_command(*, arm: opt.Arm, output: Kept) -> None:
 
     Example: `torchid robot kuka_lwr4`
     """
-    from torchid.report.robot import robot_record, robot_tables
+    from torchid.report.robot import robot_record, shown
 
     found = arm.load()
-    data = robot_record(found)
-    output.write_json(data, "robot.json")
-    output.say(*robot_tables(found))
-    output.warn(tuple(data["warnings"]))
+    output.give(robot_record(found), "robot.json", lambda _: shown(found))
 
 
 @command

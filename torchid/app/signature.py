@@ -35,7 +35,7 @@ _Project = Annotated[
         "absent.",
     ),
 ]
-_Debug = Annotated[
+Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
 ]
 LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
@@ -65,16 +65,20 @@ class Parsed:
 
 
 class Fields:
-    """Which fields of a dataclass are options: `Annotated[Settings, Fields("method", rows="all")]`.
+    """Which fields of a dataclass are options: `Annotated[Settings, Fields("signs", rows="all")]`.
 
     Args:
-        names: of fields that are options as they stand.
+        names: of fields that are options as they stand, one by one or with blanks between them.
         changed: of fields with an annotation in place of their own, or with another default. A
             field that is None by default, and that an annotation says is not, must be given.
     """
 
     def __init__(self, *names: str, **changed: Any):
-        self.changed = dict.fromkeys(names) | changed
+        self.changed = dict.fromkeys(" ".join(names).split()) | changed
+
+    def only(self, names: str, **changed: Any) -> "Fields":
+        """Some of them, with other defaults or annotations for those that are `changed`."""
+        return Fields(**{name: self.changed[name] for name in names.split()} | changed)
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,11 @@ class Option:
     def name(self) -> str:
         """In Python."""
         return self.parameter.name
+
+    @property
+    def has_name(self) -> bool:
+        """Whether it is written with its name; an argument is not."""
+        return isinstance(get_args(self.parameter.annotation)[1], typer.models.OptionInfo)
 
     @property
     def takes(self) -> tuple[bool, bool]:
@@ -137,7 +146,7 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
         options += made
     if project and any(option.name == "tip" for option in options):
         options.append(_option("project_file", _Project, None, {}))
-    options.append(_option("debug", _Debug, False, {}))
+    options.append(_option("debug", Debug, False, {}))
 
     def run(**given: Any) -> None:
         _require_apart(options, given)

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Computed, Output
 from torchid.app.signature import PLACE, Switch, command
@@ -88,9 +90,6 @@ def simulate_command(
     if to is not None:
         require_writable(to, "--to")
     from torchid.effects.written import effect_written
-    from torchid.excitation.synthetic import HonestNoise, PaperNoise
-    from torchid.excitation.synthetic import simulate as simulated
-    from torchid.log.readers import read_log, write_log
     from torchid.simulation.controller import Controller
 
     target = to or (output.out and output.out / "log.parquet")
@@ -98,11 +97,11 @@ def simulate_command(
         raise TorchidError("nowhere to write the log.", expected="--to FILE or --out DIR")
     model: "NoiseModel" = None
     if noise == "paper":
-        model = PaperNoise(snr_db=snr)
+        model = torchid.PaperNoise(snr_db=snr)
     elif noise == "honest":
         if not 0 <= encoder_bits <= 40:
             raise TorchidError("--encoder-bits lies between 0 and 40.", got=encoder_bits)
-        model = HonestNoise(
+        model = torchid.HonestNoise(
             encoder_step=0.0 if encoder_bits == 0 else 2 * math.pi / 2**encoder_bits,
             torque_relative=torque_noise,
             colour_hz=colour,
@@ -112,29 +111,15 @@ def simulate_command(
     found = arm.load()
     effects = [effect_written(text, found, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
-    if moves and noise == "paper":
-        raise TorchidError(
-            "paper noise is for a torque that is computed from the trajectory.",
-            got="--noise paper with --effect or --closed-loop",
-            available=["--noise none", "--noise honest"],
-        )
-    if rate is not None and not moves:
-        raise TorchidError("--rate needs --closed-loop or --effect.", got=f"--rate {rate:g}")
-    motion = read_log(trajectory[0])
+    motion = torchid.read_log(trajectory[0])
     with output.progress("simulating"):
-        log = simulated(
-            found,
-            motion,
-            effects=effects,
-            noise=model,
-            closed_loop=moves,
-            rate=rate,
-            controller=Controller(control_frequency) if moves else None,
-            seed=seed,
+        controller = Controller(control_frequency) if moves else None
+        log = torchid.simulate(
+            found, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
+            controller=controller, seed=seed,
             device="cpu" if moves else opt.device(device_name),
-        )
-    write_log(log, target)
-    output.written.append(target)
+        )  # fmt: skip
+    output.put(target, partial(torchid.write_log, log))
     assert log.tau is not None
     output.write_json(
         {
@@ -165,9 +150,7 @@ def _replay(
     seed: int,
 ) -> None:
     """Simulated positions of logs, one file each."""
-    from torchid.log.readers import is_written, read_log, write_log
-    from torchid.position.model import ServoArm
-    from torchid.position.model import replay as replayed
+    from torchid.log.readers import is_written
 
     folder = to or output.out
     if folder is None or folder.is_file():
@@ -178,13 +161,14 @@ def _replay(
         raise TorchidError("two logs have one name.", got=twice[0], expected="logs of other names")
     for name in names:
         require_no_input(folder / name, "--to")
-    model = ServoArm.read(arm.robot)
-    logs = [read_log(path, columns=columns, joints=model.robot.joint_names) for path in paths]
-    found = replace(replayed(model, logs, windows=windows), files=tuple(names))
+    model = torchid.ServoArm.read(arm.robot)
+    logs = [
+        torchid.read_log(path, columns=columns, joints=model.robot.joint_names) for path in paths
+    ]
+    found = replace(torchid.replay(model, logs, windows=windows), files=tuple(names))
     folder.mkdir(parents=True, exist_ok=True)
     for name, simulated in zip(names, found.simulated, strict=True):
-        write_log(simulated.replace(u=None), folder / name)
-        output.written.append(folder / name)
+        output.put(folder / name, partial(torchid.write_log, simulated.replace(u=None)))
     output.write_json({**found.plain(), "seed": seed}, "replay.json")
     for name, error in zip(names, found.error.mean(1).tolist(), strict=True):
         output.say(f"{name}: {error:.2f} mrad from the measured positions")

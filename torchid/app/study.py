@@ -1,24 +1,18 @@
 """`torchid study`: the report's studies as one command."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated
 
 import typer
 
 from torchid.app import options as opt
 from torchid.app.faults import resumable
-from torchid.app.output import Output, Reported, of
+from torchid.app.output import Reported, of
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.extraction.settings import EngineName, Schedule
 from torchid.json_data import write_json
-
-if TYPE_CHECKING:
-    from torchid.report.page.document import InputFile
-    from torchid.study.result import Study
-
 
 _CHECKPOINTS = "checkpoints"
 
@@ -62,6 +56,7 @@ def study_command(
         figures: Draw the figures into --out.
     """
     out = output.out
+    from torchid.report.study import page
     from torchid.robot.library import robot_file
     from torchid.study.settings import load_study, study_file, study_names
     from torchid.study.study import remove_checkpoints, run_study
@@ -80,9 +75,9 @@ def study_command(
         folder, own = None if out is None else out / settings.name, output
         if name == "all":
             # Each study has a page of its own: report_3r.html beside report.html.
-            page = output.report
-            page = page and page.with_name(f"{page.stem}_{settings.name}{page.suffix}")
-            own = replace(output, report=page)
+            file = output.report
+            file = file and file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
+            own = replace(output, report=file)
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
         files = own.hashed([("study", given, study_file(given)), robot_entry])
         checkpoints = None
@@ -97,8 +92,13 @@ def study_command(
                 device=where,
                 report=of(progress, settings.name),
             )
-        records.append(_keep(found, folder, figures))
-        _report(found, own, files)
+        records.append(found.plain())
+        if folder is not None:
+            write_json(records[-1], folder / "study.json")
+            if figures:
+                page.write_study(found, folder)
+        build = partial(page.study_page, found)
+        own.write_page(build, files=files, **page.seeds_and_settings(found))
         if own is not output:
             output.written.extend(own.written)
         studies.append(found)
@@ -111,56 +111,6 @@ def study_command(
         if out is not None:
             remove_checkpoints(settings, out / settings.name / _CHECKPOINTS)
     for found in studies:
-        _say(found, output)
-
-
-def _keep(found: "Study", folder: Path | None, figures: bool) -> dict[str, Any]:
-    """The record, which is written into the study's folder, and with it the figures."""
-    from torchid.report.study.page import write_study
-
-    data = found.plain()
-    if folder is not None:
-        write_json(data, folder / "study.json")
-        if figures:
-            write_study(found, folder)
-    return data
-
-
-def _say(found: "Study", output: Output) -> None:
-
-    from torchid.report.study.facts import headline
-    from torchid.report.study.tables import all_tables
-
-    output.say(*all_tables(found))
-    output.warn(found.warnings)
-    output.say(f"\n{headline(found)}\n")
-    if output.out is not None:
-        output.say(f"results of {found.settings.name} are in {output.out / found.settings.name}")
-
-
-def _report(found: "Study", output: Output, files: "Sequence[InputFile]") -> None:
-    from torchid.report.study.page import study_page
-
-    s = found.settings
-    motions = {
-        "excitation": s.excitation, "validation": s.validation, "sets' motion": s.sets_motion,
-        "reference motion": s.wrench_motion,
-    }  # fmt: skip
-    output.write_page(
-        lambda origin: study_page(found, origin),
-        files=files,
-        seeds={"seed of the search": s.search.seed}
-        | {f"seed of the {name}": motion.seed for name, motion in motions.items()},
-        settings={
-            "effects": s.effects,
-            "geometry": s.geometry,
-            "total mass [kg]": s.total_mass,
-            "search": _without_seed(asdict(s.search)),
-            **{name: _without_seed(asdict(motion)) for name, motion in motions.items()},
-            "seconds": dict(found.seconds),
-        },
-    )
-
-
-def _without_seed(data: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in data.items() if key != "seed"}
+        output.tell(page.shown(found))
+        if out is not None:
+            output.say(f"results of {found.settings.name} are in {out / found.settings.name}")

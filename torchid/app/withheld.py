@@ -2,24 +2,22 @@
 
 import os
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Printed
-from torchid.app.project import ProjectCommand
+from torchid.app.project import ProjectCommand, group
 from torchid.app.signature import PLACE, WRITTEN, Fields, Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.withheld.settings import PLANTED
 
-withheld_app = typer.Typer(
-    name="withheld",
-    no_args_is_help=True,
-    help="Check the diagnosis on data whose cause was withheld from it.",
-)
+withheld_app = group("withheld", "Check the diagnosis on data whose cause was withheld from it.")
 
 SetArgument = Annotated[
     Path,
@@ -29,10 +27,6 @@ SetArgument = Annotated[
 RequiredSeed = Annotated[
     int, typer.Option(min=0, max=opt.LARGEST_SEED, help="Seed that all cases are drawn from.")
 ]
-Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes, of one thread each (default: all cores)."),
-]
 Again = Annotated[
     bool,
     typer.Option("--again", help="Replace answers of another torchid, or with other settings."),
@@ -40,13 +34,22 @@ Again = Annotated[
 _KEYS = typer.Option(metavar="FILE", help="What was planted (default: DIR.keys.json).")
 
 
-def processes(jobs: int | None) -> int:
-    """The --jobs option; all cores that this process may use, by default."""
-    if jobs is not None:
-        return jobs
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        jobs: Processes, of one thread each (default: all cores).
+    """
+
+    jobs: Annotated[int | None, typer.Option(min=1)] = None
+
+    @property
+    def count(self) -> int:
+        """Of processes; all cores that this one may use, by default."""
+        if self.jobs is None and hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return self.jobs or os.cpu_count() or 1
 
 
 def _joints(text: str) -> list[int] | None:
@@ -68,7 +71,7 @@ def make_command(
     seed: RequiredSeed,
     mix: Literal["mixed", "release"] = "mixed",
     keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Printed,
 ) -> None:
     """Simulate arms with planted effects, independently of torchid, and seal what was planted.
@@ -84,7 +87,7 @@ def make_command(
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress:
-        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=processes(jobs), progress=progress)
+        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=workers.count, progress=progress)
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
         "make.json",
@@ -100,7 +103,7 @@ def run_command(
     folder: SetArgument,
     rollout: bool = False,
     again: Again = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Printed,
 ) -> None:
     """Diagnose every case of a set; no key is read. What is answered already stays.
@@ -116,7 +119,7 @@ def run_command(
     found = read_cases(folder)
     todo = jobs_of(found, default_settings(rollout=rollout))
     with output.progress() as progress:
-        answers = run(todo, jobs=processes(jobs), again=again, progress=progress)
+        answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
     statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
@@ -134,7 +137,7 @@ def score_command(
     oracle: bool = True,
     truth: bool = True,
     partial: Switch = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Kept,
 ) -> None:
     """Open the keys and score the answers, beside simple methods and one that is told.
@@ -147,9 +150,7 @@ def score_command(
         truth: Simulate cases again without noise: how far gaps are really closed.
         partial: Leave out cases that have no answer yet.
     """
-    from torchid.files import atomic_write
-    from torchid.report.withheld import headline, markdown, score_table
-    from torchid.report.withheld_figures import figures
+    from torchid.report.withheld import markdown, shown
     from torchid.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid.withheld.references import baseline_answers, oracle_answers, true_shares
     from torchid.withheld.summary import require_answers, summary
@@ -159,19 +160,14 @@ def score_command(
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
     with output.progress() as progress:
-        count = processes(jobs)
+        count = workers.count
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None
         told = oracle_answers(found, opened, tuple(answers), count, progress) if oracle else None
         true = true_shares(found, opened, answers, count, progress) if truth else None
     result = summary(found, opened, answers, baselines=simple, oracle=told, truly_closed=true)
-    output.write_json(result, "score.json")
-    drawn = output.draw(lambda: figures(result))
-    if output.out is not None:
-        with atomic_write(output.out / "score.md") as text:
-            text.write(markdown(result, drawn))
-        output.written.append(output.out / "score.md")
-    output.verdict(headline(result))
-    output.say(score_table(result), f"SHA-256 of the keys: {result['keys_sha256']}, as sealed")
+    said = output.keep(result, "score.json", shown)
+    output.write_text(markdown(result, [f"{name}.png" for name in said.figures]), "score.md")
+    output.tell(said)
 
 
 @withheld_app.command("leave-out")
@@ -182,7 +178,7 @@ def leave_out_command(
     effects: opt.Searched = None,
     per_effect: opt.Count = 1,
     again: Again = False,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Annotated[Output, Fields("json_file", "quiet", out=opt.Folder)],
 ) -> None:
     """Take every effect out of the library in turn, and diagnose cases that have it.
@@ -194,7 +190,6 @@ def leave_out_command(
         effects: Effects to leave out in turn, comma-separated; `all`.
         per_effect: Cases of each effect.
     """
-    from torchid.files import atomic_write
     from torchid.report.withheld import leave_out_headline, leave_out_markdown
     from torchid.withheld.leave_out import leave_out
 
@@ -202,18 +197,11 @@ def leave_out_command(
     assert out is not None  # it is required
     with output.progress() as progress:
         result = leave_out(
-            out,
-            seed,
-            effects=effects,
-            per_effect=per_effect,
-            jobs=processes(jobs),
-            again=again,
+            out, seed, effects=effects, per_effect=per_effect, jobs=workers.count, again=again,
             progress=progress,
-        )
+        )  # fmt: skip
     output.write_json(result, "leave_out.json")
-    with atomic_write(out / "leave_out.md") as text:
-        text.write(leave_out_markdown(result))
-    output.written.append(out / "leave_out.md")
+    output.write_text(leave_out_markdown(result), "leave_out.md")
     output.say(leave_out_headline(result))
 
 
@@ -222,15 +210,12 @@ def leave_out_command(
 def own_command(
     *,
     trials: opt.Trials,
-    settings: Annotated[
-        GapSettings,
-        Fields(background=opt.Names, parameters=Literal["trusted", "free", "auto"], seed=opt.Seed),
-    ],
+    settings: Annotated[GapSettings, opt.GAP.only("background parameters seed")],
     plant: opt.Names = PLANTED,
     joints: Annotated[
         list[int] | None, typer.Option(metavar="J1,J2,..|all"), Parsed(_joints, "all")
     ] = None,
-    jobs: Jobs = None,
+    workers: Workers,
     output: Kept,
 ) -> None:
     """Check the diagnosis on your own arm: withhold what it accepted, plant what is known.
@@ -246,23 +231,12 @@ def own_command(
         plant: Effects of one joint to plant in the log; `none` for none.
         joints: Joints where they are planted.
     """
-    from torchid.report.withheld import own_headline, own_tables
-    from torchid.withheld.own import withheld_own
+    from torchid.report.withheld import own_shown
 
     found, log, apart, _ = trials.open(output)
     with output.progress() as progress:
-        result = withheld_own(
-            found,
-            log,
-            untouched=apart,
-            settings=settings,
-            plant=plant,
-            joints=joints,
-            jobs=processes(jobs),
-            progress=progress,
-        )
-    output.write_json({**result.plain(), "seed": settings.seed}, "own.json")
-    output.verdict(own_headline(result))
-    output.say(*own_tables(result))
-    if not result.whole:
-        output.say("untouched data: the second half of every trajectory (--held-out for others)")
+        result = torchid.withheld_own(
+            found, log, untouched=apart, settings=settings, plant=plant, joints=joints,
+            jobs=workers.count, progress=progress,
+        )  # fmt: skip
+    output.give(result, "own.json", own_shown, seed=settings.seed)

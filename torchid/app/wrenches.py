@@ -1,19 +1,16 @@
 """`torchid wrenches`: internal forces and moments of sets with the same torque."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output
+from torchid.app.output import Computed
 from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid.study.equal_torque.settings import MARGIN
-
-if TYPE_CHECKING:
-    from torchid.effects.base import Motion
-    from torchid.robot.model import Robot
 
 
 @command
@@ -53,74 +50,37 @@ def wrenches_command(
         variants: Ask the question again with other outer bounds.
         resamples: Of the bootstrap of the intervals.
     """
-    from torchid.log.readers import read_log
-    from torchid.report.wrenches.figures import figures
-    from torchid.report.wrenches.tables import findings, tables
+    from torchid.feasibility.sets import other_robot, read_all_sets
+    from torchid.report import equal_torque, given_sets
+    from torchid.study.equal_torque.record import given_record
     from torchid.study.equal_torque.setting import equal_torque_setting, logged_motion
-    from torchid.study.equal_torque.study import equal_torque_study
 
-    found = opt.limited(arm.load(), None, max_acceleration)
-    motion = None if trajectory is None else logged_motion(read_log(trajectory), found)
+    robot = opt.limited(arm.load(), None, max_acceleration)
+    motion = None if trajectory is None else logged_motion(torchid.read_log(trajectory), robot)
     if reference is not None and not sets:
         raise TorchidError("--reference names one of the sets of --sets.", got=reference)
-    if sets:
-        _given(found, sets, reference, geometry, total_mass, motion, resamples, seed, output)
+    if not sets:
+        setting = equal_torque_setting(
+            robot, geometry=geometry, total_mass=total_mass, margin=margin
+        )
+        with output.progress() as progress:
+            study = torchid.equal_torque_study(
+                setting.robot, per_kind=per_kind, setting=setting, motion=motion,
+                with_variants=variants, resamples=resamples, seed=seed, progress=progress,
+            )  # fmt: skip
+        data = {**study.plain(), "findings": equal_torque.findings(study)}
+        output.give(data, "wrenches.json", lambda _: equal_torque.shown(study))
         return
-    setting = equal_torque_setting(found, geometry=geometry, total_mass=total_mass, margin=margin)
-    with output.progress() as progress:
-        study = equal_torque_study(
-            setting.robot,
-            per_kind=per_kind,
-            setting=setting,
-            motion=motion,
-            with_variants=variants,
-            resamples=resamples,
-            seed=seed,
-            progress=progress,
-        )
-    told = findings(study)
-    output.write_json({**study.plain(), "findings": told}, "wrenches.json")
-    output.draw(lambda: figures(study))
-    output.say(*tables(study))
-    output.warn(study.warnings)
-    output.say("\n" + "\n".join(f"- {sentence}" for sentence in told))
-
-
-def _given(
-    robot: "Robot",
-    files: list[Path],
-    reference: str | None,
-    geometry: str | None,
-    total_mass: tuple[float, float] | None,
-    motion: "Motion | None",
-    resamples: int,
-    seed: int,
-    output: Output,
-) -> None:
-    from torchid.feasibility.sets import other_robot, read_all_sets
-    from torchid.report.wrenches.given_sets import figures, headline, tables, unequal
-    from torchid.study.equal_torque.given_sets import compare_wrenches
-    from torchid.study.equal_torque.record import given_record
-
-    sets = read_all_sets(files, robot)
-    if reference is not None and reference not in sets.ids:
+    given = read_all_sets(sets, robot)
+    if reference is not None and reference not in given.ids:
         raise TorchidError(
-            "--reference names none of the sets.", got=reference, available=sets.ids[:20]
+            "--reference names none of the sets.", got=reference, available=given.ids[:20]
         )
-    found = compare_wrenches(
-        robot,
-        sets,
-        reference,
-        motion=motion,
-        geometry=geometry,
-        total_mass=total_mass,
-        resamples=resamples,
-        seed=seed,
-    )
-    told = [note for file in files if (note := other_robot(file, robot))] + unequal(found)
-    data = given_record(found, tuple(str(file) for file in files))
-    output.write_json({**data.plain(), "warnings": told, "seed": seed}, "wrenches.json")
-    output.draw(lambda: figures(found))
-    output.say(*tables(found))
-    output.warn(told)
-    output.say(f"\n{headline(found)}")
+    found = torchid.compare_wrenches(
+        robot, given, reference, motion=motion, geometry=geometry, total_mass=total_mass,
+        resamples=resamples, seed=seed,
+    )  # fmt: skip
+    told = [note for file in sets if (note := other_robot(file, robot))]
+    told += given_sets.unequal(found)
+    data = given_record(found, tuple(map(str, sets))).plain() | {"warnings": told}
+    output.give(data, "wrenches.json", lambda _: given_sets.shown(found, told), seed=seed)

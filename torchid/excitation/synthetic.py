@@ -130,14 +130,14 @@ def simulate(
         if rate is not None or controller is not None:
             raise TorchidError(
                 "a rate and a controller need motion under control.",
-                expected="effects, or closed_loop=True",
+                expected="effects, or `closed_loop=True`",
             )
         return synthetic_log(robot, motion, noise, seed, device=device)
     if isinstance(noise, PaperNoise):
         raise TorchidError(
             "paper noise is for a torque that is computed from the trajectory.",
             got="effects, or motion under control",
-            available=["HonestNoise", "None"],
+            available=["honest noise", "none"],
         )
     # Each trajectory from its own beginning.
     parts = motion.trajectories()

@@ -7,7 +7,7 @@ robot is a built-in name or a file, such as `torchid gap --save-model` writes.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from torchid.identification.result import Identification
 from torchid.identification.values import identified_base, read_base
 from torchid.json_data import read_json
 from torchid.results.files import read
-from torchid.robot.library import load_robot, named_robot
+from torchid.robot.library import is_robot, load_both, load_robot, named_robot
 from torchid.robot.model import Robot
 
 Exportable = Dynamics | Identification | ParameterSets | Robot
@@ -32,6 +32,55 @@ CORRECTED = "corrected"
 """Where a diagnosis has the robot that it corrected."""
 
 _KINDS = "the JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, or a robot"
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What the name or the file of an export stands for.
+
+    Attributes:
+        dynamics: that it carries.
+        nominal: the robot that they are of.
+        original: the robot whose file a copy is edited of.
+        settings: of the diagnosis that it is; the defaults otherwise.
+        diagnosed: whether it is a diagnosis.
+    """
+
+    dynamics: Dynamics
+    nominal: Robot
+    original: Robot
+    settings: GapSettings = field(default_factory=GapSettings)
+    diagnosed: bool = False
+
+
+def carried(
+    result: str, robot: str | None, tip: str | None, chosen: str | None, geometry: str | None
+) -> Carried:
+    """What is exported for a name on the command line.
+
+    Args:
+        result: a robot, or the file of a result.
+        robot: that the result is of, where it is another than the one it records.
+        tip: last link of its chain.
+        chosen: set of a file of several; see `set_dynamics`.
+        geometry: bounds of the centres of mass that count when a set is chosen.
+
+    Raises:
+        TorchidError: neither a robot nor a result that carries dynamics.
+    """
+    if is_robot(result):
+        nominal, original = load_both(result, robot, tip)
+        return Carried(robot_dynamics(nominal), nominal, original)
+    path = Path(result)
+    data = load(path)
+    if CORRECTED in data:
+        dynamics, settings = diagnosis_dynamics(path)
+        nominal = model_of(path, robot, tip)
+        return Carried(dynamics, nominal, nominal, settings, diagnosed=True)
+    nominal = named_robot(path, data, tip) if robot is None else load_robot(robot, tip=tip)
+    if "sets" in data:
+        return Carried(set_dynamics(path, data, nominal, chosen, geometry), nominal, nominal)
+    return Carried(base_dynamics(path, nominal), nominal, nominal)
 
 
 def load(path: Path) -> Mapping[str, Any]:

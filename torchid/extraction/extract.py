@@ -34,6 +34,7 @@ from torchid.results.record import Result
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
+    from torchid.extraction.found import Found
     from torchid.extraction.record import ExtractionRecord
 
 ENGINES: dict[str, Engine] = {"batched": BatchedCmaEs(), "cma": PycmaEngine()}
@@ -168,12 +169,17 @@ class Extraction(Result):
         return f"Extraction('{name}', {len(self.sets)} sets, best {self.best} with phi {best:.4g})"
 
     @cached_property
-    def record(self) -> "ExtractionRecord":
-        """As the JSON has it."""
+    def found(self) -> "Found":
+        """Its sets, judged."""
         from torchid.extraction.found import Found, judged
 
         judgement = judged(self.problem, self.sets)
-        return Found(self.problem, "cma-es", *judgement, self, self.seconds).record
+        return Found(self.problem, "cma-es", *judgement, self, self.seconds)
+
+    @property
+    def record(self) -> "ExtractionRecord":
+        """As the JSON has it."""
+        return self.found.record
 
     @property
     def best(self) -> int:

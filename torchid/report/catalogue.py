@@ -12,12 +12,12 @@ import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Abscissa, Effect, Family, ModelEffect, Motion
-from torchid.effects.parameters import Scale, Shape
+from torchid.effects.parameters import Scale
 from torchid.effects.registry import KINDS, not_fitted
 from torchid.effects.rivals import ALIKE, Rival, aged, rivals
 from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
-from torchid.files import atomic_write
+from torchid.files import write_text
 from torchid.json_data import picked
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.panels import Figure, save, tiles
@@ -81,12 +81,15 @@ def catalogue_page(images: str = "img") -> str:
     """
     families = list(get_args(Family))
     head = _HEAD.format(count=len(KINDS), families=len(families), seconds=SECONDS, alike=ALIKE)
-    parts = [head, _contents(families)]
+    contents, parts = [], []
     for family in families:
+        members = [kind for kind in KINDS.values() if kind.family == family]
+        links = ", ".join(f"[{kind.name}](#{kind.name})" for kind in members)
+        contents.append((f"[{family}](#{family})", links))
         parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
         parts += [f"![Effects of the family {family}]({images}/{picture_name(family)}.png)\n"]
-        parts += [effect_text(kind) for kind in KINDS.values() if kind.family == family]
-    return "\n".join(parts)
+        parts += map(effect_text, members)
+    return "\n".join([head, pipe_table(("family", "effects"), contents) + "\n", *parts])
 
 
 def picture_name(family: Family) -> str:
@@ -101,6 +104,13 @@ def effect_text(kind: type[Effect]) -> str:
         for r in known_rivals(kind)
     )
     fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
+    coefficients = [
+        (
+            f"`{c.name}`", c.unit, "not negative" if c.non_negative else "any",
+            f"{c.largest:g}" if math.isfinite(c.largest) else "", c.meaning,
+        )
+        for c in kind.coefficients
+    ]  # fmt: skip
     lines = [
         f"### {kind.name}",
         "",
@@ -108,9 +118,13 @@ def effect_text(kind: type[Effect]) -> str:
         "",
         f"    {kind.equation}",
         "",
-        _coefficients(kind),
+        pipe_table(("coefficient", "unit", "sign", "at most", "meaning"), coefficients),
         "",
-        *(_shape(shape) for shape in kind.shapes),
+        *(
+            f"- shape `{s.name}` [{s.unit}]: {s.meaning}; searched from {s.low:g} to {s.high:g}"
+            f"{_SCALES[s.scale]}"
+            for s in kind.shapes
+        ),
         f"- place: {_place(kind)}; fitted by: {fitted}",
         f"- signature: {kind.signature}",
         f"- confused with: {', '.join(alike)}",
@@ -168,33 +182,8 @@ def write_catalogue(folder: Path) -> Path:
     for family in get_args(Family):
         save(family_figure(family), images / f"{picture_name(family)}.png")
     page = folder / "effects.md"
-    with atomic_write(page) as stream:
-        stream.write(catalogue_page())
+    write_text(page, catalogue_page())
     return page
-
-
-def _contents(families: list[Family]) -> str:
-    links = {
-        family: ", ".join(f"[{k.name}](#{k.name})" for k in KINDS.values() if k.family == family)
-        for family in families
-    }
-    rows = [(f"[{family}](#{family})", names) for family, names in links.items()]
-    return pipe_table(("family", "effects"), rows) + "\n"
-
-
-def _coefficients(kind: type[Effect]) -> str:
-    """A table of the coefficients."""
-    rows = []
-    for c in kind.coefficients:
-        sign = "not negative" if c.non_negative else "any"
-        most = f"{c.largest:g}" if math.isfinite(c.largest) else ""
-        rows.append((f"`{c.name}`", c.unit, sign, most, c.meaning))
-    return pipe_table(("coefficient", "unit", "sign", "at most", "meaning"), rows)
-
-
-def _shape(shape: Shape) -> str:
-    span = f"{shape.low:g} to {shape.high:g}{_SCALES[shape.scale]}"
-    return f"- shape `{shape.name}` [{shape.unit}]: {shape.meaning}; searched from {span}"
 
 
 def _place(kind: type[Effect]) -> str:

@@ -1,15 +1,19 @@
-"""A comparison of identifications, sets or diagnoses for people: the verdict, and tables."""
+"""A comparison of identifications, sets or diagnoses for people: the verdict, tables, a forest of
+intervals, and torque per joint."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from rich.text import Text
 
 from torchid.compare.diagnoses import ALPHA, GapComparison, Shared
 from torchid.compare.identifications import Compared, Comparison
-from torchid.compare.record import Named, TorqueSpread, Verdict
+from torchid.compare.record import Named, Range, TorqueSpread, Verdict
 from torchid.compare.sets import SetComparison
-from torchid.report.table import Cell, Table, count, short
+from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
+from torchid.report.panels import Figure, Figures, finish, panel, rows_of
+from torchid.report.table import Cell, Shown, Table, cells, count, joint_numbers, short
 
 ORDER: tuple[Verdict, ...] = ("drift", "differ", "agree", "never_determined", "not_compared")
 WORDS = {
@@ -27,6 +31,17 @@ LONGEST = 20
 
 NOTABLE = 2.0
 """Typical Birge ratio from which standard deviations, not single parameters, are to blame."""
+
+
+def shown(result: Comparison | GapComparison | SetComparison) -> Shown:
+    """All that there is to see of a comparison."""
+    if isinstance(result, Comparison):
+        answer, said = verdict(result), tables(result)
+    elif isinstance(result, SetComparison):
+        answer, said = set_verdict(result), set_tables(result)
+    else:
+        answer, said = gap_verdict(result), gap_tables(result)
+    return Shown(verdict=answer, parts=said, warnings=result.notes, figures=figures(result))
 
 
 def verdict(result: Comparison) -> str:
@@ -137,19 +152,19 @@ def tables(result: Comparison) -> list[Table]:
             rows.append([Text(WORDS[kind], "bold")])
         for p in of_kind:
             name = f"  {short(p.name, LONGEST - len(p.unit))} [{p.unit}]"
-            cells = [
+            texts = [
                 "held at 0" if held else "-" if math.isnan(s) else f"{v:.3g} ± {s:.2g}"
                 for (v, s), held in zip(_pairs(p), p.held.tolist(), strict=True)
             ]
             if not wide:
-                values = zip(_pairs(p), cells, strict=True)
+                values = zip(_pairs(p), texts, strict=True)
                 known = sorted((v, c) for (v, s), c in values if not math.isnan(s))
-                cells = [known[0][1], known[-1][1]] if known else ["-", "-"]
+                texts = [known[0][1], known[-1][1]] if known else ["-", "-"]
             consensus = ["", "", ""]
             if p.scatter is not None and p.p_holm is not None:
                 mean = f"{p.scatter.consensus:.3g} ± {p.scatter.std:.2g}"
                 consensus = [mean, f"{p.scatter.birge:.2f}", f"{p.p_holm:.2g}"]
-            rows.append([name, *cells, *consensus])
+            rows.append([name, *texts, *consensus])
         rows.append([])
     labels = result.labels if wide else ("lowest", "highest")
     parameters = Table(
@@ -181,8 +196,8 @@ def torque_tables(t: TorqueSpread | None, labels: Sequence[str]) -> list[Table]:
     if t.errors is not None:
         rows += [(f"measured - {label}", e) for label, e in zip(labels, t.errors, strict=True)]
     title = f"torque on {t.source}, RMS per joint [N m; N]"
-    cells = [(name, *(f"{v:.3g}" for v in values.tolist())) for name, values in rows]
-    return [Table(title, ["", *(str(j + 1) for j in range(len(t.size)))], cells, words=("",))]
+    texts = [(name, *cells(values)) for name, values in rows]
+    return [Table(title, ("", *joint_numbers(len(t.size))), texts, words=("",))]
 
 
 def set_verdict(result: SetComparison) -> str:
@@ -214,8 +229,8 @@ def set_tables(result: SetComparison) -> list[Table]:
         for kind in ORDER:
             for r in (r for r in ranges if r.verdict == kind):
                 bounds = zip(r.low.tolist(), r.high.tolist(), strict=True)
-                cells = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in bounds]
-                rows.append([r.name, *cells, r.unit, WORDS[r.verdict]])
+                texts = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in bounds]
+                rows.append([r.name, *texts, r.unit, WORDS[r.verdict]])
             rows.append([])
         title = f"{what} parameters, lowest .. highest"
         columns = ("parameter", *result.labels, "unit", "verdict")
@@ -273,22 +288,22 @@ def gap_tables(result: GapComparison) -> list[Table]:
     for s in result.shared:
         rows.append([_name(s), "", *(_state(s, k) for k in range(len(s.states))), "", ""])
         for c in s.coefficients:
-            cells = [
+            texts = [
                 "" if value is None else f"{value:.4g} ± {std:.2g}{_unit(c.unit)}"
                 for value, std in zip(c.values, c.std, strict=True)
             ]
-            rows.append(["", c.name, *cells, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
+            rows.append(["", c.name, *texts, f"{c.scatter.birge:.2f}", f"{c.p_holm:.2g}"])
         # Coefficients that no other diagnosis gives with a standard deviation, then shapes.
         alike = [c.name for c in s.coefficients]
         named = [n for n in s.named if n is not None]
         for name in dict.fromkeys(k for n in named for k in n.values if k not in alike):
             rows.append(["", name, *(_size(n, name) for n in s.named), "", ""])
         for shape in dict.fromkeys(k for n in named for k in n.shapes):
-            cells = [
+            texts = [
                 "" if n is None or shape not in n.shapes else f"{n.shapes[shape]:.4g}"
                 for n in s.named
             ]
-            rows.append(["", shape, *cells, "", ""])
+            rows.append(["", shape, *texts, "", ""])
         rows.append([])
     columns = ("effect", "", *labels, "scatter", "p (Holm)")
     effects = Table("effects (coefficient ± std)", columns, rows, words=("effect", ""))
@@ -314,3 +329,123 @@ def _size(n: Named | None, name: str) -> str:
 
 def _unit(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
+
+
+COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
+SHADES = {"drift": RED, "differ": ORANGE, "never_determined": GREY}
+CLIP = 10.0
+"""Claimed standard deviations beyond which a value is drawn at the edge."""
+
+
+def figures(result: Comparison | GapComparison | SetComparison) -> Figures:
+    """What draws each figure that the comparison has, by the names of their files."""
+    out: dict[str, Callable[[], Figure | None]] = {}
+    if isinstance(result, Comparison) and result.having(*ORDER[:4]):
+        out["parameters"] = partial(forest_figure, result)
+    if isinstance(result, SetComparison):
+        for name, ranges in (("parameters", result.physical), ("base_parameters", result.base)):
+            out[name] = partial(range_figure, ranges, result.labels, result.robot)
+    if result.torque is not None:
+        out["torque"] = partial(torque_figure, result.torque, result.labels, result.robot)
+    return out
+
+
+def forest_figure(result: Comparison) -> Figure:
+    """95 % intervals of every result about the consensus, in the geometric mean of the claimed
+    standard deviations; the consensus' own interval is the grey bar."""
+    shown = [p for kind in ORDER[:4] for p in result.having(kind)]
+    m = len(result.labels)
+    figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(shown))
+    for row, p in enumerate(shown):
+        assert p.scatter is not None
+        known = p.std[~p.std.isnan()]
+        unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
+        half = p.scatter.quantile * p.scatter.std / unit
+        axes.barh(row, 2 * half, left=-half, height=0.8, color=GREY, alpha=0.22, linewidth=0)
+        for k, (value, std) in enumerate(zip(p.values.tolist(), p.std.tolist(), strict=True)):
+            if math.isnan(std):
+                continue
+            x = (value - p.scatter.consensus) / unit
+            y = row + 0.6 * ((k + 0.5) / m - 0.5)
+            wide = result.quantiles[k] * std / unit
+            axes.plot([x - wide, x + wide], [y, y], color=_colour(k), linewidth=1.1)
+            marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
+            axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=_colour(k), markersize=3.2)
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    axes.set_xlim(-CLIP - 0.5, CLIP + 0.5)
+    rows_of(axes, [short(p.name, 44) for p in shown])
+    axes.set_xlabel(
+        "value - consensus, in the geometric mean of the claimed standard deviations (bars: 95 %)\n"
+        "red: drifts, orange: differs, black: agrees, grey: never determined; "
+        "triangles lie beyond the edge"
+    )
+    return _compared(figure, f"{result.robot}: do {m} identifications agree?", shown, result.labels)
+
+
+def range_figure(ranges: Sequence[Range], labels: Sequence[str], robot: str) -> Figure:
+    """Ranges of the sets of every file, each parameter scaled to the widest of all."""
+    shown = [r for kind in ORDER for r in ranges if r.verdict == kind]
+    m = len(labels)
+    figure, axes = panel(9, 1.4 + (0.14 + 0.04 * m) * len(shown))
+    names = []
+    for row, r in enumerate(shown):
+        low, high = float(r.low.min()), float(r.high.max())
+        size = max(high - low, 1e-9 * max(abs(low), abs(high)), 1e-300)
+        for k in range(m):
+            y = row + 0.6 * ((k + 0.5) / m - 0.5)
+            a, b = ((float(x[k]) - (low + high) / 2) / size for x in (r.low, r.high))
+            axes.plot([a, b], [y, y], "|-", color=_colour(k), markersize=4)
+        names.append(f"{short(r.name, 44)}  {low:.3g} .. {high:.3g}")
+    axes.set(xlim=(-0.55, 0.55), xticks=[])
+    rows_of(axes, names, 6)
+    axes.set_xlabel(
+        "range of each file's sets, scaled to the whole range of the parameter (given beside its "
+        f"name)\nred: {WORDS['drift']}, orange: {WORDS['differ']}, grey: open in every file"
+    )
+    return _compared(figure, f"{robot}: sets compared", shown, labels)
+
+
+def torque_figure(t: TorqueSpread, labels: Sequence[str], robot: str) -> Figure:
+    """Per joint: differences between models against what their covariances claim, and, with a log,
+    every model's error."""
+    n, m = len(t.size), len(labels)
+    rows = 1 if t.errors is None else 2
+    figure, grid = panel(9, 0.8 + 2.8 * rows, rows, 1, squeeze=False)
+    claimed = [] if t.claimed is None else [("std that their covariances claim", t.claimed, GREY)]
+    spreads = [("std between models", t.spread, BLUE), *claimed]
+    parts = [(f"differences on {t.source} (in % of the joint's RMS torque)", spreads)]
+    if t.errors is not None:
+        errors = zip(labels, t.errors, map(_colour, range(m)), strict=True)
+        parts.append(("measured torque - model", list(errors)))
+    for axes, (title, bars) in zip(grid[:, 0], parts, strict=True):
+        width = 0.8 / len(bars)
+        for k, (name, values, colour) in enumerate(bars):
+            x = [j + (k - (len(bars) - 1) / 2) * width for j in range(n)]
+            axes.bar(x, values.tolist(), width * 0.94, color=colour, label=name)
+        axes.set_xticks(range(n), [f"joint {j + 1}" for j in range(n)], fontsize=8)
+        axes.set_ylabel("RMS [N m; N]")
+        axes.set_title(title, fontsize=8, color=INK)
+        axes.legend(fontsize=8, frameon=False)
+    for j in range(n):
+        share = 100 * float(t.spread[j] / t.size[j].clamp(min=1e-12))
+        top = max(float(v[j]) for _, v, _ in spreads)
+        grid[0, 0].annotate(
+            f"{share:.2g} %", (j, top), xytext=(0, 2), textcoords="offset points",
+            ha="center", fontsize=7, color=INK,
+        )  # fmt: skip
+    grid[0, 0].margins(y=0.15)
+    return finish(figure, f"{robot}: torque of {m} models")
+
+
+def _colour(k: int) -> str:
+    return COLOURS[k % len(COLOURS)]
+
+
+def _compared(
+    figure: Figure, title: str, shown: Sequence[Compared | Range], labels: Sequence[str]
+) -> Figure:
+    """Names of the rows in the colours of their verdicts, and a legend of the results."""
+    for name, row in zip(figure.axes[0].get_yticklabels(), shown, strict=True):
+        name.set_color(SHADES.get(row.verdict, INK))
+    styles = ({"color": _colour(k), "marker": "o", "markersize": 4} for k in range(len(labels)))
+    return finish(figure, title, keys=dict(zip(labels, styles, strict=True)))

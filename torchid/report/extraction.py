@@ -1,6 +1,9 @@
 """An extraction for people: verdict, tables, the search's course; and the null-space atlas: which
 parameters the torque determines, and how far."""
 
+from collections.abc import Sequence
+from functools import partial
+
 import torch
 from rich.text import Text
 
@@ -12,13 +15,29 @@ from torchid.extraction.problem import FAR, Problem
 from torchid.extraction.record import AtlasRecord, noticeable
 from torchid.identification.values import BaseValues
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
-from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Cell, Table, count, listed
+from torchid.report.panels import Figure, Figures, finish, panel, rows_of
+from torchid.report.table import Cell, Shown, Table, count, filled, listed
 from torchid.robot.inertia import InertialParameters
 
 _SHOWN = 12
 ON_THE_BOUNDARY = 1e-6
 """Degree below which a feasible set is said to be on the boundary."""
+
+
+def shown(found: Found) -> Shown:
+    """All that there is to see of an extraction."""
+    said, last = tables(found, found.proof), headline(found, found.proof)
+    return Shown(parts=said, warnings=found.warnings, last=last, figures=figures(found))
+
+
+def atlas_shown(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Shown:
+    """All that there is to see of an atlas."""
+    return Shown(
+        parts=[atlas_table(atlas)],
+        warnings=notes,
+        last=atlas_headline(atlas, problem),
+        figures={"atlas": partial(atlas_figure, atlas.record)},
+    )
 
 
 def headline(found: Found, proof: Certificate | None) -> str:
@@ -104,20 +123,25 @@ def tables(found: Found, proof: Certificate | None) -> list[Table]:
         rows.append(
             (found.sets.ids[k], f"{float(found.phi[k]):.5g}", far, penalty, said, near, why)
         )
-    out = [
+    least = {} if proof is None else noticeable(proof)
+    without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
+    forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
+    columns = ("without the condition", "phi_min would be")
+    return filled(
         Table(
             f"{which} within the bounds '{found.problem.bounds.name}' (torque: largest joint)",
             ("set", "phi", "torque [%]", "gamma", "feasible", "degree", "reasons"),
             rows,
             words=("set", "reasons"),
-        )
-    ]
-    if proof is not None and noticeable(proof):
-        title = f"what forces phi_min = {proof.phi_min:.5g}"
-        columns = ("without the condition", "phi_min would be")
-        least = [(name, f"{value:.5g}") for name, value in noticeable(proof).items()]
-        out.append(Table(title, columns, least[:_SHOWN], words=columns[:1]))
-    return out
+        ),
+        Table(forced, columns, without, words=columns[:1]),
+    )
+
+
+def figures(found: Found) -> Figures:
+    """What draws the search's course, where there was one."""
+    search = found.search
+    return {} if search is None else {"search": partial(search_figure, search, found.proof)}
 
 
 def search_figure(search: Extraction, proof: Certificate | None) -> Figure:

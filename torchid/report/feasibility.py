@@ -2,13 +2,14 @@
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 from rich.text import Text
 
 from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.record import Check, excess_percent
-from torchid.report.table import Cell, Table, listed
+from torchid.report.table import Cell, Shown, Table, cells, joint_numbers, listed
 
 NEAR = 0.05
 """Degree below which a condition is shown as near its boundary."""
@@ -20,6 +21,16 @@ DEGREE = (
     "degree: the smallest margin of all conditions, each over a scale of its own (a link's mean "
     "second moment, half a box's side, the mean mass): negative outside, 0 on the boundary"
 )
+
+
+def shown(check: Check, repaired: NearestSets | None, warnings: Sequence[str]) -> Shown:
+    """All that there is to see of a check, and of the feasible sets nearest to it, if asked for."""
+    nearest = [] if repaired is None else [nearest_table(repaired)]
+    return Shown(
+        verdict=headline(check),
+        parts=[conditions_line(check), *tables(check), *nearest, DEGREE],
+        warnings=warnings,
+    )
 
 
 def tables(check: Check) -> list[Table]:
@@ -131,7 +142,7 @@ def _link_table(check: Check, k: int) -> Table:
         margins = found.margins[k, i].tolist()
         eigenvalues = check.eigenvalues[k, i].tolist()
         excess = excess_percent(eigenvalues)
-        cells: list[Cell] = [
+        texts: list[Cell] = [
             _coloured(f"{margins[0]:.4g}", degrees[0], bad[0]),
             _coloured(" ".join(f"{v:.3g}" for v in eigenvalues), degrees[1], bad[1]),
             _coloured("-" if excess is None else f"{100 + excess:.3g}", degrees[2], bad[2]),
@@ -142,11 +153,11 @@ def _link_table(check: Check, k: int) -> Table:
             c = min((3, 4, 5), key=lambda column: degrees[column])
             known = math.isfinite(margins[c])
             text = f"{1e3 * margins[c]:.1f} {LINK_CONDITIONS[c][-1]}" if known else "-"
-            cells.append(_coloured(text, degrees[c], bad[c]))
+            texts.append(_coloured(text, degrees[c], bad[c]))
         if check.round_shapes:
-            cells.append(_coloured(f"{1e3 * margins[6]:.1f}", degrees[6], bad[6]))
+            texts.append(_coloured(f"{1e3 * margins[6]:.1f}", degrees[6], bad[6]))
         least = min(degrees)
-        rows.append((str(i + 1), name, *cells, _coloured(f"{least:.2g}", least, any(bad))))
+        rows.append((str(i + 1), name, *texts, _coloured(f"{least:.2g}", least, any(bad))))
     title = f"links of {check.sets.ids[k]} (red: violated, yellow: degree below {NEAR:g})"
     return Table(title, columns, rows, names=("", "link"))
 
@@ -162,7 +173,7 @@ def _coefficient_table(check: Check, k: int) -> Table:
         degree = float(found.coefficient_degrees[k, e])
         value = f"{float(check.sets.coefficients[k, e]):.4g}"
         row[joint + 1] = _coloured(value, degree, bool(found.violated_coefficients[k, e]))
-    columns = ["", *(str(joint + 1) for joint in range(n))]
+    columns = ("", *joint_numbers(n))
     return Table("coefficients of the effects, by joint", columns, list(rows.values()), names=("",))
 
 
@@ -207,8 +218,7 @@ def nearest_table(nearest: NearestSets) -> Table:
     for name, status, feasible, row in zip(
         nearest.sets.ids, nearest.status, nearest.feasible.tolist(), changes, strict=True
     ):
-        cells = (f"{v:.3g}" if math.isfinite(v) else "-" for v in row)
-        rows.append((name, status if feasible else Text(status, "red"), *cells))
-    joints = (str(joint + 1) for joint in range(nearest.torque_change.shape[1]))
+        rows.append((name, status if feasible else Text(status, "red"), *cells(row)))
+    joints = joint_numbers(nearest.torque_change.shape[1])
     title = "nearest feasible sets: change of the joints' torques, % of their own rms"
     return Table(title, ["set", "status", *joints], rows, names=("set", "status"))

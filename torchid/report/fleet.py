@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 
 from torchid.fleet.gap import FleetGapRecord
 from torchid.fleet.identify import USED
@@ -11,7 +12,7 @@ from torchid.fleet.watch import WatchRecord
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Picture, panel
-from torchid.report.table import Cell, Table, count, listed, short
+from torchid.report.table import Cell, Shown, Table, count, filled, listed, short
 
 MOST = 20
 """Rows of logs and units that the terminal shows; the JSON has all of them."""
@@ -26,6 +27,28 @@ def _number(value: float, digits: str = ".4g") -> str:
 
 def _between(ends: tuple[float, float]) -> str:
     return f"{_number(ends[0], '.2g')} .. {_number(ends[1], '.2g')}"
+
+
+def shown(found: FleetRecord) -> Shown:
+    """All that there is to see of a fleet's parameters."""
+    return Shown(verdict=verdict(found), parts=tables(found), warnings=found.notes)
+
+
+def gap_shown(found: FleetGapRecord) -> Shown:
+    """All that there is to see of a fleet's gaps."""
+    return Shown(
+        verdict=gap_verdict(found),
+        parts=[effect_table(found), diagnosed_table(found, MOST)],
+        warnings=found.notes,
+        figures={"map": partial(gap_map, found)},
+        page=partial(fleet_gap_page, found),
+    )
+
+
+def watch_shown(found: WatchRecord) -> Shown:
+    """All that there is to see of what drifts."""
+    alarms = filled(alarm_table(found))
+    return Shown(verdict=watch_verdict(found), parts=alarms, warnings=found.notes)
 
 
 def verdict(found: FleetRecord) -> str:
@@ -98,12 +121,7 @@ def odd_table(found: FleetRecord) -> Table:
 
 def tables(found: FleetRecord) -> list[Table]:
     """All of them that have something to say."""
-    out = [parameter_table(found)]
-    if found.odd:
-        out.append(odd_table(found))
-    if any(log.verdict != "good" for log in found.logs):
-        out.append(log_table(found.logs))
-    return out
+    return filled(parameter_table(found), odd_table(found), log_table(found.logs))
 
 
 SCOPES = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
@@ -182,7 +200,7 @@ def fleet_gap_page(found: FleetGapRecord, origin: Origin) -> Page:
         verdict=gap_verdict(found),
         facts=facts,
         origin=origin,
-        pictures=[Picture("map", caption, alt, lambda: gap_map(found))],
+        pictures=[Picture("map", caption, alt, partial(gap_map, found))],
         tables=[effect_table(found).on_page(), diagnosed_table(found).on_page()],
         notes=found.notes,
         sortable=True,

@@ -10,23 +10,16 @@ from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, un
 from torchid.gap.record import Experiment, NotTestable
 from torchid.gap.search.solve import NORMAL
 from torchid.report import gap_figures
-from torchid.report.gap_figures import joint_figure
-from torchid.report.gap_words import (
-    CLEAR,
-    REGIMES,
-    clear_regimes,
-    coefficients,
-    effect_words,
-    joints_words,
-    regime_words,
-    shapes,
-    verdict,
-)  # fmt: skip
+from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
 from torchid.report.table import (
+    Shown,
     Table,
+    cells,
+    filled,
     interval,
+    joint_numbers,
     joint_unit,
     listed,
     percent,
@@ -41,19 +34,30 @@ _MOST_NUMBERS = 12
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
+def shown(diagnosis: Diagnosis) -> Shown:
+    """All that there is to see of a diagnosis."""
+    return Shown(
+        verdict=words.verdict(diagnosis),
+        parts=[*tables(diagnosis), *remarks(diagnosis)],
+        warnings=diagnosis.warnings,
+        figures=gap_figures.figures(diagnosis),
+        page=partial(gap_page, diagnosis),
+    )
+
+
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """Where, which, what it means, how far, what could not be tested, what to do next."""
-    out = [where_table(diagnosis)]
-    if diagnosis.findings or diagnosis.parametric:
-        out += [which_table(diagnosis), meaning_table(diagnosis)]
-    out += [how_far_table(diagnosis), budget_table(diagnosis)]
-    if diagnosis.how_far.rollout:
-        out.append(rollout_table(diagnosis.how_far.rollout))
-    if diagnosis.not_testable:
-        out.append(not_testable_table(diagnosis))
-    if diagnosis.next_experiment:
-        out.append(experiment_table(diagnosis.next_experiment))
-    return out
+    d, rollout, experiment = diagnosis, diagnosis.how_far.rollout, diagnosis.next_experiment
+    return filled(
+        where_table(d),
+        which_table(d),
+        meaning_table(d),
+        how_far_table(d),
+        budget_table(d),
+        rollout_table(rollout) if rollout else None,
+        not_testable_table(d),
+        experiment_table(experiment) if experiment else None,
+    )
 
 
 def where_table(diagnosis: Diagnosis) -> Table:
@@ -61,8 +65,8 @@ def where_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for gap in diagnosis.joints:
         said = []
-        for r in clear_regimes(diagnosis, gap.joint)[:_MOST_REGIMES]:
-            text = f"{regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
+        for r in words.clear_regimes(diagnosis, gap.joint)[:_MOST_REGIMES]:
+            text = f"{words.regime_words(r.regime)} {percent(r.excess)} {interval(r.ci95)}"
             if r.times:
                 starts: dict[str, list[str]] = {}
                 for window in r.times[:_MOST_REGIMES]:
@@ -77,7 +81,7 @@ def where_table(diagnosis: Diagnosis) -> Table:
                 f"{low:.3g} - {high:.3g}", percent(gap.share), ", ".join(said) or "-",
             )
         )  # fmt: skip
-    regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
+    regimes = f"holds more than its share (excess [95 %], p < {words.CLEAR:g})"
     return Table(
         f"where: torque the model lacks, below {diagnosis.band:g} Hz",
         ("joint", "gap, RMS", "noise, RMS", "share", regimes),
@@ -90,13 +94,13 @@ def which_table(diagnosis: Diagnosis) -> Table:
     """Accepted effects with their coefficients."""
     rows = []
     for f in diagnosis.findings:
-        values = coefficients(f, diagnosis.robot)
+        values = words.coefficients(f, diagnosis.robot)
         values = [*values[:_MOST_NUMBERS], *(["..."] if len(values) > _MOST_NUMBERS else [])]
         if f.effect.shapes:
-            values.append(f"({', '.join(shapes(f, diagnosis.robot))})")
+            values.append(f"({', '.join(words.shapes(f, diagnosis.robot))})")
         joints = ", ".join(str(j + 1) for j in f.joints) or "all"
         shares = (percent(f.share), percent(f.first), _sure(f.how_sure))
-        what = effect_words(f.effect.name)
+        what = words.effect_words(f.effect.name)
         rows.append((what, joints, "\n".join(values), _others(f.ambiguous_with), *shares))
     for p in diagnosis.parametric:
         links = [str(link + 1) for link in p.links]
@@ -121,8 +125,8 @@ def meaning_table(diagnosis: Diagnosis) -> Table:
     for name in dict.fromkeys(f.effect.name for f in diagnosis.findings):
         same = [f for f in diagnosis.findings if f.effect.name == name]
         kind = same[0].effect
-        notes = [f"{joints_words(f.located)}: {note}" for f in same for note in f.notes]
-        rows.append((effect_words(name), "\n".join([kind.meaning, *notes]), kind.remedy))
+        notes = [f"{words.joints_words(f.located)}: {note}" for f in same for note in f.notes]
+        rows.append((words.effect_words(name), "\n".join([kind.meaning, *notes]), kind.remedy))
     if diagnosis.parametric:
         rows.append(("inertial parameters", INERTIA_MEANING, INERTIA_REMEDY))
     columns = ("effect", "what it means", "what to do")
@@ -135,15 +139,15 @@ def how_far_table(diagnosis: Diagnosis) -> Table:
     """RMS per joint before and after, beside the noise."""
     far, floor = diagnosis.how_far, diagnosis.floor
     rows = [
-        (name, *(f"{v:.3g}" for v in level.tolist()), f"{float(level.norm()):.3g}")
+        (name, *cells(level), f"{float(level.norm()):.3g}")
         for name, level in (
             ("as given", far.rms_before), ("corrected", far.rms_after),
             ("noise, at least", floor.low), ("noise, at most", floor.high),
         )
     ]  # fmt: skip
-    joints = (str(j + 1) for j in range(diagnosis.robot.n))
     title = f"how far: RMS of what the model lacks [{torque_unit(diagnosis.robot)}]"
-    return Table(title, ["model", *joints, "all"], rows, words=("model",))
+    columns = ("model", *joint_numbers(diagnosis.robot.n), "all")
+    return Table(title, columns, rows, words=("model",))
 
 
 def budget_table(diagnosis: Diagnosis) -> Table:
@@ -205,7 +209,7 @@ def not_testable_table(diagnosis: Diagnosis) -> Table:
             else:
                 sizes.append(f"{place}: {x.smallest_detectable:.3g} {x.unit}".rstrip())
         sizes += [f"{', '.join(never)}: no size"] if never else []
-        rows.append((effect_words(effect), "; ".join(sizes), _reason(members)))
+        rows.append((words.effect_words(effect), "; ".join(sizes), _reason(members)))
     columns = ("effect", "joint: smallest size that would have been seen", "why")
     return Table(
         "not testable with these data", columns, rows, names=columns[:1], words=columns[1:]
@@ -242,11 +246,11 @@ def _value(value: Any) -> str:
         return ", ".join(_value(v) for v in value)
     if isinstance(value, float):
         return f"{value:.4g}"
-    return "" if value is None else effect_words(value) if value in KINDS else str(value)
+    return "" if value is None else words.effect_words(value) if value in KINDS else str(value)
 
 
 def _others(names: tuple[str, ...]) -> str:
-    return "\n".join(effect_words(name) for name in names) or "-"
+    return "\n".join(words.effect_words(name) for name in names) or "-"
 
 
 def _sure(value: float | None) -> str:
@@ -274,7 +278,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     low, high = float(d.floor.low.norm()), float(d.floor.high.norm())
     return Page(
         f"Sim-to-real gap of {d.robot.name}",
-        verdict(d),
+        words.verdict(d),
         (
             ("Status", STATUS[d.status]),
             ("Closed [95 %]", closed_words(d)),
@@ -299,8 +303,8 @@ def coefficient_table(diagnosis: Diagnosis) -> Table:
             unit = unit_of(c.unit, f.located or f.joints, diagnosis.robot)
             rows.append(
                 (
-                    effect_words(f.effect.name), joints_words(f.located), c.name, f"{value:.6g}",
-                    *(spread if math.isfinite(std) else ("-", "-")),
+                    words.effect_words(f.effect.name), words.joints_words(f.located), c.name,
+                    f"{value:.6g}", *(spread if math.isfinite(std) else ("-", "-")),
                     "-" if unit == "1" else unit_words(unit),
                 )
             )  # fmt: skip
@@ -319,8 +323,8 @@ def _pictures(d: Diagnosis) -> list[Picture]:
     unit, far, budget = torque_unit(d.robot), d.how_far, d.budget
     # The joint with the largest share, and when.
     worst = gap_figures.worst_joints(d, 1)[0]
-    clear = clear_regimes(d, worst)
-    when = f"above all {listed([REGIMES[r.regime] for r in clear])}"
+    clear = words.clear_regimes(d, worst)
+    when = f"above all {listed([words.REGIMES[r.regime] for r in clear])}"
     share = next(gap.share for gap in d.joints if gap.joint == worst)
     shares = [f"joint {gap.joint + 1} {percent(gap.share)}" for gap in d.joints]
     out = [
@@ -332,7 +336,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
             f"matters little. Joint {worst + 1} holds {percent(share)} of the gap, "
             f"{when if clear else 'at no time more than at others'}.",
             f"Map of joints and kinds of motion. Shares of the gap: {', '.join(shares)}.",
-            lambda: gap_figures.map_figure(d),
+            partial(gap_figures.map_figure, d),
         )
     ]
     for k, joint in enumerate(gap_figures.worst_joints(d) if d.traces else ()):
@@ -348,7 +352,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 f"What the model lacks on joint {number}: {change}.{'' if k else _AGAINST}",
                 f"Gap of joint {number} against velocity, position, acceleration, torque and time, "
                 f"and its spectrum: {change}.",
-                partial(joint_figure, d, joint),
+                partial(gap_figures.joint_figure, d, joint),
             ),
             Picture(
                 f"torque_{number}",
@@ -367,7 +371,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
             "model can be better than the grey noise; what of the blue bar rises above it is "
             "unexplained.",
             f"Bars of the gap before and after [{unit}]: {', '.join(said)}.",
-            lambda: gap_figures.bar_figure(d),
+            partial(gap_figures.bar_figure, d),
         )
     )
     if any((budget.parametric, budget.structural, budget.unexplained)):
@@ -379,7 +383,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "needs no new effect, only better numbers.",
                 f"Shares of the gap: base parameters {percent(budget.parametric)}, effects "
                 f"{percent(budget.structural)}, unexplained {percent(budget.unexplained)}.",
-                lambda: gap_figures.budget_figure(d),
+                partial(gap_figures.budget_figure, d),
             )
         )
     if any(f.planted for f in d.findings):
@@ -392,7 +396,7 @@ def _pictures(d: Diagnosis) -> list[Picture]:
                 "from which size on the cause is told, alone or in a set. It is the best that can "
                 "be hoped for: what is left of a real arm holds other causes, too.",
                 "Shares of draws in which each planted cause is told, and by size of the cause.",
-                lambda: gap_figures.planted_figure(d),
+                partial(gap_figures.planted_figure, d),
             )
         )
     return out

@@ -1,6 +1,7 @@
 """Figures of a diagnosis: where the gap lies, how far it shrinks, and the gap of one joint against
 everything it may depend on."""
 
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -10,7 +11,7 @@ from torchid.gap.diagnosis import Diagnosis, Trace
 from torchid.gap.record import OFTEN, Regime
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import CLEAR, regime_words
-from torchid.report.panels import Figure, finish, new_figure, panel, ruled, styled
+from torchid.report.panels import Figure, Figures, finish, new_figure, panel, ruled, styled
 from torchid.report.table import joint_unit, percent, torque_unit
 from torchid.statistics.jackknife import student_quantile
 
@@ -26,16 +27,16 @@ _SHORTEST = 12.0
 """Seconds of a trajectory shown in the torque overlay, at most."""
 
 
-def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """All figures by the names of their files."""
-    out = {"where": map_figure(diagnosis), "how_far": bar_figure(diagnosis)}
-    if not diagnosis.traces:
+def figures(diagnosis: Diagnosis) -> Figures:
+    """What draws each figure, by the names of their files."""
+    d = diagnosis
+    out = {"where": partial(map_figure, d), "how_far": partial(bar_figure, d)}
+    if not d.traces:
         return out
-    for j in worst_joints(diagnosis):
-        out[f"gap_joint_{j + 1}"] = joint_figure(diagnosis, j)
-    out["torque"] = torque_figure(diagnosis)
-    if any(f.planted for f in diagnosis.findings):
-        out["planted"] = planted_figure(diagnosis)
+    out |= {f"gap_joint_{j + 1}": partial(joint_figure, d, j) for j in worst_joints(d)}
+    out["torque"] = partial(torque_figure, d)
+    if any(f.planted for f in d.findings):
+        out["planted"] = partial(planted_figure, d)
     return out
 
 

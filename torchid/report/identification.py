@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 
@@ -18,17 +18,37 @@ from torchid.identification.settings import Rows
 from torchid.identification.validation import Prediction
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
-from torchid.report.panels import Figure, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Table, joint_unit, listed, short, unit_words
+from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
+from torchid.report.table import (
+    Shown,
+    Table,
+    cells,
+    filled,
+    joint_numbers,
+    joint_unit,
+    listed,
+    short,
+    unit_words,
+)
 
 _ZERO = 100.0
 """Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
 
 
+def shown(result: Identification) -> Shown:
+    """All that there is to see of an identification."""
+    return Shown(
+        parts=tables(result),
+        warnings=result.warnings,
+        last=headline(result),
+        figures=figures(result),
+        page=partial(identification_page, result),
+    )
+
+
 def tables(result: Identification) -> list[Table]:
     """Base parameters, effects per joint, errors per joint."""
-    effects = effect_tables(result)
-    return [parameter_table(result), *effects, error_table(result)]
+    return [parameter_table(result), *effect_tables(result), error_table(result)]
 
 
 def shown_errors(result: Identification) -> tuple[Errors, bool]:
@@ -41,7 +61,7 @@ def headline(result: Identification) -> str:
     """One sentence: what was identified, and how well it predicts."""
     shown, held = shown_errors(result)
     every_row, moving = (
-        ", ".join(f"{v:.1f}" if math.isfinite(v) else "-" for v in percent.tolist())
+        ", ".join(cells(percent, ".1f"))
         for percent in (shown.relative_percent, shown.relative_percent_moving)
     )
     errors = f"{every_row} (while moving: {moving})"
@@ -111,19 +131,15 @@ def effect_tables(result: Identification) -> list[Table]:
     everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
     if len(set(slides)) > 1:
         everywhere = []  # their units are not those of the column
-    out = []
-    if everywhere:
-        columns = [
-            f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
-            for kind in everywhere
-            for c in kind.coefficients
-        ]
-        rows = []
-        for j in range(robot.n):
-            own = {type(e): texts for e, texts in found if e.joints == (j,)}
-            rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
-        title = "effects on the joints (value ± std)"
-        out.append(Table(title, ("joint", *columns), rows, words=("joint",)))
+    columns = [
+        f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
+        for kind in everywhere
+        for c in kind.coefficients
+    ]
+    rows = []
+    for j in range(robot.n if everywhere else 0):
+        own = {type(e): texts for e, texts in found if e.joints == (j,)}
+        rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
     lines: list[tuple[str, ...]] = []
     for effect, texts in found:
         if type(effect) in everywhere:
@@ -134,19 +150,16 @@ def effect_tables(result: Identification) -> list[Table]:
             lines.append((effect.name, place, c.name, text, unit))
         for s, number in zip(effect.shapes, effect.shape_values, strict=True):
             lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
-    if lines:
-        columns = ["effect", "joint", "", "value ± std", "unit"]
-        title = "effects at their joints (shapes without a std are given, or were searched)"
-        out.append(Table(title, columns, lines, names=("effect", "joint", "", "unit")))
-    return out
+    heads = ("effect", "joint", "", "value ± std", "unit")
+    title = "effects at their joints (shapes without a std are given, or were searched)"
+    return filled(
+        Table("effects on the joints (value ± std)", ("joint", *columns), rows, words=("joint",)),
+        Table(title, heads, lines, names=("effect", "joint", "", "unit")),
+    )
 
 
 def error_table(result: Identification) -> Table:
     """Relative errors per joint, in percent, and RMSE."""
-
-    def cells(values: Iterable[float]) -> list[str]:
-        return [f"{v:.2f}" if math.isfinite(v) else "-" for v in values]
-
     unit = "; ".join(dict.fromkeys(joint_unit(result.robot, j) for j in range(result.robot.n)))
     rows: list[list[str]] = []
     for data, errors in (("fit", result.fit), ("held out", result.held_out)):
@@ -158,15 +171,14 @@ def error_table(result: Identification) -> Table:
             ("raw torque", errors.relative_percent_raw),
         ):
             values = percent.tolist()
-            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)])])
-        rmse = [f"{v:.3g}" for v in errors.rmse.tolist()]
-        rows += [[f"{data}, RMSE [{unit}]", *rmse, ""], []]
+            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)], ".2f")])
+        rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
     return Table(
         f"torque error, 100 ||tau - model|| / ||tau||, per joint ({note}; "
         f"moving: |dq| > {MOVING:g})",
-        ("data, rows", *(str(j + 1) for j in range(result.robot.n)), "mean"),
+        ("data, rows", *joint_numbers(result.robot.n), "mean"),
         rows,
         words=("data, rows",),
     )
@@ -384,7 +396,7 @@ def _pictures(result: Identification) -> list[Picture]:
             "value, on a logarithmic scale. Green is well known, orange roughly; red bars beyond "
             f"the line at 100 % cannot be told from zero ({poor}).",
             f"Bars, one a coefficient: {poor} cannot be told from zero.",
-            lambda: parameter_figure(result.record),
+            partial(parameter_figure, result.record),
         )
     )
     return out
@@ -406,6 +418,12 @@ QUANTITIES = (
 """Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
 
 
+def payload_shown(payload: Payload) -> Shown:
+    """All that there is to see of a payload."""
+    tables, last = payload_tables(payload), payload_headline(payload)
+    return Shown(parts=tables, warnings=payload.warnings, last=last)
+
+
 def payload_tables(payload: Payload) -> list[Table]:
     """The body in the tool's and in the last link's frame, and what else changed, if anything."""
     tool, link = (
@@ -417,22 +435,20 @@ def payload_tables(payload: Payload) -> list[Table]:
         for body in (payload.tool, payload.link)
     )
     named = zip(QUANTITIES, tool, link, strict=True)
-    out = [
+    changes = [
+        (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
+    ]
+    columns = ("coefficient", "unit", "change", "std")
+    title = "effects that changed with the load, not part of the payload"
+    return filled(
         Table(
             f"payload of {payload.robot} (value ± std, 95 % interval)",
             ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %"),
             [(*name, *own, *other) for name, own, other in named],
             names=("quantity", "unit"),
-        )
-    ]
-    if payload.friction_changes:
-        columns = ("coefficient", "unit", "change", "std")
-        rows = [
-            (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
-        ]
-        title = "effects that changed with the load, not part of the payload"
-        out.append(Table(title, columns, rows, words=columns[:2]))
-    return out
+        ),
+        Table(title, columns, changes, words=columns[:2]),
+    )
 
 
 def payload_headline(payload: Payload) -> str:
@@ -466,16 +482,19 @@ def _payload_cells(estimate: Estimate, k: int) -> tuple[str, str]:
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
 
 
-def figures(result: Identification) -> dict[str, Figure]:
-    """How well each parameter is known, and torques of every trajectory."""
+def figures(result: Identification) -> Figures:
+    """How well each parameter is known, and torques of every trajectory: what draws each figure, by
+    the names of their files."""
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
-    drawn = {"parameters": parameter_figure(result.record)}
+    drawn: dict[str, Callable[[], Figure | None]] = {
+        "parameters": partial(parameter_figure, result.record)
+    }
     for kind, words, predictions in (
         ("fit", "fitted data", result.fit_predictions),
         ("held_out", "held-out data", result.held_out_predictions),
     ):
         for prediction in predictions:
             name = "".join(c if c.isalnum() or c in "-_." else "_" for c in prediction.name)
-            title = f"{prediction.name} ({words})"
-            drawn[f"{kind}_{name}"] = torque_figure(prediction, units, title, result.settings.rows)
+            title, rows = f"{prediction.name} ({words})", result.settings.rows
+            drawn[f"{kind}_{name}"] = partial(torque_figure, prediction, units, title, rows)
     return drawn

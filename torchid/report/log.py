@@ -1,6 +1,7 @@
 """A log and a motion for people: what it is seen as, its figure, and what an examination finds."""
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -9,12 +10,13 @@ from rich.text import Text
 
 from torchid.design.repeats import Repeat
 from torchid.doctor.examine import Examination
+from torchid.doctor.record import conclusion
 from torchid.log.model import JOINT_SIGNALS, Log
 from torchid.log.overview import Overview
 from torchid.log.ros import Topic
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Table, count, joint_unit
+from torchid.report.table import Cell, Shown, Table, count, filled, joint_unit
 from torchid.robot.model import JointType, Robot
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
@@ -148,13 +150,25 @@ def doctor_tables(examination: Examination) -> list[Table]:
         rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
     columns = ("verdict", "check", "evidence", "fix")
     title = f"log of {examination.robot.name}"
-    return [Table(title, columns, rows, names=columns[:2], words=columns[2:])] if rows else []
+    return filled(Table(title, columns, rows, names=columns[:2], words=columns[2:]))
 
 
 def fine(examination: Examination) -> str:
     """The checks that found nothing, in one line."""
     names = [c.name for c in examination.checks if c.verdict == "fine"]
     return "fine: " + ", ".join(names) if names else "nothing is fine"
+
+
+def doctor_shown(examination: Examination) -> Shown:
+    """All that there is to see of an examination."""
+    drawn = {"doctor": partial(torque_figure, examination)}
+    said: list[Table | str] = [
+        *doctor_tables(examination),
+        fine(examination),
+        f"\n{conclusion(examination)}",
+    ]
+    said += [choices(examination)] if examination.undecided else []
+    return Shown(parts=said, figures=drawn)
 
 
 def choices(examination: Examination) -> str:

@@ -1,17 +1,58 @@
-"""A planned motion for people and as data: what it asks of the drives, and what it adds."""
+"""A planned motion for people: what it asks of the drives, how near it comes, and what it adds."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from functools import partial
 
 from torchid.excitation.clearance import FAR, Clearance, Nearest
+from torchid.excitation.design import Excitation
 from torchid.excitation.informed import InformedDesign
-from torchid.excitation.torque import TorqueUse, has_torque_limits
-from torchid.json_data import plain
+from torchid.excitation.torque import TorqueUse
+from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, beyond, named
-from torchid.report.table import Table, joint_unit, short
+from torchid.report.log import trajectory_figure
+from torchid.report.table import Shown, Table, joint_unit, short
 from torchid.robot.model import Robot
+
+
+def design_shown(planned: Planned) -> Shown:
+    """What the design of motions gained."""
+    hardly = [HARDLY_BETTER] if any(design.hardly for design in planned.designs) else []
+    match planned.designs:
+        case [InformedDesign() as one]:
+            return Shown(
+                verdict=informed_verdict(one), parts=[informed_table(one)], warnings=hardly
+            )
+        case [Separation() as one]:
+            verdict, table = separation_verdict(one, one.kind), separation_table(one, one.kind)
+            return Shown(verdict=verdict, parts=[table], warnings=[*one.notes, *hardly])
+    said = [
+        f"trajectory {k}: condition number {design.start_condition:.0f} (median random start) "
+        f"-> {design.condition_after:.0f}"
+        for k, design in enumerate(planned.designs, start=1)
+        if isinstance(design, Excitation)
+    ]
+    return Shown(parts=said, warnings=hardly)
+
+
+def shown(planned: Planned) -> Shown:
+    """What motions ask of the drives, or that it is not known, and how near they come; and a figure
+    of each."""
+    robot, use, log = planned.robot, planned.use, planned.log
+    parts: list[Table | str] = [] if use is None else [torque_table(robot, use)]
+    reason = not_checked(robot) if use is None else None
+    drives = [reason] if reason else [] if use is None else frictionless(use)
+    if planned.clearance is not None and planned.nearest is not None:
+        parts += [nearest_words(planned.clearance, planned.nearest), *planned.clearance.notes]
+    title = f"{robot.name}: {planned.kind} trajectory"
+    return Shown(
+        parts=parts,
+        warnings=(*drives, *planned.unknown, *log.warnings),
+        figures={
+            f"trajectory_{k}": partial(trajectory_figure, robot, part, f"{title} {k}")
+            for k, part in enumerate(log.trajectories(), start=1)
+        },
+    )
 
 
 def torque_table(robot: Robot, use: TorqueUse) -> Table:
@@ -26,31 +67,6 @@ def torque_table(robot: Robot, use: TorqueUse) -> Table:
         rows.append((str(j + 1), f"{size:.3g} {unit}", *cells))
     title = f"largest torque, by the {use.source}"
     return Table(title, ("joint", "torque", "limit", "share"), rows, least_width=len(title))
-
-
-def torque_record(robot: Robot, use: TorqueUse | None) -> dict[str, Any]:
-    """JSON-ready; without a use, why torque limits were not checked."""
-    if use is None:
-        return {"checked": False, "reason": not_checked(robot) or "no torque limits"}
-    joints = zip(use.largest.tolist(), plain(use.limits), use.share.tolist(), strict=True)
-    return {
-        "checked": True,
-        "model": use.source,
-        "joints": [
-            {"joint": j, "largest": size, "limit": limit, "share": share}
-            for j, (size, limit, share) in enumerate(joints, start=1)
-        ],
-    }
-
-
-def not_checked(robot: Robot) -> str | None:
-    """Why the robot's torque limits cannot be checked; None where it has none or they can be."""
-    if not has_torque_limits(robot) or robot.parameters is not None:
-        return None
-    return (
-        f"torque limits were not checked: robot '{robot.name}' has no inertial parameters, which "
-        "predict torque."
-    )
 
 
 HARDLY_BETTER = (
@@ -80,27 +96,6 @@ def nearest_words(clearance: Clearance, nearest: Nearest) -> str:
         f"mm after {nearest.time:.1f} s (at least {1000 * (nearest.distance - nearest.spare):.0f} "
         "mm are kept at every instant)."
     )
-
-
-def clearance_record(
-    clearance: Clearance | None, nearest: Nearest | None, unknown: Sequence[str] = ()
-) -> dict[str, Any]:
-    """JSON-ready; `unknown` is what could not be checked, one sentence each."""
-    if clearance is None or nearest is None:
-        return {"checked": False, "not_checked": list(unknown)}
-    near = None if math.isinf(nearest.spare) else nearest
-    return {
-        "checked": True,
-        "clearance": clearance.clearance,
-        "pairs": len(clearance.pairs),
-        "nearest": near
-        and {
-            "distance": near.distance,
-            "between": [near.first, near.second],
-            "time": near.time,
-        },
-        "not_checked": [*unknown, *clearance.notes],
-    }
 
 
 MOST_ROWS = 20
@@ -143,23 +138,6 @@ def informed_table(d: InformedDesign) -> Table:
 
 def _more(count: int) -> str:
     return f"and {count - MOST_ROWS} more, in the JSON" if count > MOST_ROWS else ""
-
-
-def informed_record(d: InformedDesign) -> dict[str, Any]:
-    """JSON-ready."""
-    columns = zip(
-        d.prior.base.names, d.prior.base.units, d.targets.tolist(), plain(d.before),
-        d.with_plain.tolist(), d.after.tolist(), strict=True,
-    )  # fmt: skip
-    return {
-        "criterion": d.goal,
-        "shrinks_to": {"plain": d.shrinks(d.with_plain), "designed": d.shrinks(d.after)},
-        "parameters": [
-            {"name": name, "unit": unit, "target": target, "std": std,
-             "predicted_std": {"plain": plain, "designed": designed}}
-            for name, unit, target, std, plain, designed in columns
-        ],
-    }  # fmt: skip
 
 
 def separation_verdict(s: Separation, kind: str) -> str:
@@ -222,29 +200,6 @@ def separation_table(s: Separation, kind: str) -> Table:
         words=headings,
         note=_more(len(found)),
     )
-
-
-def separation_record(s: Separation, kind: str) -> dict[str, Any]:
-    """JSON-ready."""
-    return {
-        "criterion": "separation",
-        "for": kind,
-        "pairs": [
-            {
-                "if": r.truth.effect.record(r.truth.values),
-                "common": len(r.truth.effects) > 1,
-                "not": r.name or None,
-                "separation": {"plain": plain.difference, "designed": after.difference},
-                "decides": {"plain": plain.reached >= 1, "designed": after.reached >= 1},
-            }
-            for r, plain, after in zip(s.rivals, s.with_plain, s.after, strict=True)
-        ],
-        "hopeless": [
-            {"effect": r.truth.effect.name, "joints": [j + 1 for j in r.truth.effect.joints],
-             "not": r.name or None, "instead": beyond([r.truth.effect.name])}
-            for r in s.hopeless
-        ],
-    }  # fmt: skip
 
 
 def _place(r: Rival) -> str:

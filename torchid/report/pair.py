@@ -7,7 +7,7 @@ from torchid.gap.record import RegimeGap
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import Fault, OneSided, WherePair
 from torchid.report.gap_words import CLEAR, effect_words, joints_words, measure, regime_words
-from torchid.report.table import Table, interval, listed, percent
+from torchid.report.table import Shown, Table, filled, interval, listed, percent
 
 _MOST_REGIMES = 3
 
@@ -35,50 +35,32 @@ def _more(one: OneSided) -> str:
     return f"{name} that only {who} has" if one.only else f"{name}, of which {who} has more"
 
 
+def shown(found: PairDiagnosis) -> Shown:
+    """All that there is to see of a pair."""
+    return Shown(verdict=verdict(found), parts=tables(found), warnings=found.record.warnings)
+
+
 def tables(found: PairDiagnosis) -> list[Table]:
     """Where torque and motion differ, faults, effects."""
     record = found.record
-    out = []
-    if record.torque is not None:
-        out.append(_where(record.torque, "torque", "N m"))
-    out.append(_where(record.position, "motion", "mrad"))
-    if record.faults:
-        out.append(
-            Table(
-                "set-up, in the order in which to mend it",
-                ("fault", "where", "what was seen", "what to do"),
-                [
-                    (
-                        f.fault.replace("_", " "),
-                        _place(f),
-                        f.meaning,
-                        f.remedy,
-                    )
-                    for f in record.faults
-                ],
-                words=("fault", "where", "what was seen", "what to do"),
-            )
-        )  # fmt: skip
-    if record.which:
-        out.append(
-            Table(
-                "effects: simulator -> arm",
-                ("effect", "where", "simulator", "arm", "share", "cannot be told from"),
-                [
-                    (
-                        _more(one),
-                        joints_words(one.joints),
-                        _sizes(one.simulator, {}, one.unit),
-                        _sizes(one.arm, one.std, one.unit),
-                        percent(one.share),
-                        ", ".join(map(effect_words, one.ambiguous_with)) or "-",
-                    )
-                    for one in record.which
-                ],
-                words=("effect", "where", "simulator", "arm", "cannot be told from"),
-            )
-        )  # fmt: skip
-    return out
+    faults = [(f.fault.replace("_", " "), _place(f), f.meaning, f.remedy) for f in record.faults]
+    effects = [
+        (
+            _more(one), joints_words(one.joints), _sizes(one.simulator, {}, one.unit),
+            _sizes(one.arm, one.std, one.unit), percent(one.share),
+            ", ".join(map(effect_words, one.ambiguous_with)) or "-",
+        )
+        for one in record.which or ()
+    ]  # fmt: skip
+    columns = ("fault", "where", "what was seen", "what to do")
+    headings = ("effect", "where", "simulator", "arm", "share", "cannot be told from")
+    words = [heading for heading in headings if heading != "share"]
+    return filled(
+        None if record.torque is None else _where(record.torque, "torque", "N m"),
+        _where(record.position, "motion", "mrad"),
+        Table("set-up, in the order in which to mend it", columns, faults, words=columns),
+        Table("effects: simulator -> arm", headings, effects, words=words),
+    )
 
 
 def _place(fault: Fault) -> str:

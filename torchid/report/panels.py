@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 else:
     Figure = Any  # matplotlib is slow to import, and most commands draw nothing
 
+Figures = Mapping[str, Callable[..., Figure | None]]
+"""What draws each figure, by its name; None where there is nothing to show."""
 
 MOST_POINTS = 1000
 """Of a curve."""

@@ -23,22 +23,25 @@ from torchid.identification.result import Identification
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import Replay
 from torchid.position.record import PositionRecord
-from torchid.report import compare_figures as compare
+from torchid.report import (
+    compare,
+    equal_torque,
+    extraction,
+    given_sets,
+    identification,
+    log,
+    position_figures,
+    withheld,
+)
 from torchid.report import gap_figures as gap
-from torchid.report import identification, log, position_figures, withheld_figures
-from torchid.report.extraction import atlas_figure, search_figure
-from torchid.report.panels import Figure
+from torchid.report.panels import Figure, Figures
 from torchid.report.study.page import drawings
 from torchid.report.table import joint_unit
-from torchid.report.wrenches import figures as wrenches
-from torchid.report.wrenches import given_sets
 from torchid.results.record import Result
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.study.result import Study
 from torchid.withheld.score_record import ScoreRecord
-
-Kinds = dict[str, Callable[..., Figure | None]]
 
 
 def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
@@ -65,7 +68,7 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
     1
     """
     drawn = kinds(result)
-    name = next(iter(drawn), None) if kind is None else kind
+    name = next(iter(drawn), "") if kind is None else kind
     if name not in drawn:
         raise TorchidError(
             f"there is no such figure of {type(result).__name__}.",
@@ -84,7 +87,7 @@ def draw(result: Result, kind: str | None = None, **which: Any) -> Figure:
     return figure
 
 
-def kinds(result: Result) -> Kinds:
+def kinds(result: Result) -> Figures:
     """What can be drawn of a result, by name."""
     match result:
         case Diagnosis():
@@ -102,13 +105,11 @@ def kinds(result: Result) -> Kinds:
         case Atlas():
             return kinds(result.record)
         case AtlasRecord():
-            return {"ranges": partial(atlas_figure, result)}
+            return {"ranges": partial(extraction.atlas_figure, result)}
         case Extraction():
-            return {"search": partial(search_figure, result, None)}
+            return {"search": partial(extraction.search_figure, result, None)}
         case Found():
-            if result.search is None:
-                return {}
-            return {"search": partial(search_figure, result.search, result.proof)}
+            return extraction.figures(result)
         case PositionDiagnosis():
             return {
                 "where": partial(position_figures.where_figure, result),
@@ -121,29 +122,20 @@ def kinds(result: Result) -> Kinds:
         case Examination():
             return {"torque": partial(log.torque_figure, result)}
         case EqualTorqueStudy():
-            return {
-                "force_by_degree": partial(wrenches.degree_figure, result),
-                "force_by_kind": partial(wrenches.kind_figure, result),
-                "force_by_mass": partial(wrenches.mass_figure, result),
-                "force_over_time": partial(wrenches.time_figure, result),
-            }
+            return equal_torque.figures(result)
         case GivenSets():
-            return {
-                "force_errors": partial(given_sets.error_figure, result),
-                "force_by_degree": partial(given_sets.degree_figure, result),
-            }
+            return given_sets.figures(result)
         case Study():
             return {picture.name: picture.draw for picture in drawings(result)}
         case Comparison() | GapComparison() | SetComparison():
-            return _comparison(result)
+            return compare.figures(result)
         case ScoreRecord():
-            drawn = withheld_figures.figures(result.plain())
-            return {name: partial(lambda figure: figure, figure) for name, figure in drawn.items()}
+            return withheld.figures(result.plain())
     return {}
 
 
-def _gap(found: Diagnosis) -> Kinds:
-    drawn: Kinds = {
+def _gap(found: Diagnosis) -> Figures:
+    drawn: dict[str, Callable[..., Figure]] = {
         "where": partial(gap.map_figure, found),
         "how_far": partial(gap.bar_figure, found),
         "budget": partial(gap.budget_figure, found),
@@ -189,7 +181,7 @@ def _diagnosis(record: GapRecord) -> Diagnosis:
     )
 
 
-def _identification(result: Identification) -> Kinds:
+def _identification(result: Identification) -> Figures:
     runs = (*result.held_out_predictions, *result.fit_predictions)
     units = [joint_unit(result.robot, j) for j in range(result.robot.n)]
 
@@ -207,16 +199,3 @@ def _identification(result: Identification) -> Kinds:
         "parameters": partial(identification.parameter_figure, result.record),
         "torque": torque,
     }
-
-
-def _comparison(result: Comparison | GapComparison | SetComparison) -> Kinds:
-    drawn: Kinds = {}
-    if isinstance(result, Comparison) and result.having(*compare.ORDER[:4]):
-        drawn["parameters"] = partial(compare.forest_figure, result)
-    if isinstance(result, SetComparison):
-        for name, ranges in (("parameters", result.physical), ("base_parameters", result.base)):
-            drawn[name] = partial(compare.range_figure, ranges, result.labels, result.robot)
-    if result.torque is not None:
-        spread = result.torque
-        drawn["torque"] = partial(compare.torque_figure, spread, result.labels, result.robot)
-    return drawn

@@ -12,7 +12,18 @@ from torchid.report import position_figures
 from torchid.report.gap_words import effect_words, regime_words
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
-from torchid.report.table import Table
+from torchid.report.table import Shown, Table
+
+
+def shown(result: PositionDiagnosis) -> Shown:
+    """All that there is to see of a diagnosis."""
+    return Shown(
+        verdict=position_verdict(result),
+        parts=position_tables(result),
+        warnings=result.warnings,
+        figures=position_figures.figures(result),
+        page=partial(position_page, result),
+    )
 
 
 def position_verdict(result: PositionDiagnosis) -> str:
@@ -201,7 +212,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
             f"{regime_words(regime)}: {_mrad(before[worst])}, {_mrad(after[worst])} with what was "
             "found.",
             f"Map of joints and regimes. Plain servo and answer [mrad]: {each}.",
-            lambda: position_figures.where_figure(r),
+            partial(position_figures.where_figure, r),
         )
     ]
     if r.findings:
@@ -212,7 +223,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
                 "Which effects close it: the error when one is left out and all others are fitted "
                 "again, and with it. A short bar is a cause that others can nearly replace.",
                 f"Effects by what they close; most: {_sentence(first, names)}",
-                lambda: position_figures.which_figure(r),
+                partial(position_figures.which_figure, r),
             )
         )
     out.append(
@@ -220,7 +231,7 @@ def _pictures(r: PositionDiagnosis, order: list[int]) -> list[Picture]:
             "how_far",
             "How far, joint by joint, on motions that took no part in the fit that foretells them.",
             f"Bars of errors of a plain servo and of the answer [mrad]: {each}.",
-            lambda: position_figures.error_figure(r.record),
+            partial(position_figures.error_figure, r.record),
         )
     )
     return out + [

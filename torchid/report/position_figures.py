@@ -1,5 +1,8 @@
 """Figures of a diagnosis of commands and positions: where they part, what closes it, how far."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import torch
 
@@ -11,6 +14,7 @@ from torchid.report.colours import AFTER, BEFORE, BLUE, GREY, INK
 from torchid.report.gap_words import effect_words, regime_words
 from torchid.report.panels import (
     Figure,
+    Figures,
     finish,
     joint_lines,
     new_figure,
@@ -29,14 +33,17 @@ SHOWN_S = 8.0
 _SMALL = 8
 
 
-def figures(result: PositionDiagnosis) -> dict[str, Figure]:
-    """All figures by the names of their files."""
-    out = {"where": where_figure(result), "how_far": error_figure(result.record)}
+def figures(result: PositionDiagnosis) -> Figures:
+    """What draws each figure, by the names of their files."""
+    out: dict[str, Callable[[], Figure | None]] = {
+        "where": partial(where_figure, result),
+        "how_far": partial(error_figure, result.record),
+    }
     if result.findings:
-        out["which"] = which_figure(result)
-    for joint in worst_joints(result):
-        out[f"gap_joint_{joint + 1}"] = joint_figure(result, joint)
-    return out
+        out["which"] = partial(which_figure, result)
+    return out | {
+        f"gap_joint_{j + 1}": partial(joint_figure, result, j) for j in worst_joints(result)
+    }
 
 
 def worst_joints(result: PositionDiagnosis, most: int = WORST) -> list[int]:

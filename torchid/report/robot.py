@@ -1,12 +1,18 @@
-"""A robot as tables and as plain data, and what was exported of it."""
+"""A robot as tables and as plain data, what was exported of it, and what a corrected file of it is
+worth."""
 
+import math
 from typing import Any
 
+import torch
 from rich.text import Text
 
+from torchid.export.correct import Correction
 from torchid.export.export import Export
+from torchid.export.projection import Kept
+from torchid.feasibility.margins import inertia_eigenvalues
 from torchid.json_data import picked, plain
-from torchid.report.table import Table, count
+from torchid.report.table import Shown, Table, cells, count, filled, joint_numbers
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
 
@@ -58,6 +64,11 @@ def robot_warnings(robot: Robot) -> tuple[str, ...]:
     return tuple(said)
 
 
+def shown(robot: Robot) -> Shown:
+    """All that there is to see of a robot."""
+    return Shown(parts=robot_tables(robot), warnings=robot_warnings(robot))
+
+
 def robot_tables(robot: Robot) -> list[Table]:
     """Joints with limits, and links with parameters."""
     rows = []
@@ -95,6 +106,17 @@ def _interval(limits: list[float | None] | None) -> str:
     return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))
 
 
+def export_shown(done: Export) -> Shown:
+    """All that there is to see of an export."""
+    first, *others = map(str, done.files)
+    beside = f" (and {', '.join(others)})" if others else ""
+    return Shown(
+        parts=[comparison_table(done), *effect_lines(done)],
+        warnings=done.warnings,
+        last=f"written: {done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}",
+    )
+
+
 def comparison_table(done: Export) -> Table:
     """Who reloaded the file, and by how much its torque differs from the result's."""
     rows = []
@@ -120,8 +142,97 @@ def effect_lines(done: Export) -> list[str]:
     return [f"{count(len(words), 'effect')} {place}" for place, words in places if words]
 
 
-def export_headline(done: Export) -> str:
-    """What lies where, in one sentence."""
-    first, *others = (str(path) for path in done.files)
-    beside = f" (and {', '.join(others)})" if others else ""
-    return f"{done.dynamics.title} of '{done.dynamics.robot.name}': {first}{beside}"
+def _given(nominal: Robot) -> str:
+    """What a file is compared with."""
+    return "robot as given" if nominal.parameters is not None else "base parameters alone"
+
+
+def correction_shown(done: Correction) -> Shown:
+    """All that there is to see of a correction."""
+    warnings = [*done.warnings, *(w for export in done.exports for w in export.warnings)]
+    return Shown(
+        verdict=correction_headline(done),
+        parts=correction_tables(done),
+        warnings=dict.fromkeys(warnings),
+        last=f"written: {', '.join(map(str, done.files))}",
+    )
+
+
+def correction_headline(done: Correction) -> str:
+    """What the file is worth, in one sentence."""
+    judged = done.judged
+    means = [float(x.nanmean()) for x in (judged.engine, judged.full, judged.nominal)]
+    return (
+        f"On {judged.held_out} {judged.by} with the corrected file misses {means[0]:.1f} % of the "
+        f"joints' torque on average; with all effects it would be {means[1]:.1f} %, and with the "
+        f"{_given(done.nominal)} it is {means[2]:.0f} %."
+    )
+
+
+def correction_tables(done: Correction) -> list[Table]:
+    """Errors, motion, effects without a field, and bodies."""
+    judged, nominal, n = done.judged, done.nominal, done.nominal.n
+    joints = joint_numbers(n)
+    rows = [
+        (_given(nominal), judged.nominal),
+        ("all effects", judged.full),
+        ("the file alone, claimed", judged.claim),
+        (f"the file alone, {judged.by}", judged.engine),
+        ("with effects at run time", judged.run_time),
+    ]
+    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
+    # Positions in degrees and millimetres.
+    turns = (kind is JointType.REVOLUTE for kind in nominal.joint_types)
+    units = torch.tensor([math.degrees(1) if turn else 1e3 for turn in turns], dtype=torch.float64)
+    motion = [
+        (f"{one.horizon:g} s", name, *cells(away * units, ".2g"))
+        for one in judged.forward
+        for name, away in (
+            (_given(nominal), one.nominal), ("all effects", one.full), ("the file", one.engine),
+        )
+        if away is not None
+    ]  # fmt: skip
+    kept = [_kept(one, done.projection.to) for one in done.projection.kept]
+    band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
+    after = "simulated motion, given the measured torque: error after a while [deg; mm]"
+    beside = "effects without a field, which stay beside the file"
+    return filled(
+        Table(band, ("", *joints, "mean"), errors, words=("",)),
+        Table(after, ("after", "model", *joints), motion, words=("model",)),
+        Table(beside, ("effect", "joints", "kept"), kept, words=("effect", "kept")),
+        _bodies(done.projection.robot, nominal),
+    )
+
+
+def _kept(one: Kept, to: str) -> tuple[str, str, str]:
+    joints = ", ".join(str(j + 1) for j in one.joints) or "the arm"
+    words = f"{100 * one.share:.0f} % by "
+    if one.joint is None or one.value is None:
+        words += "the links' bodies"
+    else:
+        field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
+        words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
+    return one.effect.name.replace("_", " "), joints, words
+
+
+def _bodies(robot: Robot, nominal: Robot) -> Table:
+    """Masses, how far centres of mass moved, and inertias, over the nominal ones."""
+    new = robot.require_parameters("a correction")
+    old = nominal.parameters
+    rows = []
+    for i, name in enumerate(nominal.link_names):
+        cells = ["-", "-", "-"]
+        if old is not None and float(old.mass[i]) > 0:
+            moved = float((new.com[i] - old.com[i]).norm())
+            ratios = inertia_eigenvalues(new)[i] / inertia_eigenvalues(old)[i].clamp(min=1e-12)
+            low, high = float(ratios.min()), float(ratios.max())
+            cells = [
+                f"{float(new.mass[i] / old.mass[i]):.2f}",
+                f"{1e3 * moved:.0f}",
+                f"{low:.2f} - {high:.2f}",
+            ]
+        rows.append((str(i + 1), name, f"{float(new.mass[i]):.3g}", *cells))
+    columns = (
+        "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
+    )  # fmt: skip
+    return Table("bodies in the file", columns, rows, words=("link",))

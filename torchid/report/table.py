@@ -1,10 +1,11 @@
-"""A table as plain cells, with its three writers: the terminal, the page and Markdown; and numbers
-and names as tables, pictures and pages show them."""
+"""A table as plain cells, with its three writers: the terminal, the page and Markdown; all that is
+shown of a result; and numbers and names as tables, pictures and pages show them."""
 
 import math
 import unicodedata
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table as RichTable
@@ -12,6 +13,12 @@ from rich.text import Text
 
 from torchid.errors import visible
 from torchid.robot.model import JointType, Robot
+from torchid.typing import Tensor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from torchid.report.page.document import Origin, Page
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
@@ -93,6 +100,32 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
+def filled(*tables: Table | None) -> list[Table]:
+    """Those of several tables that have rows."""
+    return [table for table in tables if table is not None and table.rows]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A result for people.
+
+    Attributes:
+        verdict: the answer, which stands out.
+        parts: tables and sentences in the order in which they are printed.
+        warnings: one sentence each.
+        last: said at the end.
+        figures: what draws each figure, by the names of their files.
+        page: of the origin of the result.
+    """
+
+    verdict: str = ""
+    parts: Sequence[Table | str]
+    warnings: Iterable[str] = ()
+    last: str = ""
+    figures: "Mapping[str, Callable[[], Figure | None]]" = field(default_factory=dict)
+    page: "Callable[[Origin], Page] | None" = None
+
+
 def pipe_table(
     head: Sequence[str], body: Iterable[Sequence[object]], marks: Sequence[str] | None = None
 ) -> str:
@@ -135,6 +168,17 @@ def percent(value: float) -> str:
         return "-"
     near = min(abs(value), abs(1 - value))
     return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
+
+
+def cells(values: Iterable[float] | Tensor, digits: str = ".3g") -> list[str]:
+    """Numbers of one row; a dash for what is not finite."""
+    numbers = values.tolist() if isinstance(values, Tensor) else values
+    return [f"{v:{digits}}" if math.isfinite(v) else "-" for v in numbers]
+
+
+def joint_numbers(n: int) -> list[str]:
+    """Headings of one column a joint."""
+    return [str(j + 1) for j in range(n)]
 
 
 def interval(ends: tuple[float, float]) -> str:

@@ -1,11 +1,17 @@
-"""Scores of withheld cases in words: lines with targets, tables, Markdown; what is said when the
-right name is not in the library; and the check on one's own arm."""
+"""Scores of withheld cases: lines with targets, tables, Markdown, figures of what was named for
+what and from which size on; what is said when the right name is not in the library; and the check
+on one's own arm."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from torchid.report.table import Table, pipe_table
+import numpy as np
+
+from torchid.report.colours import BLUE, GREY, INK, ORANGE
+from torchid.report.panels import Figure, Figures, finish, new_figure, ruled, styled, tiles
+from torchid.report.table import Shown, Table, filled, pipe_table
 from torchid.withheld.own import LEVELS, OwnCheck, Planted
 
 Summary = Mapping[str, Any]
@@ -118,6 +124,13 @@ BASELINES = {"friction": "always friction, worst joint", "stlsq": "STLSQ", "bic"
 SHORT = {"friction": "friction", "stlsq": "STLSQ", "bic": "BIC"}
 
 
+def shown(summary: Summary) -> Shown:
+    """All that there is to see of a score."""
+    sealed = f"SHA-256 of the keys: {summary['keys_sha256']}, as sealed"
+    said: list[Table | str] = [score_table(summary), sealed]
+    return Shown(verdict=headline(summary), parts=said, figures=figures(summary))
+
+
 def score_table(summary: Summary) -> Table:
     """Scores that there are cases for, beside targets and baselines."""
     rows = []
@@ -166,12 +179,12 @@ def beaten_by(summary: Summary) -> list[str]:
     ]
 
 
-def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
+def markdown(summary: Summary, drawn: Sequence[str] = ()) -> str:
     """The whole report.
 
     Args:
         summary: from `torchid.withheld.summary`.
-        figures: files to show, relative to the report's.
+        drawn: files to show, relative to the report's.
     """
     scores = summary["scores"]
     kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(summary["kinds"].items()))
@@ -195,7 +208,7 @@ def markdown(summary: Summary, figures: Sequence[str] = ()) -> str:
             ["score", "torchid gap", "target", "met", *_names(summary, BASELINES)], rows
         ),
         comparison if summary["baselines"] else "",
-        *(f"![{name}]({name})" for name in figures),
+        *(f"![{name}]({name})" for name in drawn),
         "## Status by kind",
         counts_table("kind", scores["status"]),
         "## One effect, by effect",
@@ -332,6 +345,13 @@ def _percent(found: Mapping[str, Any]) -> str:
     return f"{100 * found['share']:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
+def own_shown(found: OwnCheck) -> Shown:
+    """All that there is to see of the check."""
+    half = "untouched data: the second half of every trajectory (--held-out for others)"
+    said: list[Table | str] = [*own_tables(found), *([] if found.whole else [half])]
+    return Shown(verdict=own_headline(found), parts=said)
+
+
 def own_headline(found: OwnCheck) -> str:
     """What was found again of what is there, in one sentence."""
     if not found.withheld:
@@ -367,11 +387,10 @@ def own_tables(found: OwnCheck) -> list[Table]:
         for effect in dict.fromkeys(p.effect for p in found.planted)
     ]
     columns = ("effect", *(f"joint {j + 1}" for j in joints))
-    made = (
+    return filled(
         Table("Accepted effects, withheld", heads, withheld, words=heads),
         Table("Smallest size found, over noise", columns, planted, words=("effect",)),
     )
-    return [table for table in made if table.rows]
 
 
 def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:
@@ -385,3 +404,121 @@ def smallest(rows: Sequence[Planted], effect: str, joint: int) -> str:
 
 def _joints(joints: Sequence[int]) -> str:
     return " ".join(str(j + 1) for j in joints) or "arm"
+
+
+_SMALL = 8
+_COLUMNS = 3
+_TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
+
+Matrix = Mapping[str, Mapping[str, int]]
+
+
+def figures(summary: Mapping[str, Any]) -> Figures:
+    """What draws each figure that there are data for, by the names of their files."""
+    scores, out = summary["scores"], {}
+    inside, outside = scores["confusion"], scores["confusion_outside"]
+    if inside or outside:
+        out["confusion"] = partial(confusion_figure, inside, outside)
+    if scores["detection"]:
+        out["detection"] = partial(detection_figure, scores["detection"])
+    if scores["how_sure"]["curve"]:
+        out["reliability"] = partial(reliability_figure, scores["how_sure"]["curve"])
+    return out
+
+
+def reliability_figure(curve: Sequence[Mapping[str, Any]]) -> Figure:
+    """Shares of right names over the probability that was given, with 95 % intervals."""
+    figure = new_figure(4.2, 3.4)
+    axes = styled(figure.add_subplot())
+    axes.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, label="as often as said")
+    x, y = ([100 * point[name] for point in curve] for name in ("mean", "share"))
+    ends = np.array([[100 * e for e in point["ci95"]] for point in curve]).T
+    axes.errorbar(
+        x, y, np.abs(ends - np.array(y)), color=BLUE, marker="o", markersize=4, linewidth=1.2,
+        capsize=2, label="names (95 %)",
+    )  # fmt: skip
+    axes.set(xlim=(-2, 102), ylim=(-2, 102))
+    axes.set_xlabel("how sure it was said to be [%]", fontsize=_SMALL, color=INK)
+    axes.set_ylabel("right [%]", fontsize=_SMALL, color=INK)
+    return finish(figure, "How sure, and how often right", axes)
+
+
+def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
+    """Planted causes (rows) and what was named first (columns): share of the row as colour, cases
+    as number. Causes outside the library are below the line, and have no right name."""
+    from matplotlib.patches import Rectangle
+
+    rows = [*sorted(inside), *sorted(outside)]
+    # Names said: those that were planted first, in the same order, then others, then none.
+    said = {name for matrix in (inside, outside) for row in matrix.values() for name in row}
+    planted = [name for name in sorted(inside) if name in said]
+    nothing = sorted(name for name in said if name.startswith("("))
+    columns = [*planted, *sorted(said - set(planted) - set(nothing)), *nothing]
+    table = np.array(
+        [[{**inside, **outside}[r].get(c, 0) for c in columns] for r in rows], dtype=float
+    )
+    shares = table / np.maximum(table.sum(1, keepdims=True), 1)
+    figure = new_figure(3.6 + 0.3 * len(columns), 2.6 + 0.24 * len(rows))
+    axes = figure.subplots()
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for y, row in enumerate(rows):
+        for x, column in enumerate(columns):
+            if table[y, x]:
+                axes.text(
+                    x, y, f"{table[y, x]:.0f}", ha="center", va="center", fontsize=_SMALL,
+                    color="white" if shares[y, x] > 0.55 else INK,
+                )  # fmt: skip
+            if row == column:
+                corner = (x - 0.5, y - 0.5)
+                axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=GREY, linewidth=1.0))
+    names = [_words(c) for c in columns]
+    axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), [_words(r) for r in rows])
+    ruled(axes, len(rows), len(columns), 1.5)
+    if inside and outside:
+        axes.axhline(len(inside) - 0.5, color=INK, linewidth=1.0)
+        axes.text(
+            len(columns) - 0.4, len(inside) + 0.5 * len(outside) - 0.5, "outside\nthe library",
+            fontsize=_SMALL, color=INK, va="center",
+        )  # fmt: skip
+    axes.set_xlabel("named first", fontsize=_SMALL, color=INK)
+    axes.set_ylabel("planted", fontsize=_SMALL, color=INK)
+    return finish(figure, "What was planted and what was named first (number of cases)")
+
+
+def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
+    """Shares of cases detected and named over the planted size, one panel a family, with 95 %
+    intervals."""
+    columns = min(_COLUMNS, len(curves))
+    names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
+    across: dict[str, Any] = {
+        "x": "size / noise",
+        "y": "cases [%]",
+        "loc": "left",
+        "sharex": True,
+        "sharey": True,
+    }
+    figure, grid = tiles(names, columns, width, (2.2, 1.3), **across)
+    levels = sorted({point["level"] for points in curves.values() for point in points})
+    low, high = 0.8 * levels[0], 1.25 * levels[-1]
+    ticks = [x for x in _TICKS if low <= x <= high]
+    for axes, points in zip(grid, curves.values(), strict=True):
+        x = [point["level"] for point in points]
+        for which, colour, style in (("detected", ORANGE, (0, (4, 2))), ("named", BLUE, "-")):
+            rates = [point[which] for point in points]
+            axes.fill_between(
+                x, [100 * r["ci95"][0] for r in rates], [100 * r["ci95"][1] for r in rates],
+                color=colour, alpha=0.13, linewidth=0,
+            )  # fmt: skip
+            axes.plot(
+                x, [100 * r["share"] for r in rates], color=colour, linestyle=style, marker="o",
+                markersize=3, linewidth=1.5, label=f"{which} (band: 95 %)",
+            )  # fmt: skip
+        axes.set(xscale="log", xlim=(low, high), ylim=(-4, 104))
+        axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
+        axes.minorticks_off()
+    return finish(figure, "Detected and named, by the size of what was planted", grid[0], columns=2)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

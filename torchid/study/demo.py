@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import torch
 
@@ -39,6 +40,12 @@ class Demo:
         """Which true values lie inside their 95 % intervals."""
         low, high = self.result.interval().unbind(-1)
         return (low <= self.truth) & (self.truth <= high)
+
+    @property
+    def found(self) -> list[tuple[str, float, float]]:
+        """Name, identified and true value of every base parameter."""
+        values, truth = self.result.values.tolist(), self.truth.tolist()
+        return list(zip(self.result.base.names, values, truth, strict=True))
 
 
 def paper_demo() -> Demo:
@@ -78,3 +85,22 @@ def kuka_demo(
     settings = Settings(effects=EXCITED_EFFECTS, signs="free")
     result = identify(robot, log, held_out=new, settings=settings, device=device, progress=progress)
     return Demo(result, nominal_values(robot, result.base), motion, design)
+
+
+def demo_record(paper: Demo, kuka: Demo) -> dict[str, Any]:
+    """The schema torchid.demo/1."""
+    design = kuka.design
+    return {
+        "schema": "torchid.demo/1",
+        "paper_3r": {
+            "parameters": [{"name": n, "value": v, "true": true} for n, v, true in paper.found],
+            "largest_error": float((paper.result.values - paper.truth).abs().max()),
+        },
+        "kuka": {
+            **kuka.result.plain(),
+            "true": kuka.truth.tolist(),
+            "inside_95": int(kuka.inside.sum()),
+            "condition_number_of_motion": design
+            and [design.start_condition, design.condition_after],
+        },
+    }

@@ -7,8 +7,7 @@ import pytest
 from lxml import etree
 
 from torchid.report.colours import BLUE, INK
-from torchid.report.page.document import Picture
-from torchid.report.page.svg import THEME, _shorter, inline_svg
+from torchid.report.page.document import THEME, Picture, _shorter, inline_svg
 from torchid.report.panels import new_figure, styled
 
 

@@ -1,9 +1,16 @@
 """What a page consists of: the verdict, pictures, tables, and how all of it was obtained; and the
 page as HTML: one file, nothing to load, and no script but one that sorts the tables of a page with
-many rows."""
+many rows.
+
+A figure is SVG inside the page: transparent, its colours those of the page's theme. The house
+colours become CSS variables (templates/style.css gives them for light and dark), text takes the
+page's font, coordinates are rounded to a tenth of a point, and what cannot be seen is left out.
+"""
 
 import hashlib
+import io
 import platform
+import re
 import shlex
 import time
 from base64 import b64encode
@@ -15,12 +22,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
+from lxml import etree
 
 import torchid
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.files import atomic_write
-from torchid.report.page.svg import inline_svg
-from torchid.report.panels import Picture
+from torchid.files import write_text
+from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
+from torchid.report.panels import Picture, literal
 from torchid.report.table import Table, printable
 
 if TYPE_CHECKING:
@@ -136,9 +144,7 @@ def write_page(page: Page, path: str | Path) -> Path:
     Raises:
         TorchidError: the file cannot be written, or Jinja2 is not installed.
     """
-    text = render(page)
-    with atomic_write(path) as stream:
-        stream.write(text)
+    write_text(path, render(page))
     return Path(path)
 
 
@@ -242,3 +248,152 @@ def setting_words(value: object) -> str:
 
 def _label(name: Any) -> str:
     return str(name).replace("_", " ")
+
+
+THEME = {
+    INK: "ink", "#000000": "ink", GREY: "grey", GRID: "grid", "#ffffff": "paper", BLUE: "blue",
+    ORANGE: "orange", GREEN: "green", RED: "red", BEFORE: "before", AFTER: "after",
+}  # fmt: skip
+"""Variable of the style sheet for every house colour, black and white."""
+
+_SVG = "{http://www.w3.org/2000/svg}"
+_HREF = "{http://www.w3.org/1999/xlink}href"
+_DPI = 144
+"""Of parts that are drawn as pixels: scatters of many points."""
+_COLOUR = re.compile(r"#[0-9a-f]{6}\b")
+_NUMBER = re.compile(r"-?\d+\.\d+")
+_FONT = re.compile(r"font: (?:(?:normal|italic|oblique) )?(\d+ )?([\d.]+px) [^;]*")
+_FAMILY = re.compile(r"font-family: [^;]*;? ?")
+_REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_STEP = re.compile(r" (?=[LM] )")
+_LINE = re.compile(r"L \S+ \S+")
+_SIMPLIFY = 0.4
+"""Pixels by which a curve may differ from its data."""
+
+
+def inline_svg(picture: Picture) -> str:
+    """The picture as an `svg` element for a page.
+
+    Ids are prefixed with the picture's name, because a page holds several.
+    """
+    import matplotlib
+
+    settings: Any = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": picture.name,
+        "path.simplify_threshold": _SIMPLIFY,
+    }
+    with matplotlib.rc_context(settings):
+        figure = picture.draw()
+        literal(figure)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="svg", transparent=True, dpi=_DPI, metadata={"Date": None})
+    width = 96 * figure.get_figwidth()
+    figure.clear()
+    root = etree.fromstring(stream.getvalue(), etree.XMLParser(huge_tree=True))
+    # What is not seen goes: metadata, comments, outlines without a line, and the style sheet, which
+    # would hold for the whole page.
+    for element in list(root.iter(etree.Comment, f"{_SVG}metadata", f"{_SVG}style", f"{_SVG}path")):
+        if element.tag != f"{_SVG}path" or element.get("style") == "fill: none":
+            element.getparent().remove(element)
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    _prefix(root, picture.name)
+    _flatten(root)
+    for element in root.iter():
+        _themed(element)
+    root.set("role", "img")
+    root.set("aria-label", printable(picture.alt))
+    root.set("style", f"--width:{width:.0f}px")
+    etree.cleanup_namespaces(root)
+    text: str = etree.tostring(root, encoding="unicode")
+    return text
+
+
+def _prefix(root: Any, name: str) -> None:
+    """Ids that are referred to, unique on the page; the others go."""
+    values = [value for e in root.iter() for value in e.attrib.values()]
+    used = {found for value in values for found in _REFERENCE.findall(value)}
+    used |= {e.get(_HREF)[1:] for e in root.iter() if e.get(_HREF, "").startswith("#")}
+    short = {own: f"{name}-{k}" for k, own in enumerate(sorted(used))}
+    for element in root.iter():
+        own = element.attrib.pop("id", None)
+        if own in used:
+            element.set("id", short[own])
+        target = element.attrib.pop(_HREF, None)
+        if target is not None:
+            element.set("href", f"#{short[target[1:]]}" if target[0] == "#" else target)
+        for key, value in element.attrib.items():
+            if "url(#" in value:
+                element.set(key, _REFERENCE.sub(lambda m: f"url(#{short[m[1]]})", value))
+
+
+def _flatten(root: Any) -> None:
+    """Groups that say nothing give way to what is in them; nothing is indented."""
+    for element in list(root.iter(f"{_SVG}g", f"{_SVG}defs")):
+        plain = element.tag == f"{_SVG}g" and not element.attrib
+        if plain or not len(element):
+            parent = element.getparent()
+            at = parent.index(element)
+            parent[at : at + 1] = list(element)
+    for element in root.iter():
+        for part in ("text", "tail"):
+            if not (getattr(element, part) or "").strip():
+                setattr(element, part, None)
+
+
+def _themed(element: Any) -> None:
+    """Colours, font and rounded coordinates."""
+    for key in ("fill", "stroke"):
+        if key in element.attrib:
+            # A presentation attribute cannot hold a variable; a style can.
+            own = f"{key}: {element.attrib.pop(key)}"
+            element.set("style", "; ".join(filter(None, (element.get("style"), own))))
+    if "style" in element.attrib:
+        style = _FONT.sub(_font, _FAMILY.sub("", element.get("style")))
+        style = _COLOUR.sub(lambda m: f"var(--{THEME[m[0]]})" if m[0] in THEME else m[0], style)
+        element.set("style", style.replace(": ", ":").replace("; ", ";"))
+    if element.get("transform", "").startswith("rotate(-0 "):
+        del element.attrib["transform"]
+    if "d" in element.attrib:
+        element.set("d", _shorter(element.get("d")))
+    if element.tag != f"{_SVG}image":
+        for key in ("x", "y", "width", "height"):
+            if key in element.attrib:
+                element.set(key, _rounded(element.get(key)))
+
+
+def _font(found: re.Match[str]) -> str:
+    weight = f";font-weight:{found[1].strip()}" if found[1] else ""
+    return f"font-size:{found[2]}{weight}"
+
+
+def _rounded(text: str) -> str:
+    return _NUMBER.sub(lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), text)
+
+
+def _shorter(path: str) -> str:
+    """A path on one line, its numbers rounded, without points that change nothing."""
+    kept: list[str] = []
+    for step in _STEP.split(_rounded(" ".join(path.split()))):
+        if _LINE.fullmatch(step):
+            if kept and _end(kept[-1]) == _end(step):
+                continue
+            if len(kept) > 1 and _LINE.fullmatch(kept[-1]) and _between(kept[-2], kept[-1], step):
+                kept.pop()
+        kept.append(step)
+    return "".join(kept)
+
+
+def _end(step: str) -> list[str]:
+    return step.split(" ")[-2:]
+
+
+def _between(before: str, point: str, after: str) -> bool:
+    """Whether a point lies on the horizontal or vertical line between its neighbours."""
+    (x0, y0), (x1, y1), (x2, y2) = (_end(step) for step in (before, point, after))
+    if y0 == y1 == y2:
+        return (float(x1) - float(x0)) * (float(x2) - float(x1)) >= 0
+    if x0 == x1 == x2:
+        return (float(y1) - float(y0)) * (float(y2) - float(y1)) >= 0
+    return False

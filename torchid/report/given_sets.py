@@ -1,14 +1,15 @@
 """Internal wrenches of given sets: tables and figures."""
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from torchid.report.colours import GREY, INK
-from torchid.report.panels import Figure, finish, panel
-from torchid.report.table import Table
-from torchid.report.wrenches.figures import COLOURS
-from torchid.report.wrenches.tables import interval
+from torchid.report.equal_torque import COLOURS, interval
+from torchid.report.panels import Figure, Figures, finish, panel
+from torchid.report.table import Shown, Table, cells
 from torchid.study.equal_torque.given_sets import GivenSets
 from torchid.wrenches.classes import KINDS, class_of
 
@@ -17,12 +18,15 @@ _MOST_NAMED = 15
 """Sets whose marks have names."""
 
 
+def shown(found: GivenSets, warnings: Sequence[str]) -> Shown:
+    """All that there is to see of given sets."""
+    said, last = tables(found), headline(found)
+    return Shown(parts=said, warnings=warnings, last=last, figures=figures(found))
+
+
 def tables(found: GivenSets) -> list[Table]:
     """Set by set, then by class and by reason where there are enough of them."""
-    made = [set_table(found)]
-    if len(found.sets) > 1:
-        made.append(class_table(found))
-    return made
+    return [set_table(found), *([class_table(found)] if len(found.sets) > 1 else [])]
 
 
 UNEQUAL = 0.01
@@ -71,13 +75,13 @@ def set_table(found: GivenSets) -> Table:
             found.sets.ids[k], f"{float(found.checked.degree[k]):.2g}",
             f"{100 * float(found.torque_relative[k].max()):.2g}",
             f"{float(own.moment_rms[k].max()):.3g}",
-            *(f"{v:.3g}" for v in own.force_rms[k].tolist()),
+            *cells(own.force_rms[k]),
             " ".join(found.checked.reasons(k)) or "feasible",
         )
         for k in shown
     ]  # fmt: skip
-    itself = (f"{v:.3g}" for v in own.reference_force_rms.tolist())
-    rows.append(("itself", "", "", f"{float(own.reference_moment_rms.max()):.3g}", *itself, ""))
+    moment = f"{float(own.reference_moment_rms.max()):.3g}"
+    rows.append(("itself", "", "", moment, *cells(own.reference_force_rms), ""))
     joints = (f"j{joint + 1}" for joint in range(found.robot.n))
     columns = ("set", "degree", "torque [%]", "moment [N m]", *joints, "reasons")
     return Table(title, columns, rows, names=columns[:1], words=columns[-1:])
@@ -89,11 +93,11 @@ def class_table(found: GivenSets) -> Table:
     value = interval(rho.rho) if rho.sets else "-"
     rows = []
     for summary in (*found.comparison.classes, *found.comparison.per_reason):
-        cells = ("-", "too few")
+        middle = ("-", "too few")
         if summary.median is not None:
             quartiles = f"{summary.lower_quartile:.3g} - {summary.upper_quartile:.3g}"
-            cells = (f"{summary.median:.3g}", quartiles)
-        rows.append((summary.name, str(summary.sets), *cells))
+            middle = (f"{summary.median:.3g}", quartiles)
+        rows.append((summary.name, str(summary.sets), *middle))
     return Table(
         f"largest force error by class and by reason [N]; Spearman's rho with the degree {value}",
         ("sets that violate", "sets", "median", "quartiles"),
@@ -102,9 +106,12 @@ def class_table(found: GivenSets) -> Table:
     )
 
 
-def figures(found: GivenSets) -> dict[str, Figure]:
-    """All figures by the names of their files."""
-    return {"force_errors": error_figure(found), "force_by_degree": degree_figure(found)}
+def figures(found: GivenSets) -> Figures:
+    """What draws each figure, by the names of their files."""
+    return {
+        "force_errors": partial(error_figure, found),
+        "force_by_degree": partial(degree_figure, found),
+    }
 
 
 def error_figure(found: GivenSets) -> Figure:

@@ -1,26 +1,37 @@
-"""Sets with equal torque and their internal forces, as tables and in sentences that follow their
-intervals."""
+"""Sets with equal torque and their internal forces, as tables, in sentences that follow their
+intervals, and as figures."""
 
 import math
+from functools import partial
 
-from torchid.report.table import Table
+import numpy as np
+import torch
+
+from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
+from torchid.report.panels import Figure, Figures, finish, joint_lines, panel, tiles
+from torchid.report.table import Shown, Table, cells, filled
+from torchid.robot.inertia import InertialParameters
 from torchid.study.equal_torque.statistics import Across
 from torchid.study.equal_torque.study import EqualTorqueStudy
 from torchid.wrenches.classes import KINDS as CLASS_NAMES
 from torchid.wrenches.compare import EffectSize
+from torchid.wrenches.regressor import wrench_norms
 from torchid.wrenches.resampling import Estimate
+
+
+def shown(study: EqualTorqueStudy) -> Shown:
+    """All that there is to see of a study."""
+    told = "\n".join(f"- {sentence}" for sentence in findings(study))
+    return Shown(parts=tables(study), warnings=study.warnings, last=told, figures=figures(study))
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
     """Errors by kind, their differences, the degree, what any set can do, other assumptions."""
-    made = [kind_table(study), joint_table(study), effect_table(study)]
-    made += [degree_table(study), third_table(study)]
-    if study.reach:
-        made.append(reach_table(study))
-    made += [truth_table(study), firm_table(study)]
-    if study.variants:
-        made.append(variant_table(study))
-    return made
+    makers = (
+        kind_table, joint_table, effect_table, degree_table, third_table, reach_table, truth_table,
+        firm_table, variant_table,
+    )  # fmt: skip
+    return filled(*(make(study) for make in makers))
 
 
 def kind_table(study: EqualTorqueStudy) -> Table:
@@ -39,9 +50,8 @@ def kind_table(study: EqualTorqueStudy) -> Table:
                 f"{float(moment[own].quantile(0.5)):.3g}",
             )
         )  # fmt: skip
-    e = study.errors
-    itself = [f"{float(x.max()):.3g}" for x in (e.reference_force_rms, e.reference_moment_rms)]
-    rows.append(("the wrench itself", "", "", "", *itself))
+    largest = (study.errors.reference_force_rms.max(), study.errors.reference_moment_rms.max())
+    rows.append(("the wrench itself", "", "", "", *cells(map(float, largest))))
     nominal = study.setting.origin == "nominal"
     return Table(
         f"{study.setting.robot.name}: errors of the internal wrenches against the "
@@ -58,9 +68,9 @@ def joint_table(study: EqualTorqueStudy) -> Table:
     errors = study.errors
     rows = {kind_words(k): errors.force_rms[study.rows(k)].median(0).values for k in study.kinds}
     rows["the force itself"] = errors.reference_force_rms
-    cells = [(name, *(f"{v:.3g}" for v in row.tolist())) for name, row in rows.items()]
     columns = ("kind", *_joints(study))
-    return Table("median force error per joint [N]", columns, cells, names=("kind",))
+    texts = [(name, *cells(row)) for name, row in rows.items()]
+    return Table("median force error per joint [N]", columns, texts, names=("kind",))
 
 
 def effect_table(study: EqualTorqueStudy) -> Table:
@@ -110,11 +120,12 @@ def reach_table(study: EqualTorqueStudy) -> Table:
     """The greatest force error of any set, per joint."""
     rows = []
     for r in study.reach:
-        cells = []
-        for low, high in zip(r.reached.tolist(), r.bound.tolist(), strict=True):
-            close = math.isclose(low, high, rel_tol=0.01, abs_tol=0.05)
-            cells.append(f"{low:.3g}" if close else f"{low:.3g} - {high:.3g}")
-        rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *cells))
+        ends = zip(r.reached.tolist(), r.bound.tolist(), strict=True)
+        texts = (
+            f"{a:.3g}" if math.isclose(a, b, rel_tol=0.01, abs_tol=0.05) else f"{a:.3g} - {b:.3g}"
+            for a, b in ends
+        )
+        rows.append(("nothing (feasible)" if r.kind == "feasible" else kind_words(r.kind), *texts))
     title = "greatest force error of any set with this torque [N] (reached - bound)"
     what = "what may be violated"
     return Table(title, (what, *_joints(study)), rows, names=(what,))
@@ -143,8 +154,10 @@ def firm_table(study: EqualTorqueStudy) -> Table:
     return Table(title, columns, rows, names=columns)
 
 
-def variant_table(study: EqualTorqueStudy) -> Table:
+def variant_table(study: EqualTorqueStudy) -> Table | None:
     """Medians and greatest errors under other assumptions."""
+    if not study.variants:
+        return None
     shown = [k for k in study.kinds if k != "total_mass"]
     rho = study.comparison.correlation.rho
     medians = {k: float(study.worst[study.rows(k)].median()) for k in study.kinds}
@@ -153,8 +166,8 @@ def variant_table(study: EqualTorqueStudy) -> Table:
     rows = []
     for name, own, reach, (value, low, high) in lines:
         greatest = {r.kind: f" ({float(r.reached.max()):.3g})" for r in reach}
-        cells = ((f"{own[k]:.3g}" if k in own else "-") + greatest.get(k, "") for k in shown)
-        rows.append((name, *cells, f"{value:.2f} [{low:.2f}, {high:.2f}]"))
+        texts = ((f"{own[k]:.3g}" if k in own else "-") + greatest.get(k, "") for k in shown)
+        rows.append((name, *texts, f"{value:.2f} [{low:.2f}, {high:.2f}]"))
     return Table(
         "other outer bounds: median of the largest force error [N] (greatest of any)",
         ("assumption", *(kind_words(kind) for kind in shown), "rho with degree"),
@@ -285,3 +298,145 @@ def _across_sentence(across: Across) -> str:
     if low <= 1 <= high:
         return f"{what} no jump of the error can be told: {how}."
     return f"{what} the errors differ: {how}; their tightest conditions need not be the same ones."
+
+
+COLOURS = {
+    "feasible": GREEN,
+    "inertia": BLUE,
+    "com": ORANGE,
+    "mass": RED,
+    "total_mass": BROWN,
+    "inertia+com": PURPLE,
+}
+_LINEAR = 1e-3
+"""Degrees smaller than this are drawn on a linear scale."""
+
+
+def figures(study: EqualTorqueStudy) -> Figures:
+    """What draws each figure, by the names of their files."""
+    return {
+        "force_by_degree": partial(degree_figure, study),
+        "force_by_kind": partial(kind_figure, study),
+        "force_by_mass": partial(mass_figure, study),
+        "force_over_time": partial(time_figure, study),
+    }
+
+
+def degree_figure(study: EqualTorqueStudy) -> Figure:
+    """Force error against the degree, coloured by kind; what any feasible set can reach."""
+    figure, axes = panel(10.5, 5.4)
+    degree, worst = study.degree.numpy(), study.worst.numpy()
+    for kind in study.kinds:
+        rows = study.rows(kind)
+        axes.scatter(
+            degree[rows], worst[rows], s=11, color=_colour(kind), alpha=0.55, linewidths=0,
+            label=f"{kind_words(kind)} ({len(rows)})",
+        )  # fmt: skip
+        # Running median of six groups of neighbours.
+        order = np.argsort(degree[rows])
+        groups = [g for g in np.array_split(order, 6) if len(g) >= 5]
+        x, y = ([float(np.median(v[rows][g])) for g in groups] for v in (degree, worst))
+        axes.plot(x, y, color="white", linewidth=3.6)
+        axes.plot(x, y, color=_colour(kind), linewidth=2.0)
+    axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    axes.set(yscale="log", ylabel=_ERROR)
+    axes.set_xlabel("degree (smallest margin over its scale; 0 is the boundary)")
+    axes.axvline(0, color=INK, linewidth=0.9)
+    for text, side in ((" feasible", "left"), ("infeasible ", "right")):
+        axes.text(
+            0.0, 1.04, text, transform=axes.get_xaxis_transform(), ha=side, va="top",
+            fontsize=8, color=INK,
+        )  # fmt: skip
+    greatest = [float(r.reached.max()) for r in study.reach if r.kind == "feasible"]
+    for value in greatest:
+        axes.axhline(value, color=GREEN, linewidth=1.0, linestyle=(0, (5, 3)))
+        axes.annotate(
+            f"greatest of any feasible set: {value:.3g} N", (0.995, value),
+            xycoords=axes.get_yaxis_transform(), xytext=(0, 3), textcoords="offset points",
+            fontsize=8, color=GREEN, va="bottom", ha="right",
+        )  # fmt: skip
+    what = "the degree of a violation and the error of the internal forces"
+    return finish(figure, f"{study.setting.robot.name}: {what}", axes)
+
+
+def kind_figure(study: EqualTorqueStudy) -> Figure:
+    """Boxes of the force error per joint and kind, with the greatest of any set and the force."""
+    n, kinds = study.setting.robot.n, study.kinds
+    columns = min(n, 4)
+    joints = [f"joint {j + 1}" for j in range(n)]
+    figure, grid = tiles(
+        joints, columns, 2.6 * columns + 1.0, (3.0, 0.9), y="force error [N], RMS", sharey=True
+    )
+    reach = {r.kind: r.reached.tolist() for r in study.reach}
+    own = study.errors.reference_force_rms.tolist()
+    floor = 1e-2 * float(study.worst.median())
+    for j, axes in enumerate(grid):
+        for place, kind in enumerate(kinds):
+            values = study.errors.force_rms[study.rows(kind), j].clamp(min=floor).numpy()
+            colour = _colour(kind)
+            axes.boxplot(
+                values, positions=[place], widths=0.62, whis=(5, 95), showfliers=False,
+                patch_artist=True, manage_ticks=False,
+                boxprops={"facecolor": colour, "alpha": 0.45, "edgecolor": colour},
+                medianprops={"color": INK, "linewidth": 1.4},
+                whiskerprops={"color": colour}, capprops={"color": colour},
+            )  # fmt: skip
+            if kind in reach:
+                axes.plot(place, max(reach[kind][j], floor), marker="_", color=INK, markersize=13)
+        axes.axhline(max(own[j], floor), color=GREY, linewidth=1.2, linestyle=(0, (4, 2)))
+        axes.set_yscale("log")
+        shown = [kind_words(k) for k in kinds]
+        axes.set_xticks(range(len(kinds)), shown, rotation=40, ha="right", fontsize=7)
+    keys = {
+        "the force itself (RMS)": {"color": GREY, "linewidth": 1.2, "linestyle": (0, (4, 2))},
+        "greatest of any set of the kind": {
+            "color": INK, "linewidth": 0, "marker": "_", "markersize": 12,
+        },
+    }  # fmt: skip
+    title = f"{study.setting.robot.name}: force error per joint and kind of violation"
+    return finish(figure, title, columns=2, keys=keys)
+
+
+def mass_figure(study: EqualTorqueStudy) -> Figure:
+    """Force error against the weight of the carried mass's error: what it comes from."""
+    figure, axes = panel(6.2, 5.2)
+    weight = study.carried.abs().amax(-1) * study.setting.robot.gravity.norm()
+    for kind in study.kinds:
+        rows = study.rows(kind)
+        axes.scatter(
+            weight[rows].numpy(), study.worst[rows].numpy(), s=12, color=_colour(kind), alpha=0.6,
+            linewidths=0, label=kind_words(kind),
+        )  # fmt: skip
+    ends = [float(study.worst.min()), float(study.worst.max())]
+    axes.plot(ends, ends, color=INK, linewidth=0.9)
+    axes.set(xscale="log", yscale="log", ylabel=_ERROR)
+    axes.set_xlabel("weight of the carried mass's error, largest joint [N]")
+    title = f"{study.setting.robot.name}: the error is the weight of wrongly placed mass"
+    return finish(figure, title, axes)
+
+
+def time_figure(study: EqualTorqueStudy) -> Figure:
+    """Norms of the internal forces over time: the reference and each kind's median set."""
+    chosen = []
+    for kind in study.kinds:
+        rows = study.rows(kind)
+        chosen.append(rows[int(study.worst[rows].argsort()[len(rows) // 2])])
+    pi = torch.cat([study.setting.reference.parameters.pi, study.family.sets.parameters.pi[chosen]])
+    motion = study.motion.state
+    force, _ = wrench_norms(study.setting.robot, *motion, InertialParameters(pi))
+    curves = {}
+    for kind, norms in zip(study.kinds, force[1:], strict=True):
+        style = {"color": _colour(kind), "linewidth": 1.1}
+        curves[f"{kind_words(kind)}, median set"] = (norms.numpy(), style)
+    curves["reference"] = (force[0].numpy(), {"color": INK, "linewidth": 1.8})
+    t = np.arange(force.shape[1]) / (study.rate or 1.0)
+    title = f"{study.setting.robot.name}: norms of the internal forces, all with the same torque"
+    x = "sample" if study.rate is None else "time [s]"
+    return joint_lines(title, "force norm [N]", t, curves, x)[0]
+
+
+_ERROR = "force error, largest joint [N], RMS over the motion"
+
+
+def _colour(kind: str) -> str:
+    return COLOURS.get(kind, GREY)

@@ -1,0 +1,186 @@
+"""Planned motions as one result: what they are, what they ask of the drives, how near they come."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from torchid.excitation.clearance import Clearance, Nearest
+from torchid.excitation.design import Excitation
+from torchid.excitation.fourier import FourierTrajectory
+from torchid.excitation.informed import InformedDesign
+from torchid.excitation.torque import TorqueLimits, TorqueUse, has_torque_limits
+from torchid.excitation.trajectories import Sinusoid, trajectory_log
+from torchid.json_data import picked, plain
+from torchid.log.model import Log
+from torchid.next_motion.separating_motion import Separation
+from torchid.next_motion.separation import beyond
+from torchid.robot.model import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """Motions for a robot, and what they keep.
+
+    Attributes:
+        robot: that moves.
+        kind: `optimised`, `next`, `random`, `sinusoid` or `paper`.
+        motions: as they are driven.
+        rate: of their samples [Hz].
+        speed: share of the designed speed.
+        limits: of torque; None where they were not checked.
+        clearance: what is kept clear of; None where that was not checked.
+        unknown: what could not be checked, one sentence each.
+        designs: what designed them; none for motions that were given.
+        result: name of the file that the next motion is for.
+    """
+
+    robot: Robot
+    kind: str
+    motions: Sequence[FourierTrajectory | Sinusoid]
+    rate: float
+    speed: float
+    limits: TorqueLimits | None
+    clearance: Clearance | None
+    unknown: tuple[str, ...]
+    designs: "Sequence[Excitation | InformedDesign | Separation]"
+    result: str | None = None
+
+    @cached_property
+    def log(self) -> Log:
+        """All of them, a trajectory each."""
+        return Log.concatenate([trajectory_log(x, self.rate) for x in self.motions])
+
+    @cached_property
+    def use(self) -> TorqueUse | None:
+        """What they ask of the drives."""
+        return None if self.limits is None else self.limits.use(self.motions)
+
+    @cached_property
+    def nearest(self) -> Nearest | None:
+        """How near they come."""
+        return None if self.clearance is None else self.clearance.nearest(self.motions)
+
+    def plain(self, file: str | None) -> dict[str, Any]:
+        """The schema torchid.excitation/1.
+
+        Args:
+            file: that the motions are in.
+        """
+        series = [x for x in self.motions if isinstance(x, FourierTrajectory)]
+        names = "a b q0 w_f duration ramp"
+        return {
+            "schema": "torchid.excitation/1",
+            "robot": self.robot.name,
+            "kind": self.kind,
+            "file": file,
+            **self._design(),
+            **({"trajectories": [picked(x, names) for x in series]} if series else {}),
+            "speed": self.speed,
+            "torque": torque_record(self.robot, self.use),
+            "clearance": clearance_record(self.clearance, self.nearest, self.unknown),
+            "warnings": list(self.log.warnings),
+        }
+
+    def _design(self) -> dict[str, Any]:
+        """How the motions were designed, and what that gained."""
+        if not self.designs:
+            return {}
+        first = self.designs[0]
+        if isinstance(first, InformedDesign):
+            record = informed_record(first)
+        elif isinstance(first, Separation):
+            record = separation_record(first) | {"notes": list(first.notes)}
+        else:
+            found = [x for x in self.designs if isinstance(x, Excitation)]
+            return {
+                "criterion": first.criterion,
+                "basis": first.base.basis,
+                "condition_number_before": [x.start_condition for x in found],
+                "condition_number_after": [x.condition_after for x in found],
+                "hardly_better": [x.hardly for x in found],
+            }
+        return record | {"result": self.result, "hardly_better": first.hardly}
+
+
+def not_checked(robot: Robot) -> str | None:
+    """Why the robot's torque limits cannot be checked; None where it has none or they can be."""
+    if not has_torque_limits(robot) or robot.parameters is not None:
+        return None
+    return (
+        f"torque limits were not checked: robot '{robot.name}' has no inertial parameters, which "
+        "predict torque."
+    )
+
+
+def torque_record(robot: Robot, use: TorqueUse | None) -> dict[str, Any]:
+    """JSON-ready; without a use, why torque limits were not checked."""
+    if use is None:
+        return {"checked": False, "reason": not_checked(robot) or "no torque limits"}
+    joints = zip(use.largest.tolist(), plain(use.limits), use.share.tolist(), strict=True)
+    return {
+        "checked": True,
+        "model": use.source,
+        "joints": [
+            {"joint": j, "largest": size, "limit": limit, "share": share}
+            for j, (size, limit, share) in enumerate(joints, start=1)
+        ],
+    }
+
+
+def clearance_record(
+    clearance: Clearance | None, nearest: Nearest | None, unknown: Sequence[str] = ()
+) -> dict[str, Any]:
+    """JSON-ready; `unknown` is what could not be checked, one sentence each."""
+    if clearance is None or nearest is None:
+        return {"checked": False, "not_checked": list(unknown)}
+    between = [nearest.first, nearest.second]
+    near = {"distance": nearest.distance, "between": between, "time": nearest.time}
+    return {
+        "checked": True,
+        "clearance": clearance.clearance,
+        "pairs": len(clearance.pairs),
+        "nearest": None if math.isinf(nearest.spare) else near,
+        "not_checked": [*unknown, *clearance.notes],
+    }
+
+
+def informed_record(d: InformedDesign) -> dict[str, Any]:
+    """JSON-ready."""
+    columns = zip(
+        d.prior.base.names, d.prior.base.units, d.targets.tolist(), plain(d.before),
+        d.with_plain.tolist(), d.after.tolist(), strict=True,
+    )  # fmt: skip
+    return {
+        "criterion": d.goal,
+        "shrinks_to": {"plain": d.shrinks(d.with_plain), "designed": d.shrinks(d.after)},
+        "parameters": [
+            {"name": name, "unit": unit, "target": target, "std": std,
+             "predicted_std": {"plain": plain, "designed": designed}}
+            for name, unit, target, std, plain, designed in columns
+        ],
+    }  # fmt: skip
+
+
+def separation_record(s: Separation) -> dict[str, Any]:
+    """JSON-ready."""
+    return {
+        "criterion": "separation",
+        "for": s.kind,
+        "pairs": [
+            {
+                "if": r.truth.effect.record(r.truth.values),
+                "common": len(r.truth.effects) > 1,
+                "not": r.name or None,
+                "separation": {"plain": plain.difference, "designed": after.difference},
+                "decides": {"plain": plain.reached >= 1, "designed": after.reached >= 1},
+            }
+            for r, plain, after in zip(s.rivals, s.with_plain, s.after, strict=True)
+        ],
+        "hopeless": [
+            {"effect": r.truth.effect.name, "joints": [j + 1 for j in r.truth.effect.joints],
+             "not": r.name or None, "instead": beyond([r.truth.effect.name])}
+            for r in s.hopeless
+        ],
+    }  # fmt: skip
