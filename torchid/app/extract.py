@@ -27,8 +27,9 @@ class Sought:
     Attributes:
         result: JSON of `torchid identify`; without it, the base parameters of the robot's nominal
             parameters.
-        bounds: Group of bounds in the robot's yaml, or bounds derived from its nominal parameters
-            and shapes. Default: normal, else from-robot.
+        bounds: Group of bounds in the robot's yaml; from-robot: of its nominal parameters and
+            shapes; wide: of the size of its links; none: any body. Default: normal, else
+            from-robot, and wide for a robot without parameters.
         geometry: Bounds whose boxes of the centres of mass are the links' geometry. Default:
             normal where there is one, else the bounds' own.
         shapes: Centres of mass inside the links' cylinders and spheres.
@@ -42,7 +43,7 @@ class Sought:
     total_mass: opt.TotalMass = None
 
     def problem(
-        self, arm: opt.Arm, loss: "LossName" = "two-step"
+        self, arm: opt.Arm, loss: "LossName | None" = None
     ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
         """The problem that the options describe, the base parameters, and notes for the user."""
         from torchid.extraction.from_identification import problem_of
@@ -67,8 +68,8 @@ def extract_command(
     *,
     arm: opt.Arm,
     sought: Sought,
-    method: Literal["cma-es", "log-cholesky", "sdp"] = "cma-es",
-    loss: Literal["two-step", "one-step"] = "two-step",
+    method: Literal["cma-es", "log-cholesky", "sdp", "near"] | None = None,
+    loss: Literal["two-step", "one-step"] | None = None,
     settings: Annotated[
         SearchSettings,
         Fields(
@@ -94,9 +95,11 @@ def extract_command(
     Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
 
     Args:
-        method: Population search (Algorithm 1), gradient, or convex optimum.
+        method: Population search (Algorithm 1), gradient, convex optimum, or the bodies nearest to
+            nominal or typical ones with nearly the least loss. Default: near within wide or none,
+            else cma-es.
         loss: Distance to the coefficients (2.28), or to the torques of the log (2.29), by the
-            fit's triangular factor.
+            fit's triangular factor. Default: two-step; one-step within wide or none.
         stages: Stages of Algorithm 1.
         generations: Generations of each stage.
         population: Of each run (default: 4 + 3 ln D).
@@ -112,12 +115,16 @@ def extract_command(
     from torchid.extraction.extract import require_possible
     from torchid.extraction.found import Found, best_set, judged
     from torchid.extraction.log_cholesky.extract import extract_log_cholesky
+    from torchid.extraction.near import near_set
+    from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import headline, loss_notes, search_figure, tables
 
     if resume and output.out is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     problem, values, notes = sought.problem(arm, loss)
+    # Where nothing bounds the bodies but their links' size, a search would answer any of them.
+    method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
     if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
     proven = None
@@ -128,6 +135,9 @@ def extract_command(
     if method == "sdp":
         with output.progress("the best set"):
             found = best_set(problem, proof=proven, search_anyway=search_anyway)
+    elif method == "near":
+        with output.progress("the nearest bodies"):
+            found = near_set(problem, proof=proven)
     elif method == "log-cholesky":
         began = time.monotonic()
         with output.progress("descending"):
@@ -201,7 +211,7 @@ def atlas_command(
     from torchid.extraction.convex.atlas import atlas
     from torchid.report.extraction import atlas_figure, atlas_headline, atlas_table
 
-    problem, found, notes = sought.problem(arm)
+    problem, found, notes = sought.problem(arm, "two-step")
     if found.held:
         held = ", ".join(found.held)
         notes = (*notes, f"held by the identification, and taken for exact here: {held}")
