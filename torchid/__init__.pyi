@@ -34,6 +34,7 @@ from torchid.position.diagnose import diagnose_positions as diagnose_positions
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.model import replay as replay
 from torchid.report.plots import draw as draw
+from torchid.report.view import write_view as write_view
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
 from torchid.robot.library import load_robot as load_robot
