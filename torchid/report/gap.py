@@ -24,6 +24,7 @@ from torchid.report.gap_words import (
 )  # fmt: skip
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
+from torchid.report.simulator_block import simulator_block
 from torchid.report.table import (
     Table,
     interval,
@@ -286,6 +287,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         pictures=_pictures(d),
         tables=numbers,
         notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
+        block=simulator_block(d.corrected) if d.findings else "",
     )
 
 
