@@ -115,6 +115,15 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
         yield place
 
 
+def test_after_init_six_short_commands_lead_to_a_corrected_model() -> None:
+    (block,) = (b for b in blocks(README, "") if b.lstrip().startswith("torchid init "))
+    first, *rest = (line.split("#")[0].strip() for line in block.strip().splitlines())
+    assert first == "torchid init"
+    assert len(rest) <= 6
+    assert all(len(line) <= 60 for line in rest), rest
+    assert any("--save-model" in line for line in rest)
+
+
 @pytest.mark.slow
 def test_commands_and_python_of_the_readme_run(place: Shell) -> None:
     found = [

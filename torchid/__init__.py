@@ -33,6 +33,7 @@ _PUBLIC = {
     "problem_of": "torchid.extraction.from_identification",
     "extract": "torchid.extraction.extract",
     "best_set": "torchid.extraction.found",
+    "near_set": "torchid.extraction.near",
     "SearchSettings": "torchid.extraction.settings",
     "atlas": "torchid.extraction.convex.atlas",
     "ParameterSets": "torchid.feasibility.sets",
@@ -53,6 +54,7 @@ _PUBLIC = {
     "excite_for": "torchid.next_motion.design",
     "load": "torchid.results.files",
     "draw": "torchid.report.plots",
+    "write_view": "torchid.report.view",
     "TorchidError": "torchid.errors",
 }
 

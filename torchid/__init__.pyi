@@ -15,6 +15,7 @@ from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.found import best_set as best_set
 from torchid.extraction.from_identification import problem_of as problem_of
+from torchid.extraction.near import near_set as near_set
 from torchid.extraction.settings import SearchSettings as SearchSettings
 from torchid.feasibility.record import check as check
 from torchid.feasibility.sets import ParameterSets as ParameterSets
@@ -33,6 +34,7 @@ from torchid.position.diagnose import diagnose_positions as diagnose_positions
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.model import replay as replay
 from torchid.report.plots import draw as draw
+from torchid.report.view import write_view as write_view
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
 from torchid.robot.library import load_robot as load_robot

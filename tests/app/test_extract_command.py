@@ -1,6 +1,7 @@
 """torchid extract and torchid atlas from the outside."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -292,3 +293,48 @@ def test_a_changed_result_is_refused(command, identified, tmp_path):
     assert "base_values" in shown.err
     broken.write_text("{}")
     assert "not a result of an identification" in command("extract", "3r_friction", broken).err
+
+
+def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, identified, tmp_path):
+    """The 3R without its parameters: identified, extracted, exported, and MuJoCo's torque is that
+    of the true parameters."""
+    mujoco = pytest.importorskip("mujoco")
+    import torch
+    import yaml
+
+    from tests.arms import states
+    from tests.oracles import MujocoOracle
+    from torchid.robot.library import load_robot
+
+    true = load_robot("3r_friction")
+    bare = yaml.safe_load((Path(true.source)).read_text())
+    bare = {key: bare[key] for key in ("name", "dh", "gravity", "limits") if key in bare}
+    (tmp_path / "bare.yaml").write_text(yaml.safe_dump(bare))
+    record = json.loads(identified.read_text()) | {"robot": bare["name"]}
+    record.pop("model", None)
+    (tmp_path / "result.json").write_text(json.dumps(record))
+    for bounds in ((), ("--bounds", "none")):
+        shown = command(
+            "extract", tmp_path / "bare.yaml", tmp_path / "result.json", *bounds, "--out", tmp_path
+        )
+        assert shown.code == 0, shown.err
+        data = json.loads((tmp_path / "extraction.json").read_text())
+        assert (data["method"], data["loss"]) == ("near", "one-step")
+        assert data["bounds"] == (bounds[1] if bounds else "wide")
+        assert data["sets"][0]["feasible"]
+    assert ("neither bounds nor inertial parameters" in shown.out) == (not bounds)
+    made = command("export", tmp_path / "extraction.json", "--to", "mjcf", "--out", tmp_path / "m")
+    assert made.code == 0, made.err
+    (file,) = (tmp_path / "m").glob("*.xml")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # limits of the joints
+    data = mujoco.MjData(model)
+    q, dq, ddq = states(true, 30)
+    torque = []
+    for row in zip(q.numpy(), 0 * dq.numpy(), ddq.numpy(), strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = row
+        mujoco.mj_inverse(model, data)
+        torque.append(torch.from_numpy(data.qfrc_inverse.copy()))
+    expected = MujocoOracle(true).inverse_dynamics(q, 0 * dq, ddq)
+    error = (torch.stack(torque) - expected).square().mean(0).sqrt()
+    assert bool((error < 0.03 * expected.square().mean(0).sqrt() + 0.05).all()), error

@@ -26,6 +26,7 @@ from torchid.simulation.sensors import Sensors, measured_log
         (("--gain", "1,2"), ("--gain", "3")),
         (("--save-model", "nowhere/robot.yaml"), ("--save-model", "folder")),
         (("--json", "nowhere/gap.json"), ("nowhere",)),
+        (("--view", "gap.bag"), ("FILE.mcap", "FILE.rrd")),
     ],
 )
 def test_bad_options(command, folder, arguments, words):
@@ -206,3 +207,20 @@ def test_logs_of_commands_that_are_refused(tmp_path, command, change, options, w
     assert outcome.code == 1
     for word in words:
         assert word in outcome.err
+
+
+def test_a_view_for_a_viewer(command, folder, tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    effects = "viscous_friction,coulomb_friction"
+    options = ("--effects", effects, "--no-rollout", "--view", tmp_path / "gap.mcap")
+    done = command("gap", "3r", folder / "check.csv", *options)
+    assert done.code == 0, done.err
+    assert "gap.mcap" in done.out
+    with (tmp_path / "gap.mcap").open("rb") as stream:
+        summary = reader.make_reader(stream).get_summary()
+    topics = sorted(channel.topic for channel in summary.channels.values())
+    assert [topic.split("/")[-1] for topic in topics] == ["joint_1", "joint_2", "joint_3"]
+    pair = ("--simulated", folder / "check.csv", "--real", folder / "check.csv")
+    refused = command("gap", *pair, "--view", tmp_path / "other.mcap")
+    assert refused.code == 1
+    assert "--view" in refused.err

@@ -1,7 +1,8 @@
-"""Progress: on standard error where that is a terminal, and nowhere else."""
+"""Progress on standard error: a bar on a terminal, a line a stage elsewhere."""
 
 import os
 import pty
+import re
 import subprocess
 import sys
 
@@ -58,22 +59,50 @@ def test_quiet_is_quiet_on_a_terminal_too() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "stages"),
     [
-        ("identify", "3r_friction", "check.csv"),
-        ("gap", "3r_friction", "check.csv", "--effects", "torque_offset", "--no-rollout"),
+        (("identify", "3r_friction", "check.csv"), {"reading"}),
+        (
+            ("gap", "3r_friction", "check.csv", "--effects", "torque_offset", "--no-rollout"),
+            {"reading", "searching for effects", "judging", "locating"},
+        ),
     ],
 )
-def test_nothing_without_a_terminal(command, folder, types_unchecked, arguments) -> None:
+def test_a_line_a_stage_without_a_terminal(
+    command, folder, types_unchecked, arguments, stages
+) -> None:
     name, robot, log, *options = arguments
     done = command(name, robot, folder / log, *options)
-    assert (done.code, done.err) == (0, "")
+    assert done.code == 0
+    lines = [re.fullmatch(r"(.+): \d+\.\d s", line) for line in done.err.splitlines()]
+    assert all(lines), done.err
+    told = [line[1] for line in lines]
+    assert stages <= set(told)
+    assert len(told) == len(set(told))  # none twice
+    assert not any(line in done.out for line in done.err.splitlines())
     quiet = command(name, robot, folder / log, *options, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
 
-def test_without_a_terminal_there_is_no_callback(capsys) -> None:
+def test_without_a_terminal_a_stage_is_told_when_it_is_over(capsys) -> None:
     with Output() as output, output.progress("reading") as report:
+        searching = stage(report, "searching [a]")
+        assert capsys.readouterr() == ("", "")
+        for k in range(3):
+            searching(k, 3)
+        out, err = capsys.readouterr()
+        assert (out, err.split(":")[0], err.count("\n")) == ("", "reading", 1)
+        report("reading", 0, 1)
+        report("done", 1, 1)
+    out, err = capsys.readouterr()
+    assert (out, err.split(":")[0], err.count("\n")) == ("", "searching [a]", 1)
+    with Output(quiet=True) as output, output.progress("reading") as report:
         assert report is None
         assert stage(report, "searching") is None
+    assert capsys.readouterr() == ("", "")
+
+
+def test_of_what_fails_the_error_alone_is_said(capsys) -> None:
+    with pytest.raises(ValueError), Output() as output, output.progress("reading"):  # noqa: PT011
+        raise ValueError
     assert capsys.readouterr() == ("", "")

@@ -9,11 +9,18 @@ from hypothesis import strategies as st
 
 from tests.arms import arm, consistent_parameters
 from torchid.errors import RobotError, TorchidError
-from torchid.feasibility.derived_bounds import NAME, bounds_notes, derive_bounds, inertia_bounds
+from torchid.feasibility.derived_bounds import (
+    NAME,
+    bounds_notes,
+    derive_bounds,
+    inertia_bounds,
+    named_bounds,
+    open_bounds,
+)
 from torchid.feasibility.sets import nominal_set
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.library import load_robot
-from torchid.robot.shapes import LinkShapes, link_lengths
+from torchid.robot.shapes import LinkShapes, link_lengths, typical_bodies
 
 NOWHERE = torch.full((3, 2), torch.nan, dtype=torch.float64)
 
@@ -174,3 +181,75 @@ def test_a_massless_link_is_named():
     pi[1] = 0.0
     with pytest.raises(RobotError, match=r"link 2 \('link_2'\)"):
         derive_bounds(robot.with_parameters(InertialParameters(pi)))
+
+
+def test_bounds_without_parameters_hold_a_known_arm():
+    """The LWR IV+ and the 3R, whose parameters the bounds do not read."""
+    for name in ("kuka_lwr4", "3r"):
+        known = load_robot(name)
+        robot = replace(known, parameters=None)
+        wide, none = (open_bounds(robot, wide=w) for w in (True, False))
+        own = known.parameters
+        for bounds in (wide, none):
+            assert bool((bounds.mass[:, 0] == 0).all())
+            assert bool((own.mass < bounds.mass[:, 1]).all())
+            low, high = bounds.com.unbind(-1)
+            assert bool(((low < own.com) & (own.com < high)).all())
+        assert bool((none.mass[:, 1] > wide.mass[:, 1]).all())
+        assert bool((none.com[..., 1] > wide.com[..., 1]).all())
+    for name in ("wide", "none"):
+        assert torch.equal(named_bounds(known, name).mass, named_bounds(robot, name).mass)
+
+
+def test_a_group_of_the_robots_own_may_have_such_a_name():
+    robot = load_robot("3r")
+    own = replace(robot, bounds={**robot.bounds, "wide": robot.bounds["normal"]})
+    assert torch.equal(named_bounds(own, "wide").mass, named_bounds(robot, "normal").mass)
+
+
+def test_bounds_of_a_link_with_a_shape_are_its_boxs(tmp_path):
+    """A box of 0.2 x 0.1 x 0.4 m whose centre is off the joint."""
+    robot = load_robot(boxed(tmp_path))
+    bounds = open_bounds(robot, wide=True)
+    expected = torch.tensor([[-0.15, 0.15], [-0.1, 0.1], [-0.05, 0.45]]).double()
+    torch.testing.assert_close(bounds.com[0], expected)
+    torch.testing.assert_close(
+        bounds.mass[0], torch.tensor([0.0, 12000 * 0.008], dtype=torch.float64)
+    )
+
+
+def test_typical_bodies_are_those_of_a_simulator_that_knows_the_density(tmp_path):
+    """MuJoCo's inertia of the same box at 1000 kg/m^3."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint/><geom type='box' size='0.1 0.05 0.2' pos='0 0 0.2' "
+        "density='1000'/></body></worldbody></mujoco>"
+    )
+    own = typical_bodies(load_robot(boxed(tmp_path)))
+    assert float(own.mass[0]) == pytest.approx(model.body_mass[1])
+    assert own.com[0].tolist() == pytest.approx([0, 0, 0.2])
+    about = sorted(own.inertia_about_com[0, [0, 3, 5]].tolist())
+    assert about == pytest.approx(sorted(model.body_inertia[1]))
+
+
+def test_typical_bodies_without_shapes_are_bars_between_the_joints():
+    robot = load_robot("ur10e")
+    own = typical_bodies(robot)
+    assert own.mass.tolist() == pytest.approx((10 * link_lengths(robot)).tolist())
+    # The upper arm: 0.6127 m along x, and a radius of sqrt(10 / (1000 pi)), which rounds the ends.
+    heavy, square = 6.127, 10 / (1000 * 3.141592653589793)
+    across = heavy * (0.6127**2 / 12 + square / 2)
+    expected = [heavy * square / 2, 0, 0, across, 0, across]
+    assert own.inertia_about_com[1].tolist() == pytest.approx(expected, abs=1e-12)
+    assert bool((own.consistency_margin() > 0).all())
+
+
+def boxed(folder):
+    path = folder / "arm.urdf"
+    path.write_text(
+        "<robot name='boxed'><link name='base'/><link name='a'><collision>"
+        "<origin xyz='0 0 0.2'/><geometry><box size='0.2 0.1 0.4'/></geometry></collision></link>"
+        "<joint name='j' type='revolute'><parent link='base'/><child link='a'/>"
+        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' velocity='1' effort='9'/></joint></robot>"
+    )
+    return path

@@ -26,8 +26,9 @@ class Sought:
     Attributes:
         result: JSON of `torchid identify`; without it, the base parameters of the robot's nominal
             parameters.
-        bounds: Group of bounds in the robot's yaml, or bounds derived from its nominal parameters
-            and shapes. Default: normal, else from-robot.
+        bounds: Group of bounds in the robot's yaml; from-robot: of its nominal parameters and
+            shapes; wide: of the size of its links; none: any body. Default: normal, else
+            from-robot, and wide for a robot without parameters.
         geometry: Bounds whose boxes of the centres of mass are the links' geometry. Default:
             normal where there is one, else the bounds' own.
         shapes: Centres of mass inside the links' cylinders and spheres.
@@ -41,7 +42,7 @@ class Sought:
     total_mass: opt.TotalMass = None
 
     def problem(
-        self, arm: opt.Arm, loss: "LossName" = "two-step"
+        self, arm: opt.Arm, loss: "LossName | None" = None
     ) -> "tuple[Problem, BaseValues, tuple[str, ...]]":
         """The problem that the options describe, the base parameters, and notes for the user."""
         from torchid.identification.values import nominal_base, read_base
@@ -65,8 +66,8 @@ def extract_command(
     *,
     arm: opt.Arm,
     sought: Sought,
-    method: Literal["cma-es", "log-cholesky", "sdp"] = "cma-es",
-    loss: Literal["two-step", "one-step"] = "two-step",
+    method: Literal["cma-es", "log-cholesky", "sdp", "near"] | None = None,
+    loss: Literal["two-step", "one-step"] | None = None,
     settings: Annotated[
         SearchSettings,
         Fields(
@@ -86,9 +87,11 @@ def extract_command(
     Example: `torchid extract kuka_lwr4 --bounds normal --runs 50 --stages 35 --out sets`
 
     Args:
-        method: Population search (Algorithm 1), gradient, or convex optimum.
+        method: Population search (Algorithm 1), gradient, convex optimum, or the bodies nearest to
+            nominal or typical ones with nearly the least loss. Default: near within wide or none,
+            else cma-es.
         loss: Distance to the coefficients (2.28), or to the torques of the log (2.29), by the
-            fit's triangular factor.
+            fit's triangular factor. Default: two-step; one-step within wide or none.
         stages: Stages of Algorithm 1.
         generations: Generations of each stage.
         population: Of each run (default: 4 + 3 ln D).
@@ -103,12 +106,15 @@ def extract_command(
     from torchid.extraction.convex.certificate import certificate_where_possible
     from torchid.extraction.extract import require_possible
     from torchid.extraction.found import descended
+    from torchid.feasibility.derived_bounds import NONE, WIDE
     from torchid.feasibility.sets import sets_record
     from torchid.report.extraction import loss_notes, shown
 
     if resume and output.out is None:
         raise TorchidError("--resume needs --out, where the checkpoint is.", expected="--out DIR")
     problem, values, notes = sought.problem(arm, loss)
+    # Where nothing bounds the bodies but their links' size, a search would answer any of them.
+    method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
     if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
     proven = None
@@ -119,6 +125,9 @@ def extract_command(
     if method == "sdp":
         with output.progress("the best set"):
             found = torchid.best_set(problem, proof=proven, search_anyway=search_anyway)
+    elif method == "near":
+        with output.progress("the nearest bodies"):
+            found = torchid.near_set(problem, proof=proven)
     elif method == "log-cholesky":
         with output.progress("descending"):
             found = descended(problem, runs=settings.runs, seed=settings.seed)
@@ -161,7 +170,7 @@ def atlas_command(
     """
     from torchid.report.extraction import atlas_shown
 
-    problem, found, notes = sought.problem(arm)
+    problem, found, notes = sought.problem(arm, "two-step")
     if found.held:
         held = ", ".join(found.held)
         notes = (*notes, f"held by the identification, and taken for exact here: {held}")

@@ -34,6 +34,7 @@ def gap_command(
     trials: _Trials,
     settings: Annotated[GapSettings, opt.GAP],
     save_model: opt.Written = None,
+    view: opt.Written = None,
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None,
     for_: Annotated[Simulated | None, typer.Option("--for")] = None,
     simulated: opt.LogFiles = None,
@@ -70,6 +71,8 @@ def gap_command(
             share of it: ± holds it. By default 0.05 for currents times --gain, else 0.
         rollout: Simulate short motions with the model before and after.
         save_model: Write the corrected robot, with its effects, as a .yaml.
+        view: Write torques, effects and regimes over time for a viewer: .mcap for Foxglove and
+            PlotJuggler (extra `view`), .rrd for Rerun (extra `rerun`).
         servo: What the servos are said to be, shown beside what is found of logs of commands:
             STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
         for_: Write a corrected file for this format or simulator to --out, as `torchid correct`
@@ -77,8 +80,12 @@ def gap_command(
         simulated: Log of the simulator, of the same commands as --real. May be given several times.
         real: Log of the arm, one for each of --simulated.
     """
+    if view is not None:
+        from torchid.report.view import require_viewer
+
+        require_viewer(view)
     if simulated or real:
-        _pair(output, trials, simulated, real, settings, save_model, for_)
+        _pair(output, trials, simulated, real, settings, save_model, for_, view)
         return
     for name, given in (("ROBOT", trials.robot), ("LOG...", trials.logs)):
         if not given:
@@ -90,6 +97,8 @@ def gap_command(
     torque = log.tau is not None and bool(log.tau.any())
     current = log.tau is None and log.current is not None and found.drive_gain is not None
     if log.u is not None and not torque and not current:
+        if view is not None:
+            raise TorchidError("--view shows torques; these logs have commands and positions.")
         _positions(output, found, log, apart, save_model, settings, files, servo)
         return
     if servo is not None:
@@ -109,6 +118,7 @@ def gap_command(
         settings=asked,
     )  # fmt: skip
     output.put(save_model, partial(torchid.write_robot, result.corrected))
+    output.put(view, partial(torchid.write_view, result))
     done = None
     if kind is not None:
         keep = [Path(trials.robot), *(trials.logs or ()), *(trials.held_out or ())]
@@ -128,6 +138,7 @@ def _pair(
     settings: GapSettings,
     save_model: Path | None,
     for_: str | None,
+    view: Path | None,
 ) -> None:
     """A simulator's logs against the arm's."""
     from torchid.log.readers import open_logs
@@ -147,6 +158,7 @@ def _pair(
             ("--held-out", trials.held_out and not current().held_out),
             ("--save-model", save_model),
             ("--for", for_),
+            ("--view", view),
             ("--report", output.report),
         )
         if given

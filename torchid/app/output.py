@@ -250,14 +250,30 @@ class Output:
     @contextmanager
     def progress(self, first: str = "") -> Iterator[Progress | None]:
         """A callback (stage, done, total) that draws one bar on standard error: what is running,
-        how much is left. None, and nothing is drawn, where that is no terminal, or with --quiet.
+        how much is left; where that is no terminal, one line a stage, when it is over, with the
+        seconds that it took. None, and nothing is said, with --quiet.
 
         Args:
             first: what is running until it is called.
         """
         console = Console(stderr=True)
-        if self.silent or not console.is_terminal:
+        if self.silent:
             yield None
+            return
+        if not console.is_terminal:
+            running, began, told = first, time.monotonic(), {""}
+
+            def over(next_one: str) -> None:
+                nonlocal running, began
+                if next_one == running:
+                    return
+                if running not in told:  # what runs in turns is told once
+                    typer.echo(f"{visible(running)}: {time.monotonic() - began:.1f} s", err=True)
+                    told.add(running)
+                running, began = next_one, time.monotonic()
+
+            yield lambda stage, done, total: over("" if done == total > 0 else stage)
+            over("")
             return
         from rich.progress import (
             BarColumn,

@@ -59,6 +59,7 @@ class Segment:
         motion: q, dq, ddq, direction, age (T, n) and t (T,) [s].
         tau: (T, n) measured torque [N m; N].
         own_velocity: whether dq was measured on its own, so that it can lag behind q.
+        stamp: of the first sample in the log itself [s].
     """
 
     name: str
@@ -67,6 +68,7 @@ class Segment:
     motion: Motion
     tau: Float[Tensor, "T n"]
     own_velocity: bool
+    stamp: float = 0.0
 
     @property
     def length(self) -> int:
@@ -101,7 +103,8 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
         if step > 1:
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
         motion, tau = m.motion.every(step), tau[::step].contiguous()
-        out.append(Segment(m.name, m.rate / step, band, motion, tau, m.own_velocity))
+        stamp = float(m.t[0])
+        out.append(Segment(m.name, m.rate / step, band, motion, tau, m.own_velocity, stamp))
     return out
 
 

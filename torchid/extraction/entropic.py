@@ -26,7 +26,7 @@ from torchid.design.bodies import INSIDE, usual_bodies
 from torchid.feasibility.plausibility import DENSITIES
 from torchid.robot.inertia import InertialParameters, pseudo_inertia_basis
 from torchid.robot.model import Robot
-from torchid.robot.shapes import joint_points, link_lengths, link_shapes
+from torchid.robot.shapes import joint_points, link_lengths, link_shapes, typical_bodies
 from torchid.typing import Bool, Float, Tensor
 
 SPENT = 0.02
@@ -41,9 +41,6 @@ SPREAD = 5.0
 NEAR = 0.05
 """How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
 [m]."""
-
-PER_METRE = 10.0
-"""Mass of links of which nothing is known [kg/m]."""
 
 _WALL = 1e-3
 """w: how much of the metric keeps bodies, masses and centres off their limits."""
@@ -60,6 +57,10 @@ _FLAT = 1e-6
 
 _PATH = 10.0 ** torch.arange(2.0, -6.25, -0.5, dtype=torch.float64)
 _STEPS = 80
+_STUCK = 1e-4
+_FURTHER = (1e4, 1e3, 1e2, 10.0, 1.0)
+"""How many times as strong the walls are, one after the other, where Newton steps are stuck at
+one."""
 _SETTLED = 1e-9
 
 
@@ -113,26 +114,13 @@ def room_of(robot: Robot) -> Room:
     link's shape, or of the nominal one where no shape is known.
 
     Of nominal links that are no bodies the nearest bodies are taken. A robot without parameters has
-    links of `PER_METRE` about the middle between their joints, and their centres are asked to be
-    within a link's length of its joints.
+    `typical_bodies`, and their centres are asked to be within a link's length of its joints.
 
     Raises:
         RobotError: the file of the shapes is no longer what the robot was read from.
     """
     ends, length = joint_points(robot), link_lengths(robot)
-    if robot.parameters is None:
-        spread = (length / 4) ** 2 * PER_METRE * length
-        zero = torch.zeros_like(spread)
-        inertia = torch.stack([2 * spread, zero, zero, 2 * spread, zero, 2 * spread], 1)
-        pi = InertialParameters.from_com(PER_METRE * length, ends.mean(1), inertia).pi
-    else:
-        pi = robot.parameters.pi.double()
-    # What is negative of a pseudo-inertia is cut off.
-    small = usual_bodies(pi)
-    values, vectors = torch.linalg.eigh(InertialParameters(pi).pseudo_inertia)
-    cut = (vectors * values.clamp(min=0).unsqueeze(-2)) @ vectors.mT
-    basis = pseudo_inertia_basis().flatten(1)
-    body = torch.where(values[:, :1] < 0, cut.flatten(1) @ torch.linalg.pinv(basis), pi)
+    body, small = expected_bodies(robot)
     # A link to which its file gives no mass may have that of a small body.
     has = body[:, 0] > small[:, 0] / BELIEVABLE
     mass = torch.where(has, body[:, 0], small[:, 0])
@@ -151,19 +139,69 @@ def room_of(robot: Robot) -> Room:
         corners = shapes.boxes + torch.tensor([-NEAR, NEAR])
         below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR), below)
         above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR), above)
-    # Every row in its own size, so that all of them count alike.
-    one = torch.eye(10, dtype=torch.float64).expand(len(pi), 10, 10)
-    m, moment, unit = one[:, :1], one[:, 1:4], mass[:, None, None]
-    width = unit * (above - below).unsqueeze(-1)
-    rows = [
-        m / unit,
-        -m / unit,
-        (moment - below.unsqueeze(-1) * m) / width,
-        (above.unsqueeze(-1) * m - moment) / width,
-    ]
-    offset = torch.zeros(len(pi), 8, dtype=torch.float64)
-    offset[:, 0], offset[:, 1] = -low / mass, high / mass
     least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
+    return _room(body, small, least, mass, torch.stack([low, high], 1), below, above)
+
+
+def room_within(robot: Robot, mass: Float[Tensor, "n 2"], com: Float[Tensor, "n 3 2"]) -> Room:
+    """Bodies within bounds of the masses [kg] and boxes of the centres of mass [m], and nothing
+    else; nominal bodies, or typical ones, that lie outside are moved inside.
+
+    Raises:
+        RobotError: the file of the shapes is no longer what the robot was read from.
+    """
+    body, small = expected_bodies(robot)
+    body = torch.where(body[:, :1] > small[:, :1], body, small)
+    own = InertialParameters(body)
+    low, high = com.double().unbind(-1)
+    least, most = mass.double().clamp(min=0.0).unbind(-1)
+
+    def moved(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
+        margin = 0.01 * (high - low)
+        there = (low < value) & (value < high)
+        return torch.where(there, value, value.clamp(low + margin, high - margin))
+
+    heavy = moved(own.mass, least, most)
+    inertia = (heavy / own.mass).unsqueeze(1) * own.inertia_about_com
+    inside = InertialParameters.from_com(heavy, moved(own.com, low, high), inertia)
+    limits, small = torch.stack([least, most], 1), usual_bodies(inside.pi)
+    return _room(inside.pi, small, INSIDE * small, inside.mass, limits, low, high)
+
+
+def expected_bodies(robot: Robot) -> tuple[Float[Tensor, "n 10"], Float[Tensor, "n 10"]]:
+    """The links' nominal parameters, with what is negative of a pseudo-inertia cut off, or
+    `typical_bodies` of a robot without; and of each a small body of its size."""
+    own = robot.parameters
+    pi = typical_bodies(robot).pi if own is None else own.pi.double()
+    values, vectors = torch.linalg.eigh(InertialParameters(pi).pseudo_inertia)
+    cut = (vectors * values.clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    basis = pseudo_inertia_basis().flatten(1)
+    body = torch.where(values[:, :1] < 0, cut.flatten(1) @ torch.linalg.pinv(basis), pi)
+    return body, usual_bodies(pi)
+
+
+def _room(
+    body: Tensor,
+    small: Tensor,
+    least: Tensor,
+    unit: Tensor,
+    mass: Tensor,
+    low: Tensor,
+    high: Tensor,
+) -> Room:
+    """Rows of limits of the mass (n, 2) and of the centre of mass (n, 3), every row in the size of
+    the unit mass (n,), so that all of them count alike."""
+    one = torch.eye(10, dtype=torch.float64).expand(len(body), 10, 10)
+    m, moment, size = one[:, :1], one[:, 1:4], unit[:, None, None]
+    width = size * (high - low).unsqueeze(-1)
+    rows = [
+        m / size,
+        -m / size,
+        (moment - low.unsqueeze(-1) * m) / width,
+        (high.unsqueeze(-1) * m - moment) / width,
+    ]
+    offset = torch.zeros(len(body), 8, dtype=torch.float64)
+    offset[:, 0], offset[:, 1] = -mass[:, 0] / unit, mass[:, 1] / unit
     return Room(body, small, least, torch.cat(rows, 1), offset)
 
 
@@ -246,7 +284,8 @@ def response(
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """The function that is minimised, and where its minimum is looked for from."""
+    """The function that is minimised, with walls so many times as strong, and where its minimum is
+    looked for from."""
 
     torque: Quadratic
     room: Room
@@ -254,6 +293,7 @@ class _Question:
     near: Float[Tensor, "n 10 4 4"]
     start: Float[Tensor, " K"]
     sizes: Float[Tensor, " E"]
+    walls: float = 1.0
 
     @staticmethod
     def of(torque: Quadratic, room: Room) -> "_Question":
@@ -276,9 +316,21 @@ class _Question:
         return max(self.torque.error(x) ** 2, EXACT * self.torque.square, 1e-300)
 
     def minimum(self, x: Float[Tensor, " K"], strength: float) -> Float[Tensor, " K"]:
-        """Newton steps from inside, as long as they lead anywhere."""
-        value = self.value(x, strength)
-        for _ in range(_STEPS):
+        """Where Newton steps from inside lead; beside walls that hold from afar first, where they
+        get nowhere near the last ones."""
+        there, settled = self._descent(x, strength)
+        if settled:
+            return there
+        for further in _FURTHER:
+            there, _ = replace(self, walls=further)._descent(there, strength)
+        return there
+
+    def _descent(self, x: Float[Tensor, " K"], strength: float) -> tuple[Float[Tensor, " K"], bool]:
+        """Newton steps from inside, as long as they lead anywhere, and whether they came to an end,
+        or nearly: the second half of them gained nothing to speak of."""
+        value = half = self.value(x, strength)
+        for k in range(_STEPS):
+            half = value if k == _STEPS // 2 else half
             gradient, hessian = self.slopes(x, strength)
             # Every unknown in its own unit, so that rounding does not decide.
             size = hessian.diagonal().clamp(min=1e-300).rsqrt()
@@ -287,7 +339,7 @@ class _Question:
             step = -size * torch.linalg.solve(scaled, size * gradient)
             fall = float(gradient @ step)
             if -fall < _SETTLED * max(1.0, abs(value)):
-                break
+                return x, True
             share = 1.0
             while share > 1e-8:
                 there = self.value(x + share * step, strength)
@@ -295,9 +347,9 @@ class _Question:
                     break
                 share /= 2
             else:
-                break
+                return x, True
             x, value = x + share * step, there
-        return x
+        return x, half - value < _STUCK * abs(value)
 
     def value(self, x: Float[Tensor, " K"], strength: float) -> float:
         """The function; infinite outside."""
@@ -316,7 +368,7 @@ class _Question:
         metric = near.diagonal(dim1=-2, dim2=-1).sum() - logs[0]
         walls = logs[1] + inside.log().sum()
         total = self.torque.error(x) ** 2 / (2 * self.unit) + strength * metric
-        total = total - (_WALL * strength + _FLAT) * walls
+        total = total - self.walls * (_WALL * strength + _FLAT) * walls
         return float(total - _SIGN * signs.log().sum())
 
     def _parts(self, pi: Float[Tensor, "n 10"]) -> tuple[Tensor, Tensor, Tensor]:
@@ -334,7 +386,7 @@ class _Question:
         n = len(self.room.nominal)
         pi, c = x[: 10 * n].view(n, 10), x[10 * n :]
         own, near, inside = self._parts(pi)
-        wall = _WALL + _FLAT / strength
+        wall = self.walls * (_WALL + _FLAT / strength)
         gradient = (self.torque.h @ x - self.torque.b) / self.unit
         hessian = self.torque.h / self.unit
         of_links = torch.einsum("naii->na", self.near).clone()

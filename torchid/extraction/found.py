@@ -166,7 +166,8 @@ def best_set(
 
 
 def at_bounds(found: Found) -> list[str]:
-    """Parameters of the best set that lie on their bounds, e.g. m3 (upper)."""
+    """Parameters of the best set that lie on their bounds, e.g. m3 (upper). That masses and moments
+    of inertia are not below 0 is physics, and no bound."""
     problem = found.problem
     n = problem.n
     names = [f"m{i + 1}" for i in range(n)]
@@ -176,7 +177,11 @@ def at_bounds(found: Found) -> list[str]:
     own = problem.search_vector(found.sets)[found.best]
     low, high = problem.box.unbind(-1)
     near = _ON_A_BOUND * (high - low)
-    lower, upper = (own - low < near).tolist(), (high - own < near).tolist()
+    physics = torch.zeros_like(low, dtype=torch.bool)
+    physics[:n] = True
+    physics[4 * n : 10 * n].view(n, 6)[:, [0, 3, 5]] = True
+    physics &= low <= 0
+    lower, upper = ((own - low < near) & ~physics).tolist(), (high - own < near).tolist()
     return [
         f"{name} ({'lower' if below else 'upper'})"
         for name, below, above in zip(names, lower, upper, strict=True)

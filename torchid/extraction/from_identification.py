@@ -11,7 +11,7 @@ from torchid.extraction.problem import (
 )
 from torchid.feasibility.bounds import bounds_groups, read_bounds
 from torchid.feasibility.conditions import conditions, physics_only
-from torchid.feasibility.derived_bounds import NAME, bounds_notes, named_bounds
+from torchid.feasibility.derived_bounds import NAME, NONE, WIDE, bounds_notes, named_bounds
 from torchid.identification.result import Identification
 from torchid.identification.values import BaseValues, identified_base, plain_effects
 from torchid.robot.model import Robot
@@ -25,20 +25,23 @@ def problem_of(
     geometry: str | None = None,
     shapes: bool = False,
     total_mass: tuple[float, float] | None = None,
-    loss: LossName = "two-step",
+    loss: LossName | None = None,
 ) -> tuple[Problem, tuple[str, ...]]:
     """The problem whose solutions are physical parameters of the identified torque, and notes on
     it for a person.
 
     Args:
-        robot: that was identified, with nominal parameters or bounds.
+        robot: that was identified.
         result: its identification, or base parameters as `nominal_base` and `read_base` give.
-        bounds: group of the robot's yaml, or `from-robot`; normal if there is one.
+        bounds: group of the robot's yaml, or derived ones: `from-robot`, of its nominal parameters;
+            `wide`, of the size of its links; `none`, any body. If None: normal where there is one,
+            else from-robot, and wide of a robot without parameters.
         geometry: group whose boxes of the centres of mass are conditions, or `none`; normal if
             there is one, else those of the bounds.
         shapes: centres of mass must also lie inside the links' shapes.
         total_mass: interval of the arm's mass [kg].
-        loss: distance to the coefficients (2.28), or to the log's torques (2.29).
+        loss: distance to the coefficients (2.28), or to the log's torques (2.29). If None: one-step
+            within wide or none, where the identification is of a log, else two-step.
 
     Raises:
         TorchidError: a group that is not there, a one-step loss without a log, or nothing
@@ -54,12 +57,22 @@ def problem_of(
     found = identified_base(result) if isinstance(result, Identification) else result
     effects = plain_effects(found.effects, "an extraction")
     has_normal = "normal" in bounds_groups(robot)
-    group = bounds or ("normal" if has_normal else NAME)
+    derived = WIDE if robot.parameters is None else NAME
+    group = bounds or ("normal" if has_normal else derived)
     limits = named_bounds(robot, group)
     notes = list(bounds_notes(robot, limits)) if group == NAME else []
+    if bounds is None and group == WIDE:
+        notes.append(
+            f"'{robot.name}' has neither bounds nor inertial parameters: bodies are sought within "
+            'what links of its size can be (`bounds="wide"`)'
+        )
     limits, added = with_coefficient_bounds(limits, found.base, effects, found.values)
     if added:
         notes.append(f"bounds of {', '.join(added)}: within twice the identified sizes")
+    if loss is None:
+        # Coefficients count alike whatever their torque, which bounds of known bodies alone allow.
+        loose = group in (WIDE, NONE) and found.factor is not None
+        loss = "one-step" if loose else "two-step"
     if loss == "two-step":
         target = two_step(found.base, effects, found.values, found.known)
     elif found.factor is None:

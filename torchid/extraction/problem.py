@@ -46,6 +46,8 @@ class Target:
         values: (B,) identified coefficients.
         weight, offset: (R, B), (R,) of the loss || weight pi_R - offset ||^2.
         loss: name of the loss.
+        left: norm of the log's torque that no coefficients explain, in units of the loss; 0 for a
+            loss without a log.
     """
 
     base: BaseParameters
@@ -54,6 +56,7 @@ class Target:
     weight: Float[Tensor, "R B"]
     offset: Float[Tensor, " R"]
     loss: LossName
+    left: float = 0.0
 
     @cached_property
     def matrix(self) -> Float[Tensor, "R P"]:
@@ -115,7 +118,8 @@ def one_step(
             got=f"{tuple(factor.shape)}, {int((~torch.isfinite(factor)).sum())} not finite",
             expected=f"({size}, {size}) finite numbers",
         )
-    return Target(base, tuple(effects), values, factor[:-1, :-1], factor[:-1, -1], "one-step")
+    weight, left = factor[:-1, :-1], abs(float(factor[-1, -1]))
+    return Target(base, tuple(effects), values, weight, factor[:-1, -1], "one-step", left)
 
 
 def _check(base: BaseParameters, values: Tensor) -> None:

@@ -76,8 +76,9 @@ def read_bounds(robot: Robot, group: str) -> Bounds:
     if group not in bounds_groups(robot):
         raise RobotError(
             f"robot '{robot.name}' has no bounds '{group}'.",
-            available=bounds_groups(robot) or ["(none)"],
-            hint='`bounds="from-robot"` derives them from its parameters and shapes',
+            available=[*bounds_groups(robot), "from-robot", "wide", "none"],
+            hint='`bounds="from-robot"` derives them from its parameters and shapes, '
+            '`bounds="wide"` from the size of its links',
         )
     data = robot.bounds[group]
     where = f"robot '{robot.name}': bounds {group}"

@@ -1,6 +1,8 @@
-"""Bounds of the physical parameters from a robot's own description (`--bounds from-robot`).
+"""Bounds of the physical parameters from a robot's own description: from its nominal parameters
+(`--bounds from-robot`), or, where it has none, from the size of its links (`wide`, `none`).
 
-For link i with nominal mass m, centre of mass c and a box B of what it is made of:
+Of nominal parameters, for link i with nominal mass m, centre of mass c and a box B of what it is
+made of:
 
 - mass: m (1 -+ mass_percent / 100);
 - centre of mass: the box of the link's shapes where there is one, else c -+ com_margin;
@@ -14,6 +16,17 @@ For link i with nominal mass m, centre of mass c and a box B of what it is made 
   com_margin around;
 - coefficients of the robot's effects: 0 to 10 times the nominal, both signs where physics allows
   both.
+
+Without nominal parameters masses are above 0, B is what the link's matter can be in, the centre of
+mass is in B, and inertias are as above:
+
+- `wide`: mass up to 20 times that of a typical body (`typical_bodies`), and of nothing denser than
+  the densest material; B is the box of the link's shapes with 5 cm around it, or the link's joints
+  with its length around them;
+- `none`: any body, up to a size that no link has, since searches and proofs need some: mass up to
+  10 times that of a whole typical arm of this length; B reaches as far as the arm on all sides.
+
+Both have no bounds for coefficients of effects.
 """
 
 from collections.abc import Mapping
@@ -23,14 +36,26 @@ import torch
 from torchid.effects.base import Coefficient
 from torchid.effects.registry import nominal_columns
 from torchid.errors import RobotError, TorchidError
-from torchid.feasibility.bounds import Bounds, read_bounds
+from torchid.feasibility.bounds import Bounds, bounds_groups, read_bounds
+from torchid.feasibility.plausibility import LEAD
 from torchid.feasibility.sets import nominal_set
 from torchid.robot.model import Robot
-from torchid.robot.shapes import LinkShapes, joint_points, link_lengths, link_shapes
+from torchid.robot.shapes import (
+    LinkShapes,
+    joint_points,
+    link_lengths,
+    link_shapes,
+    reach,
+    typical_bodies,
+)
 from torchid.typing import Float, Tensor
 
 NAME = "from-robot"
 """Name of derived bounds, where groups of a robot's yaml have theirs."""
+WIDE, NONE = "wide", "none"
+"""Names of bounds that need no nominal parameters."""
+WIDE_MASS, WIDE_MARGIN = 20.0, 0.05
+NONE_MASS = 10.0
 MASS_PERCENT = 30.0
 COEFFICIENT_FACTOR = 10.0
 MARGIN_OF_LENGTH = 0.5
@@ -40,12 +65,45 @@ _THINNEST = 1e-3
 
 
 def named_bounds(robot: Robot, name: str) -> Bounds:
-    """A group of bounds of the robot's yaml, or under the name `from-robot` the derived ones.
+    """A group of bounds of the robot's yaml, or derived ones: `from-robot`, `wide` or `none`. A
+    group of the yaml that has such a name is meant by it.
 
     Raises:
         RobotError: see `read_bounds` and `derive_bounds`.
     """
+    if name in (WIDE, NONE) and name not in bounds_groups(robot):
+        return open_bounds(robot, wide=name == WIDE)
     return derive_bounds(robot) if name == NAME else read_bounds(robot, name)
+
+
+def open_bounds(robot: Robot, *, wide: bool) -> Bounds:
+    """Bounds `wide` or `none` (see the module), which read no nominal parameters.
+
+    Raises:
+        RobotError: the file of the shapes is no longer what the robot was read from.
+
+    >>> from torchid import load_robot
+    >>> open_bounds(load_robot("panda"), wide=True).mass.max() < 80
+    tensor(True)
+    """
+    typical = typical_bodies(robot).mass
+    if wide:
+        length, ends = link_lengths(robot).view(-1, 1), joint_points(robot)
+        box = torch.stack([ends.amin(1) - length, ends.amax(1) + length], -1)
+        most, shapes = WIDE_MASS * typical, link_shapes(robot)
+        if shapes is not None:
+            known = torch.isfinite(shapes.boxes).all(-1).all(-1)
+            grown = shapes.boxes + torch.tensor([-WIDE_MARGIN, WIDE_MARGIN], dtype=torch.float64)
+            box = torch.where(known[:, None, None], grown, box)
+            dense = LEAD * shapes.volumes
+            most = torch.where(dense > typical, torch.minimum(most, dense), most)
+    else:
+        most = (NONE_MASS * typical.sum()).expand(robot.n)
+        far = reach(robot)
+        box = torch.tensor([-far, far], dtype=torch.float64).expand(robot.n, 3, 2)
+    masses = torch.stack([torch.zeros_like(most), most], -1)
+    inertia = inertia_bounds(most, box[..., 1] - box[..., 0])
+    return Bounds(WIDE if wide else NONE, masses, box, inertia, {})
 
 
 def derive_bounds(

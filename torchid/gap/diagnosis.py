@@ -60,6 +60,8 @@ class Trace:
         valid: (T,) instants that count (edges and gaps between blocks do not).
         moving: (T, n) instants at which each joint moves, and does not reverse where the noise is
             known: only those count for how far the gap closes. None: all.
+        stamp: of the first instant in the log itself [s]; the motion's time runs on from one
+            trajectory to the next.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Trace:
     after: Float[Tensor, "T n"]
     valid: Bool[Tensor, " T"]
     moving: Bool[Tensor, "T n"] | None = None
+    stamp: float = 0.0
 
     @property
     def counting(self) -> Bool[Tensor, "T n"]:

@@ -13,6 +13,7 @@ from torchid.report import gap_figures
 from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Picture
+from torchid.report.simulator_block import simulator_block
 from torchid.report.table import (
     Shown,
     Table,
@@ -290,6 +291,7 @@ def gap_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         pictures=_pictures(d),
         tables=numbers,
         notes=list(dict.fromkeys([*d.warnings, *d.floor.notes, *remarks(d)])),
+        block=simulator_block(d.corrected) if d.findings else "",
     )
 
 

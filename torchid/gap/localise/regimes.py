@@ -26,7 +26,7 @@ from torchid.gap.localise.resampling import (
 from torchid.log.filtering import low_passed
 from torchid.statistics.autocorrelation import CORRELATION_TIMES, correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 MOST_BLOCKS = 80
 """Of more, a block is so short that a single transient may look like a regime."""
@@ -232,6 +232,26 @@ def masks(pool: Pool) -> dict[str, Tensor]:
         "gravity_load": (load > FAST * pool.high("load"))
         & (acceleration < 0.5 * pool.high("ddq").clamp(min=STILL)),
     }
+
+
+def regime_instants(traces: Sequence[Trace], band: float) -> list[dict[str, Bool[Tensor, "T n"]]]:
+    """Parts of the time of each trajectory (T, n), by regime, as `masks` has them; none at instants
+    that do not count."""
+    parts = [_signals(trace, band, 0.0) for trace in traces]
+    rows = {name: torch.cat([p[name] for p in parts]).unsqueeze(0) for name in parts[0]}
+    inside = masks(Pool(rate=0.0, correlation=0.0, **rows))
+    lengths, out = [len(p["t"]) for p in parts], []
+    pieces = {name: mask[0].split(lengths) for name, mask in inside.items()}
+    for k, trace in enumerate(traces):
+        step = _step(trace.rate, band)
+        own = {}
+        for name, mask in pieces.items():
+            kept = torch.zeros(len(trace.valid[::step]), mask[k].shape[1], dtype=torch.bool)
+            kept[trace.valid[::step].cpu()] = mask[k]
+            # Each instant that was kept stands for those until the next.
+            own[name] = kept.repeat_interleave(step, 0)[: len(trace.valid)]
+        out.append(own)
+    return out
 
 
 def masked_look(pool: Pool, mask: Tensor, draws: Draws) -> Look:

@@ -136,6 +136,7 @@ def traces(
                 torques[1],
                 valid,
                 moving_instants(segment, reach),
+                segment.stamp,
             )
         )
     return out

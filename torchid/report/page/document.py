@@ -93,6 +93,7 @@ class Page:
         pictures, findings, tables: the figures, what they say, and the numbers.
         notes: what to bear in mind, one sentence each.
         sortable: whether its tables can be sorted by a click.
+        block: text to copy.
     """
 
     title: str
@@ -104,6 +105,7 @@ class Page:
     notes: Sequence[str]
     findings: Sequence[str] = ()
     sortable: bool = False
+    block: str = ""
 
 
 def require_templates() -> None:

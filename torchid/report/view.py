@@ -1,0 +1,284 @@
+"""A diagnosis over time for a viewer: MCAP for Foxglove and PlotJuggler, RRD for Rerun.
+
+For every trajectory and joint, on the log's own time and in the band of the report:
+
+    measured = predicted + sum of effects + residual
+
+`predicted` is the torque of the model as given and `residual` what is left beside the corrected
+one. The effects are all that the correction adds: each effect by its name, `parameters` for changed
+inertial parameters, and `refit`, by how much the models that are judged here, fitted without this
+stretch of the log, differ from the answered one.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchid.design.columns import SMOOTHED, Model
+from torchid.effects.base import Effect, Motion
+from torchid.effects.registry import EVENTS, Valued
+from torchid.errors import MissingExtraError, TorchidError
+from torchid.files import atomic_write
+from torchid.gap.diagnosis import Diagnosis, Trace
+from torchid.gap.localise.regimes import regime_instants
+from torchid.log.filtering import low_passed
+from torchid.report.table import joint_unit
+from torchid.typing import Bool, Float, Tensor
+
+SUFFIXES = (".mcap", ".rrd")
+CLEAR = 0.05
+"""p below which a regime is shown."""
+PER_PERIOD = 10.0
+"""Instants kept a period of the band's edge: the signals have nothing faster."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointView:
+    """One joint along one trajectory, torques [N m; N].
+
+    Attributes:
+        trajectory, joint, unit: names, and the torque's unit.
+        t: (T,) the log's time [s]; instants at the filter's ends are left out.
+        q, dq: (T,) [rad, rad/s; m, m/s].
+        measured, predicted, residual: (T,) of the arm, of the model as given, left by the corrected
+            one.
+        effects: (T,) what the correction adds, by name.
+        regimes: (T,) where regimes are that hold more of the gap than their share of time.
+    """
+
+    trajectory: str
+    joint: str
+    unit: str
+    t: Float[Tensor, " T"]
+    q: Float[Tensor, " T"]
+    dq: Float[Tensor, " T"]
+    measured: Float[Tensor, " T"]
+    predicted: Float[Tensor, " T"]
+    residual: Float[Tensor, " T"]
+    effects: Mapping[str, Float[Tensor, " T"]]
+    regimes: Mapping[str, Bool[Tensor, " T"]]
+
+
+def viewed(diagnosis: Diagnosis) -> tuple[JointView, ...]:
+    """Every trajectory's joints over time.
+
+    Args:
+        diagnosis: in memory; one read back has no torque over time.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
+    >>> log = torchid.simulate(robot, motion, effects=[friction])
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> joint = viewed(torchid.diagnose(robot, log, settings=settings))[1]
+    >>> total = joint.predicted + sum(joint.effects.values()) + joint.residual
+    >>> torch.allclose(total, joint.measured), "viscous_friction" in joint.effects
+    (True, True)
+    """
+    robot, out = diagnosis.robot, []
+    spans = regime_instants(diagnosis.traces, diagnosis.band)
+    for trace, places in zip(diagnosis.traces, spans, strict=True):
+        effects = _effects(diagnosis, trace)
+        kept = torch.zeros_like(trace.valid)
+        kept[:: max(1, int(trace.rate / (PER_PERIOD * diagnosis.band)))] = True
+        kept &= trace.valid
+        motion = trace.motion
+        since = torch.arange(len(kept), dtype=torch.float64) / trace.rate
+        for j, name in enumerate(robot.joint_names):
+            at = (kept, j)
+            clear = [r for r in diagnosis.regimes if r.joint == j and r.p < CLEAR and r.excess > 0]
+            regimes: dict[str, Tensor] = {
+                r.regime: places[r.regime][at] for r in clear if r.regime in places
+            }
+            for r in clear:
+                if r.times:  # windows of a transient, by the name of their trajectory
+                    inside = torch.zeros_like(kept)
+                    for window in r.times:
+                        if window.trajectory == trace.name:
+                            inside |= (since >= window.from_s) & (since <= window.to_s)
+                    regimes[r.regime] = inside[kept]
+            out.append(
+                JointView(
+                    trajectory=trace.name,
+                    joint=name,
+                    unit=joint_unit(robot, j),
+                    t=trace.stamp + since[kept],
+                    q=motion.q[at],
+                    dq=motion.dq[at],
+                    measured=trace.measured[at],
+                    predicted=trace.before[at],
+                    residual=(trace.measured - trace.after)[at],
+                    effects={k: x[at] for k, x in effects.items() if bool(x[:, j].any())},
+                    regimes=regimes,
+                )
+            )
+    return tuple(out)
+
+
+def _effects(diagnosis: Diagnosis, trace: Trace) -> dict[str, Float[Tensor, "T n"]]:
+    """What the correction adds to the model as given along a trajectory, by name."""
+    motion, given = trace.motion, Model.of(diagnosis.robot)
+    events = tuple(f.valued for f in diagnosis.findings if f.effect.name in EVENTS)
+    answered = Model.of(diagnosis.corrected)
+    answered = Model(answered.robot, (*answered.effects, *events))
+    added: dict[str, Tensor] = {}
+    for model, sign in ((answered, 1.0), (given, -1.0)):
+        loaded = motion._replace(torque=model.load(motion))
+        for effect, values in model.effects:
+            torque = sign * _torque(diagnosis, trace, model, (effect, values), loaded)
+            added[effect.name] = added.get(effect.name, torch.zeros_like(torque)) + torque
+    rigid = Model(answered.robot, ()).load(motion) - Model(given.robot, ()).load(
+        motion
+    )  # of changed parameters
+    added["parameters"] = rigid
+    added = {k: low_passed(x.T, trace.rate, diagnosis.band).T for k, x in added.items()}
+    total = torch.stack(list(added.values())).sum(0)
+    return {**added, "refit": trace.after - trace.before - total}
+
+
+def _torque(
+    diagnosis: Diagnosis, trace: Trace, model: Model, valued: Valued, motion: Motion
+) -> Float[Tensor, "T n"]:
+    """Torque of one effect in the model, as `Model.torque` has it."""
+    effect: Effect = valued[0]
+
+    def low(x: Tensor) -> Tensor:
+        return low_passed(x.T, trace.rate, diagnosis.cutoff).T.contiguous()
+
+    if effect.smooth:
+        motion = motion._replace(**{k: low(getattr(motion, k)) for k in SMOOTHED})
+    torque = effect.all_torques(motion, valued[1], model.robot)
+    return low(torque) if effect.blurred else torque
+
+
+def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
+    """Write a diagnosis over time for a viewer.
+
+    MCAP has one topic a trajectory and joint, /trajectory/joint, of JSON messages with a schema:
+    numbers, the effects' torques under `effects`, regimes as true or false under `regimes`. Times
+    are the log's; where one is below zero, all start from zero. RRD has the same under
+    trajectory/joint, on the timeline `log_time`.
+
+    Args:
+        diagnosis: in memory; one read back has no torque over time.
+        path: .mcap (Foxglove, PlotJuggler) or .rrd (Rerun).
+
+    Raises:
+        TorchidError: another suffix, or the file cannot be written.
+        MissingExtraError: without the package mcap (extra `view`), or rerun-sdk (extra `rerun`).
+
+    >>> import tempfile, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> found = torchid.diagnose(robot, torchid.simulate(robot, motion), settings=settings)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_view(found, f"{folder}/gap.mcap")
+    """
+    path = Path(path)
+    require_viewer(path)
+    if path.suffix.lower() == ".mcap":
+        _write_mcap(viewed(diagnosis), path)
+    else:
+        _write_rrd(viewed(diagnosis), path)
+
+
+def require_viewer(path: Path) -> None:
+    """Whether such a file can be written.
+
+    Raises:
+        TorchidError: another suffix.
+        MissingExtraError: what writes it is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise TorchidError(
+            "a view is written for Foxglove and PlotJuggler, or for Rerun.",
+            got=path,
+            expected="FILE.mcap or FILE.rrd",
+        )
+    try:
+        if suffix == ".mcap":
+            import mcap.writer  # noqa: F401
+        else:
+            import rerun  # noqa: F401
+    except ImportError as error:
+        package, extra = ("mcap", "view") if suffix == ".mcap" else ("rerun-sdk", "rerun")
+        raise MissingExtraError(package, extra, f"writing '{path}'") from error
+
+
+def _topic(view: JointView) -> str:
+    """Names that a viewer's paths take without quotes."""
+    return "/".join(re.sub(r"\W+", "_", x).strip("_") for x in (view.trajectory, view.joint))
+
+
+def _signals(view: JointView) -> dict[str, Tensor]:
+    names = ("measured", "predicted", "residual", "q", "dq")
+    return {name: getattr(view, name) for name in names}
+
+
+def _schema(view: JointView) -> dict[str, Any]:
+    """JSON schema of a joint's messages."""
+
+    def an_object(**of: Any) -> dict[str, Any]:
+        return {"type": "object", "properties": of}
+
+    number, flag = {"type": "number"}, {"type": "boolean"}
+    torque = {"type": "number", "description": view.unit}
+    fields = {k: number if k in ("q", "dq") else torque for k in _signals(view)}
+    effects = an_object(**dict.fromkeys(view.effects, torque))
+    regimes = an_object(**dict.fromkeys(view.regimes, flag))
+    return {"title": "torchid.gap.Joint", **an_object(**fields, effects=effects, regimes=regimes)}
+
+
+def _write_mcap(views: tuple[JointView, ...], path: Path) -> None:
+    from mcap.writer import CompressionType, Writer
+
+    start = min([0.0, *(float(v.t.min()) for v in views if len(v.t))])
+    with atomic_write(path, "wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="torchid")
+        for view in views:
+            schema = writer.register_schema(
+                "torchid.gap.Joint", "jsonschema", json.dumps(_schema(view)).encode()
+            )
+            channel = writer.register_channel(f"/{_topic(view)}", "json", schema)
+            columns = {k: x.tolist() for k, x in _signals(view).items()}
+            effects = {k: x.tolist() for k, x in view.effects.items()}
+            regimes = {k: x.tolist() for k, x in view.regimes.items()}
+            for k, t in enumerate(view.t.tolist()):
+                message = {name: x[k] for name, x in columns.items()}
+                message["effects"] = {name: x[k] for name, x in effects.items()}
+                message["regimes"] = {name: x[k] for name, x in regimes.items()}
+                stamp = round(1e9 * (t - start))
+                writer.add_message(
+                    channel, stamp, json.dumps(message).encode(), publish_time=stamp, sequence=k
+                )
+        writer.finish()
+
+
+def _write_rrd(views: tuple[JointView, ...], path: Path) -> None:
+    import rerun
+
+    with atomic_write(path, "wb") as stream:
+        recording = rerun.RecordingStream("torchid_gap")
+        stored = recording.memory_recording()
+        for view in views:
+            time = rerun.TimeColumn("log_time", duration=view.t.numpy())
+            every = {
+                **_signals(view),
+                **{f"effects/{k}": x for k, x in view.effects.items()},
+                **{f"regimes/{k}": x.double() for k, x in view.regimes.items()},
+            }
+            for name, x in every.items():
+                recording.send_columns(
+                    f"{_topic(view)}/{name}", [time], rerun.Scalars.columns(scalars=x.numpy())
+                )
+        recording.flush()
+        stream.write(stored.drain_as_bytes())
