@@ -7,7 +7,7 @@ import typer
 
 from torchid.app import options as opt
 from torchid.app.correct import corrected_by, say_corrected
-from torchid.app.output import Computed
+from torchid.app.output import Computed, Output
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -17,7 +17,7 @@ from torchid.gap.settings import GapSettings
 def export_command(
     *,
     result: Annotated[str, typer.Argument(metavar="RESULT")],
-    to: Literal["urdf", "mjcf", "yaml", "csv", "c"],
+    to: Literal["urdf", "mjcf", "yaml", "csv", "c"] | None = None,
     robot: opt.RobotOption = None,
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
@@ -25,6 +25,9 @@ def export_command(
     geometry: opt.Group = None,
     log: opt.LogFiles = None,
     held_out: opt.LogFiles = None,
+    randomise: Annotated[float | None, typer.Option(metavar="LEVEL")] = None,
+    spread: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
+    draws: opt.Count = 256,
     reading: opt.Reading,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
@@ -41,7 +44,7 @@ def export_command(
     Args:
         result: JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, the .yaml
             of `torchid gap --save-model`, or any robot.
-        to: Format to write.
+        to: Format to write; not with --randomise.
         robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
             records.
         chosen: Set of a file of several; the feasible one of least loss.
@@ -51,9 +54,24 @@ def export_command(
             run it in its engine on them (urdf and mjcf, see `torchid correct`). May be given
             several times.
         held_out: Whole trajectories that judge what was refitted.
+        randomise: In the place of a file: how wide to randomise the simulator, by the JSON of
+            `torchid gap`. The ranges hold this share, e.g. 0.95, of what the log leaves open;
+            written for MuJoCo, mjlab and Isaac Lab, with draws that are all bodies.
+        spread: JSON of `torchid compare` or `torchid fleet identify`: how far sessions or units of
+            the type are apart, for --randomise. May be given several times.
+        draws: How many robots --randomise draws.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
 
+    if randomise is not None:
+        if to is not None:
+            raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
+        say_randomised(output, result, robot, tip, randomise, spread or [], draws, seed, name)
+        return
+    if to is None:
+        raise TorchidError(
+            "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
+        )
     from torchid.export.export import export_dynamics
     from torchid.export.projection import Target
     from torchid.export.results import (
@@ -123,3 +141,32 @@ def export_command(
     output.say(comparison_table(done), *effect_lines(done))
     output.warn(done.warnings)
     output.say(f"\nwritten: {export_headline(done)}")
+
+
+def say_randomised(
+    output: Output,
+    result: str,
+    robot: str | None,
+    tip: str | None,
+    level: float,
+    spread: list[Path],
+    draws: int,
+    seed: int,
+    name: str | None,
+) -> None:
+    """Draw robots of a diagnosis, write and tell their ranges."""
+    from torchid.export.randomise import randomise
+    from torchid.export.results import diagnosis
+    from torchid.report.randomisation import headline, tables
+    from torchid.robot.library import load_robot
+
+    given = None if robot is None else load_robot(robot, tip=tip)
+    done = randomise(
+        diagnosis(Path(result)), level, robot=given, spread=spread, draws=draws, seed=seed
+    )
+    files = [str(file) for file in done.write(output.out or Path(), name)]
+    output.write_json({**done.plain(), "files": files, "seed": seed}, "randomisation.json")
+    output.verdict(headline(done))
+    output.say(*tables(done))
+    output.warn(done.warnings)
+    output.say(f"\nwritten: {', '.join(files)}")
