@@ -640,7 +640,7 @@ def _bands(found: GapRecord, level: float) -> tuple[ResidualBand, ...]:
     return tuple(out)
 
 
-def plain_draws(done: Randomisation) -> dict[str, np.ndarray[Any, Any]]:
+def plain_draws(done: Randomisation) -> dict[str, Any]:
     """The arrays of draws.npz; see `torchid.export.write_randomised`."""
     bodies = InertialParameters(done.draws.pi)
     fields, beside = _values(done.draws, done.robot)
