@@ -8,7 +8,8 @@ normal points (Sobol, scipy) make a few hundred draws tell the ends of a range.
 Bodies: torque knows base parameters only. Each draw's change of them is carried by the smallest
 relative change of the bodies (the entropic metric's second derivative at the centre, see
 torchid.extraction.entropic), and draws that no body has are drawn anew: the distribution is the one
-that the log leaves, given that the arm exists.
+that the log leaves, given that the arm exists. Where hardly any draw is a body, each has the bodies
+that are nearest in torque and to the robot as given.
 """
 
 import math
@@ -33,7 +34,7 @@ from torchid.errors import TorchidError
 from torchid.export.dynamics import records, states
 from torchid.export.projection import PRICE
 from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
-from torchid.extraction.entropic import Quadratic, nearest_bodies, room_of
+from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
 from torchid.gap.record import GapRecord, JointFit
 from torchid.identification.base_parameters import Basis, base_parameters
 from torchid.results.files import read
@@ -92,14 +93,14 @@ class Draws:
         which: (D,) number of the explanation that each is of.
         pi: (D, n, 10) bodies, all of them feasible.
         effects: per draw, with coefficients drawn and physical signs.
-        pulled: how many were moved towards the centre because no body was found near them.
-        anew: share of the points that no body has.
+        nearest: how many draws belong to no body and have the nearest one; then none is drawn anew.
+        anew: share of the points that no body has, and that were drawn anew.
     """
 
     which: Int[Tensor, " D"]
     pi: Float[Tensor, "D n 10"]
     effects: tuple[tuple[Valued, ...], ...]
-    pulled: int
+    nearest: int
     anew: float
 
 
@@ -301,14 +302,14 @@ def _drawn(
         change = torch.zeros(len(steps[k]), n * PARAMETERS_PER_LINK, dtype=torch.float64)
         change.index_add_(1, part.at_body, steps[k][:, part.body])
         pi[chosen == k] = bodies.moved(k, change)
-    # The first that are bodies; where they are too few, others are moved towards the centre.
+    # The first that are bodies; where too few are, of all draws the nearest bodies.
     are = bodies.are(pi)
-    kept = are.nonzero().flatten()[:draws]
-    pulled = draws - len(kept)
-    if pulled:
-        rest = (~are).nonzero().flatten()[:pulled]
-        pi[rest] = bodies.pulled(pi[rest], chosen[rest])
-        kept = torch.cat([kept, rest]).sort().values
+    kept, nearest = are.nonzero().flatten()[:draws], 0
+    if len(kept) < draws:
+        kept = torch.arange(draws)
+        for d in (~are[:draws]).nonzero().flatten().tolist():
+            pi[d] = bodies.near.to(pi[d])
+            nearest += 1
     within = [torch.zeros(count, dtype=torch.long) for _ in parts]
     for k in range(len(parts)):
         within[k][chosen == k] = torch.arange(int((chosen == k).sum()))
@@ -317,15 +318,20 @@ def _drawn(
         for d, k in zip(kept.tolist(), chosen[kept].tolist(), strict=True)
     )
     used = int(kept.max()) + 1
-    every = Draws(chosen[kept], pi[kept], effects, pulled, 1 - float(are[:used].double().mean()))
+    anew = 0.0 if nearest else 1 - float(are[:used].double().mean())
+    every = Draws(chosen[kept], pi[kept], effects, nearest, anew)
     said = list(bodies.warnings)
     if every.anew > 0.05:
         said.append(
             f"{100 * every.anew:.0f} % of the points that the log allows are no bodies and were "
             "drawn anew: ranges of single fields hold mostly impossible robots, the draws do not"
         )
-    if pulled:
-        said.append(f"{pulled} draws were moved towards the centre until they were bodies")
+    if nearest:
+        said.append(
+            f"{nearest} of {draws} draws of base parameters belong to no body, and have the bodies "
+            "nearest in torque and to the robot as given: ranges of single fields hold mostly "
+            "impossible robots, the draws do not"
+        )
     robot = given.with_parameters(InertialParameters(bodies.centres[0]))
     return replace(robot, effects=records(parts[0].effects(None))), every, said
 
@@ -414,12 +420,14 @@ class _Bodies:
         spread: (E, 10 n, 10 n) takes a change of parameters to the smallest relative change of
             bodies with the same torque.
         least: (n, 10) that each body holds at least.
+        near: finds the bodies nearest to parameters that belong to none.
         warnings: sentences for the user.
     """
 
     centres: Float[Tensor, "E n 10"]
     spread: Float[Tensor, "E P P"]
     least: Float[Tensor, "n 10"]
+    near: "_Near"
     warnings: tuple[str, ...]
 
     @staticmethod
@@ -429,48 +437,32 @@ class _Bodies:
         base = base_parameters(given)
         grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
         grouping[:, order] = base.grouping
-        centres, spreads, said = [], [], list[str]()
+        near = _Near(given, found)
+        centres, spreads, said = list[Tensor](), list[Tensor](), list[str]()
         for pi in asked:
             centre = pi.view(n, PARAMETERS_PER_LINK)
             if not bool(_are_bodies(centre, INSIDE * usual_bodies(centre))):
-                centre, words = _near(given, found, centre)
+                centre = near.to(centre)
                 matrix = _carried(centre, grouping)
                 exact = centre + (matrix @ (pi - centre.flatten())).view_as(centre)
                 # Where the nearest bodies can have just this torque, they do.
                 if bool(_are_bodies(exact, INSIDE * usual_bodies(exact))):
                     centre = exact
-                elif words:
-                    said.append(words)
+                elif not centres:
+                    said += near.words(centre, pi.view_as(centre))
             centres.append(centre)
             spreads.append(_carried(centre, grouping))
-        return _Bodies(
-            torch.stack(centres),
-            torch.stack(spreads),
-            INSIDE * usual_bodies(centres[0]),
-            tuple(dict.fromkeys(said)),
-        )
+        least = INSIDE * usual_bodies(centres[0])
+        return _Bodies(torch.stack(centres), torch.stack(spreads), least, near, tuple(said))
 
     def moved(self, k: int, change: Float[Tensor, "D P"]) -> Float[Tensor, "D n 10"]:
         """Explanation k's bodies with the base parameters of these changes."""
-        return self.centres[k] + (change @ self.spread[k].T).view(
-            len(change), *self.centres[k].shape
-        )
+        step = (change @ self.spread[k].T).view(len(change), *self.centres[k].shape)
+        return self.centres[k] + step
 
     def are(self, pi: Float[Tensor, "D n 10"]) -> Bool[Tensor, " D"]:
         """Which draws are bodies."""
         return _are_bodies(pi, self.least)
-
-    def pulled(
-        self, pi: Float[Tensor, "D n 10"], which: Int[Tensor, " D"]
-    ) -> Float[Tensor, "D n 10"]:
-        """Draws as far from their centres as there are bodies: bodies are convex."""
-        centre = self.centres[which]
-        low, high = pi.new_zeros(len(pi)), pi.new_ones(len(pi))
-        for _ in range(30):
-            middle = (low + high) / 2
-            inside = self.are(centre + middle[:, None, None] * (pi - centre))
-            low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
-        return centre + low[:, None, None] * (pi - centre)
 
 
 def _are_bodies(pi: Float[Tensor, "*D n 10"], least: Float[Tensor, "n 10"]) -> Bool[Tensor, "*D"]:
@@ -490,33 +482,50 @@ def _carried(centre: Float[Tensor, "n 10"], grouping: Float[Tensor, "B P"]) -> F
     return back @ torch.linalg.pinv(grouping @ back, hermitian=True, rtol=1e-13) @ grouping
 
 
-def _near(
-    given: Robot, found: GapRecord, pi: Float[Tensor, "n 10"]
-) -> tuple[Float[Tensor, "n 10"], str]:
-    """Bodies near the nominal ones with nearly the torque of parameters that belong to none, joint
-    by joint in units of what is left of the log's torque, at random states."""
-    motion = states(given, 0)
-    left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
-    rows = torch.empty(len(motion.q), given.n, pi.numel(), dtype=torch.float64)
-    rows[..., paper_order(given.n)] = regressor(given, motion.q, motion.dq, motion.ddq)
-    rows = rows / left.unsqueeze(-1)
-    a = rows.flatten(0, 1)
-    y = a @ pi.flatten()
-    # What is left anyway is one on each row, beside which the bodies' part counts.
-    whole = float(y @ y) + len(a)
-    square = Quadratic(a.T @ a, a.T @ y, whole, torch.zeros(0, dtype=torch.bool))
-    room = room_of(given)
-    near = nearest_bodies(square, room, spent=NEARLY)
-    if near.error > (1 + PRICE) * len(a) ** 0.5:
-        near = nearest_bodies(square, room.bodies_alone, spent=NEARLY)
-    off = (rows @ (near.pi - pi).flatten()).square().mean(0).sqrt()
-    worst = int(off.argmax())
-    words = (
-        f"the corrected parameters belong to no body: the nearest bodies' torque is up to "
-        f"{float(off[worst] * left[worst]):.2g} off on joint {worst + 1} (RMS at random states), "
-        f"{100 * float(off[worst]):.0f} % of what is left there of the log's"
-    )
-    return near.pi, words if float(off[worst]) > PRICE else ""
+class _Near:
+    """Bodies near the robot as given with nearly the torque of parameters that belong to none,
+    joint by joint in units of what is left of the log's torque, at random states.
+
+    Args:
+        given: the robot.
+        found: the diagnosis that says what is left.
+    """
+
+    def __init__(self, given: Robot, found: GapRecord):
+        motion, n = states(given, 0), given.n
+        self.left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
+        rows = torch.empty(len(motion.q), n, PARAMETERS_PER_LINK * n, dtype=torch.float64)
+        rows[..., paper_order(n)] = regressor(given, motion.q, motion.dq, motion.ddq)
+        self.rows = rows / self.left.unsqueeze(-1)
+        self.matrix = self.rows.flatten(0, 1)
+        self.square = self.matrix.T @ self.matrix
+        self.room = room_of(given)
+        self.last: NearBodies | None = None
+
+    def to(self, pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
+        """The nearest bodies; the first answer is where the search for the others begins."""
+        y = self.matrix @ pi.flatten()
+        # What is left anyway is one on each row, beside which the bodies' part counts.
+        whole, none = float(y @ y) + len(y), torch.zeros(0, dtype=torch.bool)
+        asked = Quadratic(self.square, self.matrix.T @ y, whole, none)
+        if self.last is None:
+            self.last = nearest_bodies(asked, self.room, spent=NEARLY)
+            if self.last.error > (1 + PRICE) * len(y) ** 0.5:
+                self.room = self.room.bodies_alone
+                self.last = nearest_bodies(asked, self.room, spent=NEARLY)
+            return self.last.pi
+        return nearest_bodies(asked, self.room, near=self.last).pi
+
+    def words(self, bodies: Float[Tensor, "n 10"], pi: Float[Tensor, "n 10"]) -> list[str]:
+        """A sentence on how far the bodies' torque is from the parameters', if it is far."""
+        off = (self.rows @ (bodies - pi).flatten()).square().mean(0).sqrt()
+        worst = int(off.argmax())
+        size, share = float(off[worst] * self.left[worst]), 100 * float(off[worst])
+        return [
+            f"the corrected parameters belong to no body: the nearest bodies' torque is up to "
+            f"{size:.2g} off on joint {worst + 1} (RMS at random states), {share:.0f} % of what "
+            "is left there of the log's"
+        ] * int(off[worst] > PRICE)
 
 
 def _values(
