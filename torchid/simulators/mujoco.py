@@ -84,7 +84,12 @@ class Effects:
                 available=["Euler", "implicit", "implicitfast"],
             )
         self.simulations = tuple(simulations)
-        self._rows, self._places = self._joints(robot)
+        self._rows, self._places = (_in_one_piece(at) for at in self._joints(robot))
+        # Where MuJoCo keeps what is read and written at every step.
+        self._read = [(d.qpos, d.qvel, d.qacc) for _, d in self.simulations]
+        self._written = [
+            (m.dof_damping, m.dof_frictionloss, d.qfrc_applied) for m, d in self.simulations
+        ]
         pairs = nominal_effects(robot)
         late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
@@ -116,7 +121,7 @@ class Effects:
             armature[self._gears.joints] = 0.0
         self.restart()
         for model, _ in self.simulations:
-            model.jnt_stiffness[[int(model.dof_jntid[row]) for row in self._rows]] = 0.0
+            model.jnt_stiffness[model.dof_jntid[self._rows]] = 0.0
             model.dof_armature[self._rows] = armature.numpy()
             model.dof_solimp[self._rows, :3] = SHARP
 
@@ -153,10 +158,13 @@ class Effects:
     def motion(self) -> Motion:
         """Where the simulations are: q, dq and the last ddq (B, n), t (B,)."""
         datas = [data for _, data in self.simulations]
-        q = torch.from_numpy(np.stack([data.qpos[self._places] for data in datas]))
-        dq = torch.from_numpy(np.stack([data.qvel[self._rows] for data in datas]))
-        ddq = torch.from_numpy(np.stack([data.qacc[self._rows] for data in datas]))
-        return Motion(q, dq, ddq, t=torch.tensor([data.time for data in datas]).double())
+        q, dq, ddq = (
+            torch.from_numpy(np.array([one[k][at] for one in self._read]))
+            for k, at in enumerate((self._places, self._rows, self._rows))
+        )
+        return Motion(
+            q, dq, ddq, t=torch.tensor([data.time for data in datas], dtype=torch.float64)
+        )
 
     @torch.no_grad()
     def loads(self, motion: Motion, dt: float = 0.0) -> Loads:
@@ -228,11 +236,12 @@ class Effects:
             applied[:, self._gears.joints] += law.force - law.torque
             slope[:, self._gears.joints] += law.damping
         parts = (x.numpy() for x in (slope, loads.dry, applied))
-        for (model, data), damping, dry, force in zip(self.simulations, *parts, strict=True):
-            model.dof_damping[self._rows] = damping
-            model.dof_frictionloss[self._rows] = dry
-            data.qfrc_applied[self._rows] = force
-            self._mujoco.mj_step(model, data)
+        step, rows = self._mujoco.mj_step, self._rows
+        pairs = zip(self.simulations, self._written, *parts, strict=True)
+        for (model, data), places, *values in pairs:
+            for place, value in zip(places, values, strict=True):
+                place[rows] = value
+            step(model, data)
         after = self.motion()
         middle = after._replace(dq=(now.dq + after.dq) / 2, t=now.t)
         self._memory = self._plant.effects.advance(middle, h, self._memory)
@@ -244,3 +253,9 @@ class Effects:
         self._seen.append((t, torque, self._motors(after).dq))
         while len(self._seen) > 2 and bool((self._seen[1][0] < oldest).all()):
             self._seen.popleft()
+
+
+def _in_one_piece(at: list[int]) -> list[int] | slice:
+    """Places that follow each other as a slice, which numpy reads ten times faster."""
+    piece = slice(at[0], at[0] + len(at))
+    return piece if at == list(range(piece.start, piece.stop)) else at
