@@ -1,7 +1,7 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -12,12 +12,15 @@ from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
+if TYPE_CHECKING:
+    from torchid.export.dynamics import Dynamics
+
 
 @command
 def export_command(
     *,
     result: Annotated[str, typer.Argument(metavar="RESULT")],
-    to: Literal["urdf", "mjcf", "yaml", "csv", "c"] | None = None,
+    to: Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"] | None = None,
     robot: opt.RobotOption = None,
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
@@ -44,7 +47,8 @@ def export_command(
     Args:
         result: JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, the .yaml
             of `torchid gap --save-model`, or any robot.
-        to: Format to write; not with --randomise.
+        to: Format to write; isaaclab and mjlab are actuator classes that add the effects without a
+            field at run time. Not with --randomise.
         robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
             records.
         chosen: Set of a file of several; the feasible one of least loss.
@@ -66,13 +70,13 @@ def export_command(
     if randomise is not None:
         if to is not None:
             raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
-        say_randomised(output, result, robot, tip, randomise, spread or [], draws, seed, name)
+        _say_randomised(output, result, robot, tip, randomise, spread or [], draws, seed, name)
         return
     if to is None:
         raise TorchidError(
             "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
         )
-    from torchid.export.export import export_dynamics
+    from torchid.export.export import export_dynamics, require_name, stem_of
     from torchid.export.projection import Target
     from torchid.export.results import (
         CORRECTED,
@@ -125,6 +129,11 @@ def export_command(
         made = corrected_by(output, original, whole, read, apart, to, name, keep, settings)
         say_corrected(output, made)
         return
+    if to == "isaaclab" or to == "mjlab":
+        stem = stem_of(nominal) if name is None else name
+        require_name(stem)
+        _write_actuator(output, dynamics, to, stem, seed)
+        return
     done = export_dynamics(
         dynamics,
         to,
@@ -143,7 +152,7 @@ def export_command(
     output.say(f"\nwritten: {export_headline(done)}")
 
 
-def say_randomised(
+def _say_randomised(
     output: Output,
     result: str,
     robot: str | None,
@@ -169,4 +178,44 @@ def say_randomised(
     output.verdict(headline(done))
     output.say(*tables(done))
     output.warn(done.warnings)
+    output.say(f"\nwritten: {', '.join(files)}")
+
+
+def _write_actuator(
+    output: Output, dynamics: "Dynamics", to: Literal["isaaclab", "mjlab"], stem: str, seed: int
+) -> None:
+    """Write the effects as an actuator class, and tell which it adds."""
+    from torchid.effects.registry import nominal_effects
+    from torchid.export.dynamics import described
+    from torchid.export.record import ExportRecord, Places
+    from torchid.simulators.actuator import EffectTorque
+    from torchid.simulators.actuator_files import write_actuator
+
+    robot = dynamics.robot
+    files = [str(file) for file in write_actuator(robot, to, output.out or Path(), stem)]
+    # What the simulator has fields for, what the actuator adds, and what nobody does.
+    ignored = EffectTorque(robot).ignored
+    places: dict[str, list[str]] = {"in_file": [], "beside": [], "left_out": []}
+    for effect, values in nominal_effects(robot):
+        field = effect.attributes(values, True) is not None
+        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
+        places[place].append(described(effect, values, robot))
+    lost = [f"LEFT OUT of the actuator: {words}" for words in places["left_out"]]
+    done = ExportRecord(
+        robot=robot.name,
+        what=dynamics.kind,
+        result=dynamics.title,
+        format=to,
+        files=tuple(files),
+        original=None,
+        feasible=None,
+        reasons=(),
+        checks=(),
+        effects=Places(**{key: tuple(words) for key, words in places.items()}),
+        warnings=tuple(lost),
+    )
+    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
+    output.say(*(f"added at run time: {words}" for words in places["in_file"]))
+    output.say(*(f"left to the simulator's own fields: {words}" for words in places["beside"]))
+    output.warn(lost)
     output.say(f"\nwritten: {', '.join(files)}")
