@@ -43,6 +43,7 @@ _PUBLIC = {
     "compare_wrenches": "torchid.study.equal_torque.given_sets",
     "export_dynamics": "torchid.export.export",
     "correct": "torchid.export.correct",
+    "randomise": "torchid.export.randomise",
     "diagnose": "torchid.gap.diagnose",
     "GapSettings": "torchid.gap.settings",
     "diagnose_positions": "torchid.position.diagnose",

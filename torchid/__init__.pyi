@@ -11,6 +11,7 @@ from torchid.excitation.synthetic import PaperNoise as PaperNoise
 from torchid.excitation.synthetic import simulate as simulate
 from torchid.export.correct import correct as correct
 from torchid.export.export import export_dynamics as export_dynamics
+from torchid.export.randomise import randomise as randomise
 from torchid.extraction.convex.atlas import atlas as atlas
 from torchid.extraction.extract import extract as extract
 from torchid.extraction.found import best_set as best_set

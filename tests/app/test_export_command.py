@@ -1,12 +1,14 @@
 """`torchid export` from the command line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from typer.testing import CliRunner
 
+import torchid
 from tests.export.arms import write_urdf
 from torchid.app.commands import app
 from torchid.errors import TorchidError
@@ -114,3 +116,50 @@ def test_links_of_no_material_are_named(tmp_path):
     run("3r", *options)
     warnings = json.loads((tmp_path / "o" / "export_urdf.json").read_text())["warnings"]
     assert not any("lead" in w for w in warnings)
+
+
+def test_how_wide_to_randomise(tmp_path):
+    """From a diagnosis to files of ranges and draws, and their record read back."""
+    from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, friction, logged
+    from torchid.gap.diagnose import diagnose
+    from torchid.gap.settings import GapSettings
+
+    settings = GapSettings(effects=("coulomb_friction",), rollout=False)
+    log = logged(arm(friction(2, Fc=1.0)), Recording(ONCE, duration=4.0))
+    gap = tmp_path / "gap.json"
+    diagnose(ROBOT, log, settings=settings).save(gap)
+    out = tmp_path / "out"
+    said = run(gap, "--randomise", "0.9", "--draws", "32", "--out", out, "--name", "arm")
+    assert "90 % of the draws lie within each range" in said.replace("\n", " ")
+    record = torchid.load(out / "randomisation.json")
+    assert (record.draws, record.level, len(record.files)) == (32, 0.9, 4)
+    assert all(Path(file).is_file() for file in record.files)
+    assert [(r.field, r.name) for r in record.ranges] == [("friction", "joint_2")]
+    with pytest.raises(TorchidError, match="for all simulators"):
+        run(gap, "--randomise", "0.9", "--to", "mjcf")
+    with pytest.raises(TorchidError, match="nothing to write"):
+        run(gap)
+    with pytest.raises(TorchidError, match="is not a comparison"):
+        run(gap, "--randomise", "0.9", "--spread", gap, "--out", out)
+
+
+@pytest.mark.parametrize("to", ["isaaclab", "mjlab"])
+def test_actuators(tmp_path, to):
+    robot = replace(
+        load_robot("3r"),
+        effects=(
+            {"effect": "coulomb_friction", "joint": 1, "Fc": 0.5},
+            {"effect": "stribeck_friction", "joint": 1, "Fs": 0.3, "vs": 0.1},
+            {"effect": "time_delay", "joint": 2, "delay": 0.003},
+        ),
+    )
+    write_robot(robot, tmp_path / "arm.yaml")
+    out = tmp_path / "out"
+    said = run(tmp_path / "arm.yaml", "--to", to, "--out", out, "--name", "arm")
+    assert "LEFT OUT of the actuator: joint 2: time_delay" in said.replace("\n", " ")
+    record = torchid.load(out / f"export_{to}.json")
+    assert record.effects.in_file[0].startswith("joint 1: stribeck_friction")
+    assert record.effects.beside[0].startswith("joint 1: coulomb_friction")
+    compile((out / f"arm_actuator_{to}.py").read_text(), "actuator", "exec")
+    with pytest.raises(TorchidError, match="no effect that an actuator adds"):
+        run("3r", "--to", to, "--out", out)

@@ -271,6 +271,10 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "pair": _pair,
     "pair_fault": _pair_fault,
     "payload": _payload,
+    "randomisation": lambda b: b.run(
+        "export", b.kept("gap.json", b.gap("friction", *FEW, "--no-rollout")), "--randomise", 0.95,
+        "--draws", 16, "--out", b.folder / "randomised",
+    ),
     "robot": lambda b: b.run("robot", "3r_friction"),
     "simulate": _simulate,
     "study": lambda b: b.run("study", "3r", *SEARCH, "--no-figures"),

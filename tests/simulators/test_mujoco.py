@@ -127,10 +127,9 @@ def test_gains_of_the_log_are_undone(tmp_path):
 
 
 def test_what_is_ignored_is_named(tmp_path):
-    robot = replace(
-        arm("3r"), effects=(*FIELDS, {"effect": "time_delay", "joint": 1, "delay": 0.004})
-    )
-    assert in_mujoco(robot, tmp_path)[1].ignored == ("time_delay",)
+    offset = {"effect": "encoder_offset", "joint": 1, "offset": 0.01}
+    robot = replace(arm("3r"), effects=(*FIELDS, offset))
+    assert in_mujoco(robot, tmp_path)[1].ignored == ("encoder_offset",)
 
 
 def test_wrong_models_are_refused(tmp_path):
@@ -158,3 +157,130 @@ def test_stiff_friction_stays_stable(tmp_path):
         speeds.append(float(np.abs(data.qvel[2])))
     assert np.isfinite(data.qpos).all()
     assert max(speeds[5:]) < 3.0
+
+
+TWO_MASSES = """<mujoco>
+  <option timestep="{h}" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body>
+      <joint name="link" type="hinge" axis="0 1 0" damping="0.2"/>
+      <inertial mass="2" pos="0.3 0 0" diaginertia="0.02 0.02 0.02"/>
+    </body>
+    <body>
+      <joint name="motor" type="hinge" axis="0 1 0" armature="0.4"/>
+      <inertial mass="1e-9" pos="0 0 0" diaginertia="1e-12 1e-12 1e-12"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+STIFFNESS, DAMPING, PLAY = 800.0, 1.5, 4e-3
+
+
+def pendulum(effects: list[dict[str, object]], h: float, tmp_path: Path) -> Effects:
+    """The link of `two_masses`, its motor being a state."""
+    text = TWO_MASSES.format(h=h)
+    cut = text[: text.index('    <body>\n      <joint name="motor"')] + "  </worldbody>\n</mujoco>"
+    file = tmp_path / "pendulum.xml"
+    file.write_text(cut)
+    robot = load_robot(file)
+    motor = {"effect": "rotor_inertia", "joint": 1, "Ia": 0.4}
+    robot = replace(robot, effects=(*robot.effects, motor, *effects))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    return Effects(robot, [(model, mujoco.MjData(model))])
+
+
+@pytest.mark.parametrize("play", [0.0, PLAY])
+def test_a_gear_is_two_masses(play, tmp_path):
+    """Link and motor as in a model that has both, with an error that falls with the step."""
+    link_inertia = 0.02 + 2 * 0.3**2
+    elastic = {"effect": "joint_elasticity", "joint": 1, "compliance": 1 / STIFFNESS,
+               "damping": DAMPING}  # fmt: skip
+    effects_of: list[dict[str, object]] = [elastic]
+    if play:
+        hertz = np.sqrt(STIFFNESS / link_inertia) / (2 * np.pi)
+        ratio = DAMPING / (2 * np.sqrt(STIFFNESS * link_inertia))
+        effects_of = [
+            {"effect": "backlash", "joint": 1, "width": play, "contact": hertz, "ratio": ratio}
+        ]
+    t = np.arange(1, 41) * 0.01
+    expected, errors = None, []
+    for h in (1e-3, 2.5e-4):
+        effects = pendulum(effects_of, h, tmp_path)
+        assert not effects.ignored
+        ((_, data),) = effects.simulations
+        if expected is None:
+            start = float(effects.sensed().q - data.qpos[0])
+            expected = two_masses(start, play, t)
+        found = []
+        for now in t:
+            while data.time < now - h / 2:
+                effects.step(torch.tensor([[8 * np.sin(9 * data.time)]]))
+            found.append([data.qpos[0], float(effects.sensed().q)])
+        errors.append(np.abs(np.array(found) - expected).max())
+    size = np.abs(expected).max()
+    assert errors[0] < 0.02 * size
+    assert errors[1] < 0.45 * errors[0]
+
+
+def two_masses(start: float, play: float, t: np.ndarray) -> np.ndarray:
+    """Angles (T, 2) of link and motor at these instants, from an MJCF that has both, the gear's
+    torque applied explicitly at a tiny step; the motor begins so far ahead of the link."""
+    model = mujoco.MjModel.from_xml_string(TWO_MASSES.format(h=1e-5))
+    data = mujoco.MjData(model)
+    data.qpos[1] = start
+    out = []
+    for now in t:
+        while data.time < now - 5e-6:
+            twist, rate = data.qpos[1] - data.qpos[0], data.qvel[1] - data.qvel[0]
+            push = STIFFNESS * np.sign(twist) * max(0.0, abs(twist) - play / 2) + DAMPING * rate
+            data.qfrc_applied[:] = push, 8 * np.sin(9 * data.time) - push
+            mujoco.mj_step(model, data)
+        out.append(data.qpos.copy())
+    return np.array(out)
+
+
+def test_the_motor_is_ahead_by_the_compliance(tmp_path):
+    """In slow motion, as torchid's own effect measures it, and on a gear whose resonance (5 kHz) is
+    far beyond the step."""
+    compliance = 1e-6
+    elastic = {"effect": "joint_elasticity", "joint": 1, "compliance": compliance}
+    effects = pendulum([elastic], 2e-3, tmp_path)
+    ((_, data),) = effects.simulations
+    for _ in range(2000):
+        effects.step(torch.tensor([[-60.0 * data.qpos[0] - 10.0 * data.qvel[0]]]))
+    held = 2 * 9.81 * 0.3 * np.cos(data.qpos[0])
+    assert abs(data.qvel[0]) < 1e-6
+    ahead = float(effects.sensed().q) - data.qpos[0]
+    # A positive angle lowers the link, so its weight pulls it ahead of the motor.
+    assert ahead == pytest.approx(-compliance * held, rel=1e-3)
+
+
+def test_sensors_are_late(tmp_path):
+    """Delays of whole steps are exact, of parts of a step between the two."""
+    late = (
+        {"effect": "time_delay", "joint": 1, "delay": 0.004},
+        {"effect": "time_delay", "joint": 2, "delay": 0.0025},
+        {"effect": "filter_lag", "lag": 0.003},
+    )
+    _, effects = in_mujoco(replace(arm("3r"), effects=(*FIELDS, *late)), tmp_path)
+    assert not effects.ignored
+    g = torch.Generator().manual_seed(2)
+    torques = torch.randn(20, 1, 3, generator=g, dtype=torch.float64)
+    speeds = []
+    for torque in torques:
+        effects.step(torque)
+        speeds.append(effects.motion().dq)
+    seen = effects.sensed()
+    # At 20 ms the torque of the step that ended then is the last.
+    torch.testing.assert_close(seen.torque[:, 0], torques[-5, :, 0], atol=1e-9, rtol=0)
+    between = (torques[-4, :, 1] + torques[-3, :, 1]) / 2
+    torch.testing.assert_close(seen.torque[:, 1], between, atol=1e-9, rtol=0)
+    torch.testing.assert_close(seen.torque[:, 2], torques[-1, :, 2], atol=0, rtol=0)
+    torch.testing.assert_close(seen.dq, speeds[-4], atol=1e-9, rtol=0)
+
+
+def test_explicit_integrators_are_refused(tmp_path):
+    robot, effects = in_mujoco(robot_with("stribeck"), tmp_path)
+    ((model, data),) = effects.simulations
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    with pytest.raises(TorchidError, match="RK4"):
+        Effects(robot, [(model, data)])

@@ -1,23 +1,26 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
 import torchid
 from torchid.app import options as opt
 from torchid.app.correct import corrected_by
-from torchid.app.output import Computed
+from torchid.app.output import Computed, Output
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
+
+if TYPE_CHECKING:
+    from torchid.export.dynamics import Dynamics
 
 
 @command
 def export_command(
     *,
     result: Annotated[str, typer.Argument(metavar="RESULT")],
-    to: Literal["urdf", "mjcf", "yaml", "csv", "c"],
+    to: Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"] | None = None,
     robot: opt.RobotOption = None,
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
@@ -25,6 +28,9 @@ def export_command(
     geometry: opt.Group = None,
     log: opt.LogFiles = None,
     held_out: opt.LogFiles = None,
+    randomise: Annotated[float | None, typer.Option(metavar="LEVEL")] = None,
+    spread: Annotated[list[Path] | None, typer.Option(metavar="FILE")] = None,
+    draws: opt.Count = 256,
     reading: opt.Reading,
     tip: opt.Tip = None,
     seed: opt.Seed = 0,
@@ -41,7 +47,8 @@ def export_command(
     Args:
         result: JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, the .yaml
             of `torchid gap --save-model`, or any robot.
-        to: Format to write.
+        to: Format to write; isaaclab and mjlab are actuator classes that add the effects without a
+            field at run time. Not with --randomise.
         robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
             records.
         chosen: Set of a file of several; the feasible one of least loss.
@@ -51,8 +58,24 @@ def export_command(
             run it in its engine on them (urdf and mjcf, see `torchid correct`). May be given
             several times.
         held_out: Whole trajectories that judge what was refitted.
+        randomise: In the place of a file: how wide to randomise the simulator, by the JSON of
+            `torchid gap`. The ranges hold this share, e.g. 0.95, of what the log leaves open;
+            written for MuJoCo, mjlab and Isaac Lab, with draws that are all bodies.
+        spread: JSON of `torchid compare` or `torchid fleet identify`: how far sessions or units of
+            the type are apart, for --randomise. May be given several times.
+        draws: How many robots --randomise draws.
         geometry: Bounds of the centres of mass that count in the check, as for `torchid check`.
     """
+    if randomise is not None:
+        if to is not None:
+            raise TorchidError("--randomise writes ranges for all simulators.", got=f"--to {to}")
+        _randomised(output, result, robot, tip, randomise, spread or [], draws, seed, name)
+        return
+    if to is None:
+        raise TorchidError(
+            "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
+        )
+    from torchid.export.export import require_name, stem_of
     from torchid.export.projection import Target
     from torchid.export.results import carried
     from torchid.report.robot import correction_shown, export_shown
@@ -66,6 +89,11 @@ def export_command(
                 hint="--log LOG (several times, with --gain or --columns as before); --to yaml "
                 "writes the corrected robot with all its effects",
             )
+        if to == "isaaclab" or to == "mjlab":
+            stem = stem_of(found.nominal) if name is None else name
+            require_name(stem)
+            _write_actuator(output, found.dynamics, to, stem, seed)
+            return
         done = torchid.export_dynamics(
             found.dynamics, to, output.out or Path(), name, nominal=found.nominal,
             original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
@@ -82,3 +110,68 @@ def export_command(
         output, found.original, found.dynamics.robot, read, apart, to, name, keep, found.settings
     )
     output.tell(correction_shown(made))
+
+
+def _randomised(
+    output: Output,
+    result: str,
+    robot: str | None,
+    tip: str | None,
+    level: float,
+    spread: list[Path],
+    draws: int,
+    seed: int,
+    name: str | None,
+) -> None:
+    """Draw robots of a diagnosis, write and tell their ranges."""
+    from torchid.export.results import diagnosis
+    from torchid.report.randomisation import randomisation_shown
+
+    given = None if robot is None else torchid.load_robot(robot, tip=tip)
+    done = torchid.randomise(
+        diagnosis(Path(result)), level, robot=given, spread=spread, draws=draws, seed=seed
+    )
+    files = [str(file) for file in done.write(output.out or Path(), name)]
+    shown = randomisation_shown(done, files)
+    plain = {**done.plain(), "files": files}
+    output.tell(output.keep(plain, "randomisation.json", lambda _: shown, seed=seed))
+
+
+def _write_actuator(
+    output: Output, dynamics: "Dynamics", to: Literal["isaaclab", "mjlab"], stem: str, seed: int
+) -> None:
+    """Write the effects as an actuator class, and tell which it adds."""
+    from torchid.effects.registry import nominal_effects
+    from torchid.export.dynamics import described
+    from torchid.export.record import ExportRecord, Places
+    from torchid.simulators.actuator import EffectTorque
+    from torchid.simulators.actuator_files import write_actuator
+
+    robot = dynamics.robot
+    files = [str(file) for file in write_actuator(robot, to, output.out or Path(), stem)]
+    # What the simulator has fields for, what the actuator adds, and what nobody does.
+    ignored = EffectTorque(robot).ignored
+    places: dict[str, list[str]] = {"in_file": [], "beside": [], "left_out": []}
+    for effect, values in nominal_effects(robot):
+        field = effect.attributes(values, True) is not None
+        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
+        places[place].append(described(effect, values, robot))
+    lost = [f"LEFT OUT of the actuator: {words}" for words in places["left_out"]]
+    done = ExportRecord(
+        robot=robot.name,
+        what=dynamics.kind,
+        result=dynamics.title,
+        format=to,
+        files=tuple(files),
+        original=None,
+        feasible=None,
+        reasons=(),
+        checks=(),
+        effects=Places(**{key: tuple(words) for key, words in places.items()}),
+        warnings=tuple(lost),
+    )
+    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
+    output.say(*(f"added at run time: {words}" for words in places["in_file"]))
+    output.say(*(f"left to the simulator's own fields: {words}" for words in places["beside"]))
+    output.warn(lost)
+    output.say(f"\nwritten: {', '.join(files)}")

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.results.record import Joint, Part, Real, Record, Rows, Values
@@ -148,6 +149,90 @@ class CorrectionRecord(Record, frozen=True, kw_only=True, tag="torchid.correctio
     def table(self) -> Rows[KeptRecord]:
         """Effects that the file has no field for."""
         return Rows(self.no_field)
+
+
+class RangeRow(Part, frozen=True, kw_only=True):
+    """One range.
+
+    Attributes:
+        field: `damping`, `friction`, `armature`, `stiffness`, `offset` of a joint; `mass`,
+            `com_x`, ... of a link, in its frame; else the name of an effect.
+        name: of the joint or link; of an effect's coefficient itself.
+        unit: of the numbers.
+        low, high: between them lies the asked share of the draws.
+        centre: median of the draws of what is told.
+        why: one sentence.
+    """
+
+    field: str
+    name: str
+    unit: str
+    low: Real
+    high: Real
+    centre: Real
+    why: str
+
+
+class ResidualBand(Part, frozen=True, kw_only=True):
+    """Torque of one joint that stays unexplained.
+
+    Attributes:
+        joint: which.
+        low, high: between them lies the asked share of the instants [N m; N].
+        rms: of all of it, on data that was not fitted.
+        noise: what of it may be the sensor's.
+        unexplained: RMS of the rest, which acts on the arm.
+        correlation: how long it lasts [s].
+        why: one sentence.
+    """
+
+    joint: Joint
+    low: Real
+    high: Real
+    rms: Real
+    noise: Real
+    unexplained: Real
+    correlation: Real = msgspec.field(name="correlation_s")
+    why: str
+
+
+class Share(Part, frozen=True, kw_only=True):
+    """An explanation that was drawn from: what it is, its probability, how many draws it has."""
+
+    words: str
+    weight: Real
+    draws: int
+
+
+class RandomisationRecord(Record, frozen=True, kw_only=True, tag="torchid.randomisation/1"):
+    """How wide to randomise.
+
+    Attributes:
+        robot: its name.
+        level: share of the draws in each range.
+        draws: how many.
+        ranges: of all fields and coefficients in which draws differ.
+        residual: by joint.
+        explanations: that were drawn from.
+        files: what was written, from a command.
+        warnings: sentences for the user.
+        seed: of the draws, from a command.
+    """
+
+    robot: str
+    level: float
+    draws: int
+    ranges: tuple[RangeRow, ...]
+    residual: tuple[ResidualBand, ...]
+    explanations: tuple[Share, ...]
+    files: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    seed: int | UnsetType = UNSET
+
+    @property
+    def table(self) -> Rows[RangeRow]:
+        """The ranges."""
+        return Rows(self.ranges)
 
 
 def export_record(done: "Export") -> ExportRecord:

@@ -225,7 +225,12 @@ class NearBodies:
 
 
 def nearest_bodies(
-    torque: Quadratic, room: Room, *, spent: float = SPENT, strength: float | None = None
+    torque: Quadratic,
+    room: Room,
+    *,
+    spent: float = SPENT,
+    strength: float | None = None,
+    near: NearBodies | None = None,
 ) -> NearBodies:
     """The bodies nearest to the nominal ones with nearly the least error.
 
@@ -234,6 +239,8 @@ def nearest_bodies(
         room: where they are looked for.
         spent: share of the least error that nearness may cost.
         strength: lambda, where it is known, e.g. from all of the data.
+        near: answer to a question that differs little: its lambda is taken, and the search begins
+            there.
 
     >>> import torch
     >>> from torchid import load_robot
@@ -245,6 +252,13 @@ def nearest_bodies(
     True
     """
     question = _Question.of(torque, room)
+    n = len(room.nominal)
+    if near is not None:
+        x = torch.cat([near.pi.flatten(), near.coefficients])
+        question = replace(question, unit=question.unit_at(x))
+        x = question.minimum(x, near.strength)
+        error = torque.error(x)
+        return NearBodies(x[: 10 * n].view(n, 10), x[10 * n :], error, error, near.strength)
     x = question.start
     found: list[tuple[float, Tensor]] = []
     for value in _PATH.tolist():
@@ -258,7 +272,6 @@ def nearest_bodies(
     k = len(found) - 1
     if strength is None:
         k = next(i for i, e in enumerate(errors) if e <= (1 + spent) * min(errors))
-    n = len(room.nominal)
     pi, coefficients = found[k][1][: 10 * n].view(n, 10), found[k][1][10 * n :]
     return NearBodies(pi, coefficients, errors[k], min(errors), found[k][0])
 

@@ -25,11 +25,12 @@ from torchid.gap.noise.floor import Noise, noise_of, sliding_only
 from torchid.gap.record import Budget, Parametric, Status
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.explain import Explanation, explained, without_terms
+from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.solve import Solution, solved
 from torchid.gap.search.terms import BASE, Term, Wanted, fixed_terms
 from torchid.gap.search.told import Told, next_experiment, not_testable, told
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.closing import Closing, budget, closing
+from torchid.gap.validate.closing import Closing, budget, closing, residuals
 from torchid.gap.validate.folds import Folds, make_folds, traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.identify import refuse_repeated
@@ -210,6 +211,8 @@ def diagnose(
         warnings=tuple(
             dict.fromkeys(warnings_of(found, data, judged, checked, folds, settings, robot))
         ),
+        joint_fits=joint_fits(found, said, data, block),
+        residual=residuals(checked.shown),
     )
     if settings.rollout:
         say("simulating forwards", 0, 1)

@@ -14,6 +14,7 @@ from torchid.gap.record import (
     FoundEffect,
     GapRecord,
     GapSettingsRecord,
+    JointFit,
     JointGap,
     JointRms,
     NoiseFloor,
@@ -21,6 +22,7 @@ from torchid.gap.record import (
     Parametric,
     Planted,
     RegimeGap,
+    Residual,
     Status,
     Where,
 )
@@ -210,6 +212,9 @@ class Diagnosis(Result):
         settings: how it was searched.
         refitted: whether base parameters were fitted with everything.
         warnings: sentences for the user.
+        joint_fits: what is told with the covariance of all its coefficients, then what cannot be
+            told from it.
+        residual: what is left of each joint's torque on data it was not fitted on.
     """
 
     robot: Robot
@@ -230,6 +235,8 @@ class Diagnosis(Result):
     settings: GapSettings
     refitted: bool
     warnings: tuple[str, ...]
+    joint_fits: tuple[JointFit, ...] = ()
+    residual: tuple[Residual, ...] = ()
 
     def __repr__(self) -> str:
         effects = ", ".join(f.effect.name for f in self.findings) or "no effects"
@@ -273,6 +280,8 @@ class Diagnosis(Result):
             warnings=self.warnings,
             model=self.robot,
             corrected=self.corrected,
+            joint_fits=self.joint_fits,
+            residual=self.residual,
         )
 
     @property

@@ -230,6 +230,54 @@ class NotTestable(Part, frozen=True):
         super().__post_init__()
 
 
+class Fitted(Part, frozen=True, kw_only=True):
+    """One coefficient of a joint fit.
+
+    Attributes:
+        effect: name; `link_inertia` of bodies.
+        names: of the coefficient with its joint, e.g. `Fc2`; several where joints share it.
+        value: fitted [its unit]: what was added to the model as given.
+    """
+
+    effect: str
+    names: tuple[str, ...]
+    value: Real
+
+
+class JointFit(Part, frozen=True, kw_only=True):
+    """An explanation, all its coefficients fitted together.
+
+    Attributes:
+        weight: probability of it among those listed.
+        words: what stands in whose place; empty of what is told.
+        coefficients: K of them.
+        covariance: of their values, 1.96 of its standard deviations being half a 95 % interval.
+        corrected: the model with it; None of what is told, whose model the diagnosis holds.
+    """
+
+    weight: Real
+    words: str
+    coefficients: tuple[Fitted, ...]
+    covariance: Annotated[Float[Tensor, "K K"], FINITE]
+    corrected: Model | None = None
+
+
+class Residual(Part, frozen=True, kw_only=True):
+    """What the corrected model leaves of one joint's torque on data it was not fitted on.
+
+    Attributes:
+        joint: which.
+        levels, sizes: share of the instants, and the size [N m; N] that the error stays below
+            there.
+        correlation: how long it lasts, its integrated autocorrelation [s].
+    """
+
+    joint: Joint
+    levels: tuple[float, ...]
+    sizes: tuple[Real, ...]
+    correlation: Real = msgspec.field(name="correlation_s")
+
+
 class Informative(Part, frozen=True, kw_only=True):
     """The stretch of a log in which two explanations differ most, and its share of all of it."""
 
@@ -318,6 +366,9 @@ class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
         settings: how it was searched.
         warnings: sentences for the user.
         model, corrected: the robot as given, and with what was found.
+        joint_fits: what is told with the covariance of all its coefficients, then what cannot be
+            told from it; none in older files.
+        residual: what is left, joint by joint; none in older files.
         seed: of everything random, from a command.
     """
 
@@ -338,6 +389,8 @@ class GapRecord(Record, frozen=True, kw_only=True, tag="torchid.gap/1"):
     warnings: tuple[str, ...] = ()
     model: Model | None = None
     corrected: Model | None = None
+    joint_fits: tuple[JointFit, ...] = ()
+    residual: tuple[Residual, ...] = ()
     seed: int | msgspec.UnsetType = msgspec.UNSET
 
     @property

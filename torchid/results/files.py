@@ -26,6 +26,7 @@ RECORDS = {
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
     "torchid.replay/1": "torchid.position.model:ReplayRecord",
     "torchid.correction/1": "torchid.export.record:CorrectionRecord",
+    "torchid.randomisation/1": "torchid.export.record:RandomisationRecord",
     "torchid.export/1": "torchid.export.record:ExportRecord",
     "torchid.doctor/1": "torchid.doctor.record:DoctorRecord",
     "torchid.compare/1 identifications": "torchid.compare.record:ComparisonRecord",

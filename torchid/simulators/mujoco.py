@@ -12,8 +12,13 @@ smooth torque with its slope over the speed, and dry friction. The slope becomes
 both implicitly, however stiff they are; the rest is applied. States of bristles, of temperature and
 the like are kept here. Several models, one a simulation, are stepped together, with one evaluation
 of the effects for all of them.
+
+A joint with elasticity or play becomes two masses: MuJoCo's joint is the link, and the motor, whose
+inertia was the joint's armature, is a state of the gear (`gears`). What a controller reads, late as
+delays and lags make it and on the motor's side of a gear, is `sensed()`.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
@@ -22,13 +27,16 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchid.effects.backlash import Backlash
 from torchid.effects.base import Motion
+from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
 from torchid.effects.registry import nominal_effects
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import plant_of
 from torchid.simulation.loads import Loads, changes_measurement
 from torchid.simulation.open_loop import runs, true_torque
+from torchid.simulators.gears import Gears
 from torchid.typing import Float, Tensor
 
 SHARP = (0.999, 0.999, 0.001)
@@ -41,7 +49,7 @@ class Effects:
 
     Attributes:
         ignored: names of effects that nothing is done about: those in sensors that are no affine
-            map of the torque (delays, lags, play), and those of the bodies and poses of the arm,
+            map of the torque, no delay and no gear, and those of the bodies and poses of the arm,
             which belong into the file.
         across: (n, n) torque of the effects per acceleration of other joints, which no field of a
             joint holds [kg m^2].
@@ -53,7 +61,8 @@ class Effects:
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
-        TorchidError: a model without one of the robot's joints, or one model twice.
+        TorchidError: a model without one of the robot's joints, or one model twice; an explicit
+            integrator, which meets nothing implicitly.
     """
 
     def __init__(self, robot: Robot, simulations: Sequence[tuple[Any, Any]]):
@@ -66,11 +75,35 @@ class Effects:
                 "simulations share a model, and each changes its friction at every step.",
                 hint="copy.copy(model) for each of them",
             )
+        if any(
+            int(m.opt.integrator) == self._mujoco.mjtIntegrator.mjINT_RK4 for m, _ in simulations
+        ):
+            raise TorchidError(
+                "RK4 takes damping explicitly, and stiff effects would explode.",
+                got="integrator RK4",
+                available=["Euler", "implicit", "implicitfast"],
+            )
         self.simulations = tuple(simulations)
-        self._rows, self._places = self._joints(robot)
+        self._rows, self._places = (_in_one_piece(at) for at in self._joints(robot))
+        # Where MuJoCo keeps what is read and written at every step.
+        self._read = [(d.qpos, d.qvel, d.qacc) for _, d in self.simulations]
+        self._written = [
+            (m.dof_damping, m.dof_frictionloss, d.qfrc_applied) for m, d in self.simulations
+        ]
         pairs = nominal_effects(robot)
+        late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
+        geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
+        pairs = [(e, v) for e, v in pairs if (e, v) not in (*late, *geared)]
         self.ignored = tuple(dict.fromkeys(e.name for e, v in pairs if not runs(robot, e, v)))
         pairs = [(e, v) for e, v in pairs if e.name not in self.ignored]
+        # By how much each joint's torque, and all velocities, are read late [s].
+        self._torque_late = torch.zeros(robot.n, dtype=torch.float64)
+        self._speed_late = 0.0
+        for effect, values in late:
+            if isinstance(effect, TimeDelay):
+                self._torque_late[effect.joint] += values[0]
+            else:
+                self._speed_late += values[0]
         zero = torch.zeros(len(simulations), robot.n, dtype=torch.float64)
         # True torque of a command in the units in which torque was logged: gains undone.
         sensed = [pair for pair in pairs if changes_measurement(pair[0])]
@@ -78,13 +111,18 @@ class Effects:
         own = [pair for pair in pairs if not changes_measurement(pair[0])]
         bare = replace(robot, effects=())
         self._plant = plant_of(bare, [own] * len(simulations), zero)
-        self.restart()
-        # Rotors are armature; what couples joints' accelerations has no field and is applied.
+        # Rotors are armature; what couples joints' accelerations has no field and is applied. The
+        # rotors of gears that give way are motors, not their links'.
         inertia = self._plant.effects.inertia[0]
         self.across = inertia - torch.diag(inertia.diagonal())
+        armature = inertia.diagonal().clone()
+        self._gears = Gears.of(geared, armature)
+        if self._gears is not None:
+            armature[self._gears.joints] = 0.0
+        self.restart()
         for model, _ in self.simulations:
-            model.jnt_stiffness[[int(model.dof_jntid[row]) for row in self._rows]] = 0.0
-            model.dof_armature[self._rows] = inertia.diagonal().numpy()
+            model.jnt_stiffness[model.dof_jntid[self._rows]] = 0.0
+            model.dof_armature[self._rows] = armature.numpy()
             model.dof_solimp[self._rows, :3] = SHARP
 
     def place(self, simulation: int, q: Float[Tensor, " n"], dq: Float[Tensor, " n"]) -> None:
@@ -97,6 +135,12 @@ class Effects:
         now = self.motion()
         t = now.require("t", "a start")
         self._memory = self._plant.start(*now.state, t=t).memory
+        if self._gears is not None:
+            posture = self._plant.arms.at(now.q)
+            self._gears.start(now.q, now.dq, posture.torque(now.dq), posture.mass_matrix())
+        # What the sensors will read, from the oldest that any of them still does.
+        seen = self._motors(now)
+        self._seen = deque([(t, torch.zeros_like(now.q), seen.dq)])
 
     def _joints(self, robot: Robot) -> tuple[list[int], list[int]]:
         """Where the robot's joints are among velocities and positions."""
@@ -114,10 +158,13 @@ class Effects:
     def motion(self) -> Motion:
         """Where the simulations are: q, dq and the last ddq (B, n), t (B,)."""
         datas = [data for _, data in self.simulations]
-        q = torch.from_numpy(np.stack([data.qpos[self._places] for data in datas]))
-        dq = torch.from_numpy(np.stack([data.qvel[self._rows] for data in datas]))
-        ddq = torch.from_numpy(np.stack([data.qacc[self._rows] for data in datas]))
-        return Motion(q, dq, ddq, t=torch.tensor([data.time for data in datas]).double())
+        q, dq, ddq = (
+            torch.from_numpy(np.array([one[k][at] for one in self._read]))
+            for k, at in enumerate((self._places, self._rows, self._rows))
+        )
+        return Motion(
+            q, dq, ddq, t=torch.tensor([data.time for data in datas], dtype=torch.float64)
+        )
 
     @torch.no_grad()
     def loads(self, motion: Motion, dt: float = 0.0) -> Loads:
@@ -141,22 +188,74 @@ class Effects:
         undone."""
         return torque @ self._gain.T + self._offset
 
+    def _motors(self, now: Motion) -> Motion:
+        """The same motion where the encoders are: on the motors' side of gears."""
+        if self._gears is None:
+            return now
+        q, dq = now.q.clone(), now.dq.clone()
+        q[:, self._gears.joints], dq[:, self._gears.joints] = self._gears.angle, self._gears.rate
+        return now._replace(q=q, dq=dq)
+
+    def sensed(self) -> Motion:
+        """What the log would hold now: q and dq (B, n) of the encoders, t (B,), and the torque
+        (B, n) that `step` was last given; late by the delays of torque and velocity, between steps
+        by interpolation, and as at the beginning before it."""
+        now = self._motors(self.motion())
+        t = now.require("t", "the sensors")
+        torque = torch.stack(
+            [self._then(t - float(d), 1)[:, j] for j, d in enumerate(self._torque_late)], -1
+        )
+        dq = self._then(t - self._speed_late, 2) if self._speed_late else now.dq
+        return now._replace(dq=dq, torque=torque)
+
+    def _then(self, t: Float[Tensor, " B"], what: int) -> Float[Tensor, "B n"]:
+        """Torque (1) or speed (2) at an earlier time."""
+        times = [entry[0] for entry in self._seen]
+        k = len(times) - 1
+        while k > 0 and bool((times[k] > t + 1e-12).any()):
+            k -= 1
+        first, second = self._seen[k], self._seen[min(k + 1, len(times) - 1)]
+        span = (second[0] - first[0]).clamp(min=1e-12)
+        share = ((t - first[0]) / span).clamp(0, 1).unsqueeze(-1)
+        return torch.lerp(first[what], second[what], share)
+
     @torch.no_grad()
     def step(self, torque: Float[Tensor, "B n"]) -> None:
         """One mj_step of every simulation with these torques (B, n) of the drives [N m; N], in the
         units of the log; `ctrl` and other forces act as they do without effects."""
         now = self.motion()
         h = float(self.simulations[0][0].opt.timestep)
-        loads, applied = self.loads(now, h / 2), self.true_torque(torque)
+        loads, drives = self.loads(now, h / 2), self.true_torque(torque)
         # A falling friction curve is met explicitly: negative damping has no implicit step.
         slope = loads.slope.clamp(min=0)
-        applied = applied - loads.smooth + slope * now.dq - now.ddq @ self.across
+        applied = drives - loads.smooth + slope * now.dq - now.ddq @ self.across
+        law = None
+        if self._gears is not None:
+            # In the place of the drives' torque what the gears transmit.
+            law = self._gears.law(now.q, now.dq, drives, h)
+            applied[:, self._gears.joints] += law.force - law.torque
+            slope[:, self._gears.joints] += law.damping
         parts = (x.numpy() for x in (slope, loads.dry, applied))
-        for (model, data), damping, dry, force in zip(self.simulations, *parts, strict=True):
-            model.dof_damping[self._rows] = damping
-            model.dof_frictionloss[self._rows] = dry
-            data.qfrc_applied[self._rows] = force
-            self._mujoco.mj_step(model, data)
+        step, rows = self._mujoco.mj_step, self._rows
+        pairs = zip(self.simulations, self._written, *parts, strict=True)
+        for (model, data), places, *values in pairs:
+            for place, value in zip(places, values, strict=True):
+                place[rows] = value
+            step(model, data)
         after = self.motion()
         middle = after._replace(dq=(now.dq + after.dq) / 2, t=now.t)
         self._memory = self._plant.effects.advance(middle, h, self._memory)
+        if self._gears is not None and law is not None:
+            self._gears.advance(law, after.dq, h)
+        # The oldest entries that no sensor reads any more go.
+        t = after.require("t", "a step")
+        oldest = float((t - max(self._speed_late, float(self._torque_late.max()))).min()) - h
+        self._seen.append((t, torque, self._motors(after).dq))
+        while len(self._seen) > 2 and bool((self._seen[1][0] < oldest).all()):
+            self._seen.popleft()
+
+
+def _in_one_piece(at: list[int]) -> list[int] | slice:
+    """Places that follow each other as a slice, which numpy reads ten times faster."""
+    piece = slice(at[0], at[0] + len(at))
+    return piece if at == list(range(piece.start, piece.stop)) else at

@@ -41,6 +41,7 @@ class Solution:
         terms: fixed ones first, secants at the estimate.
         values, std: per term (C,): coefficients, and standard deviations by a block jackknife, of
             which `NORMAL` are the 95 % interval, however few blocks there are.
+        covariance: (K, K) of all coefficients, term by term; std are the roots of its diagonal.
         model: corrected.
         weight: (n,) of the joints' squares.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
@@ -52,6 +53,7 @@ class Solution:
     terms: tuple[Term, ...]
     values: tuple[Float[Tensor, " _"], ...]
     std: tuple[Float[Tensor, " _"], ...]
+    covariance: Float[Tensor, "K K"]
     model: Model
     weight: Float[Tensor, " n"]
     a: Float[Tensor, "K n N"]
@@ -125,7 +127,10 @@ def solved(
         parts = [term_columns(at, t) for t in taken]
         # Columns at the corrected model, for the next step and for the standard deviations.
         a = torch.cat(parts) * data.keep if parts else left.new_zeros(0, *left.shape)
-        best = Solution(start, wanted, tuple(taken), tuple(values), (), model, of_joint, a, left)
+        unknown = a.new_zeros(len(a), len(a))
+        best = Solution(
+            start, wanted, tuple(taken), tuple(values), (), unknown, model, of_joint, a, left
+        )
         if (step > 1 and last - loss < SETTLED * last) or step == STEPS or not len(a):
             break
         last = loss if step > 0 else torch.inf
@@ -151,17 +156,24 @@ def solved(
     found = fit_statistics(
         table, rest, torch.cat([block.repeat(len(best.left)), own]), variance=1.0
     )
-    std = found.std * torch.where(found.by_one_block, 1.0, found.quantile() / NORMAL)
-    # With another scale of the torque the effects' torque, and so every coefficient, has it, too.
-    std = torch.hypot(std, data.gain_std * whole)
+    wide = torch.where(found.by_one_block, 1.0, found.quantile() / NORMAL)
+    covariance = found.covariance * wide * wide.unsqueeze(1)
+    # With another scale of a joint's torque all coefficients of its effects have it, too; those of
+    # the whole arm have that of all joints.
+    places = [-1 if t.place is None else t.place for t in best.terms for _ in t.at]
+    of_place = torch.tensor(places)
+    together = of_place == of_place.unsqueeze(1)
+    covariance = covariance + data.gain_std**2 * whole * whole.unsqueeze(1) * together
     # A coefficient that is estimated twice, by the columns' size or by another sensor, is not surer
     # than the two differ.
-    out = []
-    for t, v, own in zip(best.terms, best.values, std.split([len(v) for v in values]), strict=True):
-        twice = t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v)
-        spread = own.hypot(torch.tensor(twice, dtype=torch.float64))
-        out.append(spread if t.seen is None else spread.hypot(v - t.centre))
-    return replace(best, std=tuple(out))
+    twice = []
+    for t, v in zip(best.terms, best.values, strict=True):
+        unsure = t.effects[0].unsure(v.tolist()) if t.effects else [0.0] * len(v)
+        differs = torch.zeros_like(v) if t.seen is None else v - t.centre
+        twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
+    covariance = covariance + torch.diag(torch.cat(twice))
+    std = covariance.diagonal().clamp(min=0).sqrt().split([len(v) for v in values])
+    return replace(best, std=tuple(std), covariance=covariance)
 
 
 def at_estimate(term: Term, values: Float[Tensor, " C"]) -> Term:

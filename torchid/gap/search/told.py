@@ -54,11 +54,13 @@ class Told:
         findings: effects, the largest share first.
         parametric: corrections of inertial parameters.
         open: (term, best alternative that other data could separate from it).
+        rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
     """
 
     findings: tuple[Finding, ...]
     parametric: tuple[Parametric, ...]
     open: tuple[tuple[Term, Term], ...]
+    rivals: tuple[tuple[float, Term, Term], ...]
 
 
 def told(found: Explanation) -> Told:
@@ -69,7 +71,7 @@ def told(found: Explanation) -> Told:
     last = float((weight * fit.losses).sum())
     closable = max(start - last, 1e-12)
     closes, alone = in_turn(question, fit, found.terms)
-    findings, parametric, undecided = [], [], []
+    findings, parametric, undecided, rivals = [], [], [], []
     fixed = len(question.fixed)
     for k, term in enumerate(found.terms):
         # What the others leave, refitted.
@@ -98,6 +100,7 @@ def told(found: Explanation) -> Told:
             if other.name != BASE and float(differs.abs().sum()) >= 0.1:
                 separable.append(other)
         sure = how_sure([rise, *(r for r, _ in others)])
+        rivals += [(r, term, other) for r, other in others if r > -2 * math.log(ODDS)]
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
             parametric.append(Parametric(links, share, p, names, sure))
@@ -123,7 +126,10 @@ def told(found: Explanation) -> Told:
             )
         )
     return Told(
-        tuple(sorted(findings, key=lambda f: -f.share)), tuple(parametric), tuple(undecided)
+        tuple(sorted(findings, key=lambda f: -f.share)),
+        tuple(parametric),
+        tuple(undecided),
+        tuple(rivals),
     )
 
 

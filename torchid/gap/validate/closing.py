@@ -5,6 +5,7 @@ wrist counts as much as a shoulder. L0 is the model as given, L1 the one with re
 parameters, L* the answered one, Ln the noise.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,9 +14,13 @@ import torch
 
 from torchid.gap.diagnosis import Trace
 from torchid.gap.noise.floor import BLOCK_SECONDS, NORMAL
-from torchid.gap.record import Budget, Interval, NoiseFloor
+from torchid.gap.record import Budget, Interval, NoiseFloor, Residual
+from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
+
+LEVELS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
+"""Shares of the instants below which a size is given of what is left."""
 
 SURELY_NOISE = 0.9
 """Share of what is left that is noise at most, at one end of the interval: as much may be the
@@ -120,6 +125,21 @@ def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor
     # Refitting closes no less than nothing, and no more than the whole model does.
     l1 = max(min(l0, l1), last) if last < l0 else l0
     return Budget((l0 - l1) / gap, (l1 - last) / gap, (last - noise) / gap)
+
+
+def residuals(traces: Sequence[Trace]) -> tuple[Residual, ...]:
+    """Sizes of what is left of each joint's torque while it counts, and how long it lasts."""
+    levels, out = torch.tensor(LEVELS, dtype=torch.float64), []
+    ends = torch.tensor([0, *(len(t.valid) for t in traces)]).cumsum(0).tolist()
+    bounds = [slice(a, b) for a, b in itertools.pairwise(ends)]
+    for j in range(traces[0].measured.shape[1]):
+        error = torch.cat([(t.measured - t.after)[:, j] * t.counting[:, j] for t in traces])
+        counting = torch.cat([t.counting[:, j] for t in traces])
+        sizes = error[counting].abs().sort().values
+        known = sizes[((len(sizes) - 1) * levels).round().long()].tolist() if len(sizes) else []
+        lasts = float(integrated_time(error, bounds)) / traces[0].rate
+        out.append(Residual(joint=j, levels=LEVELS, sizes=tuple(known), correlation=lasts))
+    return tuple(out)
 
 
 def _blocks(trace: Trace) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,0 +1,671 @@
+"""How wide to randomise a simulator: draws of the robot from what is known of it, and their ranges.
+
+What a diagnosis fitted has a covariance (block jackknife, all coefficients together); explanations
+that it cannot tell apart have odds; units and days of one type have a spread. A draw takes one of
+the explanations by its odds, and its coefficients from the sum of the covariances. Quasi-random
+normal points (Sobol, scipy) make a few hundred draws tell the ends of a range.
+
+Bodies: torque knows base parameters only. Each draw's change of them is carried by the smallest
+relative change of the bodies (the entropic metric's second derivative at the centre, see
+torchid.extraction.entropic), and draws that no body has are drawn anew: the distribution is the one
+that the log leaves, given that the arm exists. Where hardly any draw is a body, each has the bodies
+that are nearest in torque and to the robot as given.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import torch
+from scipy.stats import norm, qmc
+
+from torchid.design.bodies import INSIDE, usual_bodies
+from torchid.dynamics.regressor import regressor
+from torchid.effects.base import Effect
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.inertia import BodyEffect, LinkInertia, RotorInertia
+from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.spring import JointSpring
+from torchid.errors import TorchidError
+from torchid.export.dynamics import records, states
+from torchid.export.projection import PRICE
+from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
+from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
+from torchid.gap.record import GapRecord, JointFit
+from torchid.identification.base_parameters import Basis, base_parameters
+from torchid.results.files import read
+from torchid.results.record import Result
+from torchid.robot.inertia import (
+    PARAMETERS_PER_LINK,
+    InertialParameters,
+    paper_order,
+    pseudo_inertia_basis,
+)
+from torchid.robot.model import JointType, Robot
+from torchid.typing import Bool, Float, Int, Tensor
+
+FIELDS: dict[str, tuple[type[Effect], int]] = {
+    "damping": (ViscousFriction, 0),
+    "friction": (CoulombFriction, 0),
+    "armature": (RotorInertia, 0),
+    "stiffness": (JointSpring, 0),
+    "offset": (JointSpring, 1),
+}
+"""What files say of a joint, and the coefficient whose unit it has (see `Effect.attributes`)."""
+
+BODY_FIELDS = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"}
+
+CANDIDATES = 8
+"""Times as many points as draws are asked for, where bodies have to be found among them."""
+
+NEARLY = 1e-3
+"""Share of what is left of the log's torque that the centre's bodies may add to it."""
+
+SPREADS = (
+    "torchid.compare/1 identifications",
+    "torchid.compare/1 gap diagnoses",
+    "torchid.fleet/1",
+)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Spread of one parameter over sessions or units.
+
+    Attributes:
+        std: one standard deviation.
+        source: file.
+    """
+
+    std: float
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """D draws of a robot.
+
+    Attributes:
+        which: (D,) number of the explanation that each is of.
+        pi: (D, n, 10) bodies, all of them feasible.
+        effects: per draw, with coefficients drawn and physical signs.
+        nearest: how many draws belong to no body and have the nearest one; then none is drawn anew.
+        anew: share of the points that no body has, and that were drawn anew.
+    """
+
+    which: Int[Tensor, " D"]
+    pi: Float[Tensor, "D n 10"]
+    effects: tuple[tuple[Valued, ...], ...]
+    nearest: int
+    anew: float
+
+
+@dataclass(frozen=True, eq=False)
+class Randomisation(Result):
+    """How wide to randomise.
+
+    Attributes:
+        robot: the centre: the diagnosed robot with bodies.
+        level: share of what is drawn that lies in a range.
+        draws: of it.
+        ranges: per field of a joint or a link, and per coefficient without a field, of which the
+            draws differ.
+        residual: torque that stays unexplained, joint by joint.
+        explanations: that were drawn from, with how many draws each has.
+        warnings: sentences for the user.
+    """
+
+    robot: Robot
+    level: float
+    draws: Draws
+    ranges: tuple[RangeRow, ...]
+    residual: tuple[ResidualBand, ...]
+    explanations: tuple[Share, ...]
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Randomisation('{self.robot.name}', {len(self)} draws, {len(self.ranges)} ranges)"
+
+    def __len__(self) -> int:
+        return len(self.draws.which)
+
+    @cached_property
+    def record(self) -> RandomisationRecord:
+        """As the JSON has it."""
+        return RandomisationRecord(
+            robot=self.robot.name,
+            level=self.level,
+            draws=len(self),
+            ranges=self.ranges,
+            residual=self.residual,
+            explanations=self.explanations,
+            warnings=self.warnings,
+        )
+
+    def write(self, folder: Path | str, name: str | None = None) -> list[Path]:
+        """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py, and return
+        them; see `torchid.export.write_randomised`."""
+        from torchid.export.write_randomised import write_randomised
+
+        return write_randomised(self, folder, name)
+
+    def one(self, k: int) -> Robot:
+        """The robot of a draw, with its effects."""
+        robot = self.robot.with_parameters(InertialParameters(self.draws.pi[k]))
+        return replace(robot, effects=records(self.draws.effects[k]))
+
+
+def randomise(
+    found: GapRecord,
+    level: float = 0.95,
+    *,
+    robot: Robot | None = None,
+    spread: Sequence[Path | str] = (),
+    draws: int = 256,
+    seed: int = 0,
+) -> Randomisation:
+    """Draws of a diagnosed robot, and the range of each field that holds a share of them.
+
+    Args:
+        found: a diagnosis (`torchid.load("gap.json")`, or `diagnosis.record`).
+        level: share of the draws in each range.
+        robot: as given to the diagnosis, whose bodies the drawn ones are near to; what the
+            diagnosis records if None.
+        spread: files of `torchid compare` (identifications, diagnoses) or `torchid fleet`: how far
+            sessions or units of the type are apart is added to what is not known of this one.
+        draws: how many.
+        seed: of the draws.
+
+    Raises:
+        TorchidError: a diagnosis of an older version, which has no covariance; a level outside 0
+            to 1; another robot; a file of another kind.
+
+    >>> import torch, torchid
+    >>> robot = torchid.load_robot("3r")
+    >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=5).log()
+    >>> arm = torchid.load_robot("3r_friction")
+    >>> log = torchid.simulate(arm, motion, noise=torchid.HonestNoise(), seed=1)
+    >>> known = ("viscous_friction", "coulomb_friction")
+    >>> settings = torchid.GapSettings(effects=known, rollout=False)
+    >>> wide = randomise(torchid.diagnose(robot, log, settings=settings).record)
+    >>> {r.field for r in wide.ranges} == {"damping", "friction"}
+    True
+    """
+    if not 0 < level < 1:
+        raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
+    if draws < 2:
+        raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
+    if found.corrected is None or found.model is None or not found.joint_fits:
+        older = found.corrected is None or found.status in ("explained", "parametric_only")
+        raise TorchidError(
+            "the diagnosis holds no covariance of what it found"
+            + (", as older versions wrote it." if older else ": nothing was fitted."),
+            got=f"status {found.status}",
+            hint="`torchid gap ... --json gap.json` with this version" if older else None,
+        )
+    given = found.model if robot is None else robot
+    if given.n != found.corrected.n or bool((found.corrected.frames_apart(given) > 1e-9).any()):
+        raise TorchidError(
+            "the diagnosis is of another arm.",
+            got=f"'{given.name}', {given.n} joints",
+            expected=f"'{found.corrected.name}', {found.corrected.n} joints in the same places",
+        )
+    between, warnings = between_of(spread, given)
+    centre, every, more = _drawn(found, given, between, draws, seed)
+    warnings += more
+    fields, beside = _values(every, centre)
+    missing = set(between) - {n for f in found.joint_fits for c in f.coefficients for n in c.names}
+    missing -= {name for name, _, _ in beside} | set(_known_names(centre))
+    if missing:
+        warnings.append(
+            f"differs between sessions or units, and is nothing that this robot has: "
+            f"{', '.join(sorted(missing))}"
+        )
+    used = [int((every.which == k).sum()) for k in range(len(found.joint_fits))]
+    explanations = tuple(
+        Share(words=f.words or "what the diagnosis tells", weight=f.weight, draws=n)
+        for f, n in zip(found.joint_fits, used, strict=True)
+    )
+    ranges = _ranges(found, fields, beside, every, centre, between, level)
+    return Randomisation(
+        centre, level, every, ranges, _bands(found, level), explanations, tuple(warnings)
+    )
+
+
+def between_of(files: Sequence[Path | str], robot: Robot) -> tuple[dict[str, Spread], list[str]]:
+    """Standard deviation between sessions or units by the name of a parameter, base parameters by
+    that of the link parameter which carries them; and what could not be used, in sentences.
+
+    Of several files the largest counts, for a fleet's spread and that of its sessions overlap.
+    """
+    found: dict[str, Spread] = {}
+    unknown: list[str] = []
+    carriers: dict[str, str] = {}
+    if files:
+        order = paper_order(robot.n).tolist()
+        for basis in get_args(Basis):
+            base = base_parameters(robot, basis=basis)
+            for name, k in zip(base.names, base.independent, strict=True):
+                link, entry = divmod(order[k], PARAMETERS_PER_LINK)
+                carriers.setdefault(name, LinkInertia(link).coefficient_names()[entry])
+    for file in files:
+        kinds = "a comparison of identifications or diagnoses, or a fleet"
+        data = read(file, SPREADS, kinds, "`torchid compare`, `torchid fleet identify`").plain()
+        rows: list[tuple[str, float | None]] = []
+        for one in data.get("parameters", ()):
+            # Units differ, and so do days of one unit.
+            parts = [one[k] for k in ("between_std", "unit_std", "day_std") if one.get(k)]
+            rows.append((one["name"], math.hypot(*parts) if parts else None))
+        for cause in data.get("effects", ()):
+            place = "_".join(map(str, cause["joints"]))
+            rows += [(f"{c['name']}{place}", c["between_std"]) for c in cause["coefficients"]]
+        for name, std in rows:
+            own = carriers.get(name, name)
+            if std and std > found.get(own, Spread(0.0, "")).std:
+                found[own] = Spread(float(std), Path(file).name)
+        unknown += (
+            []
+            if any(std for _, std in rows)
+            else [f"{Path(file).name} tells of no spread: its sessions or units agree"]
+        )
+    return found, unknown
+
+
+def _drawn(
+    found: GapRecord, given: Robot, between: Mapping[str, Spread], draws: int, seed: int
+) -> tuple[Robot, Draws, list[str]]:
+    """The centre, draws, and what is to be said of them."""
+    fits, n = found.joint_fits, given.n
+    assert found.corrected is not None
+    models = [f.corrected or found.corrected for f in fits]
+    weights = torch.tensor([f.weight for f in fits], dtype=torch.float64)
+    parts = [_Explained.of(m, f, between) for m, f in zip(models, fits, strict=True)]
+    bodies = _Bodies.of(given, found, [p.pi for p in parts])
+    # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
+    wide = max(p.root.shape[1] for p in parts)
+    moving = any(bool(p.body.any()) for p in parts)
+    count = draws * (CANDIDATES if moving else 1)
+    sobol = qmc.Sobol(1 + wide, rng=np.random.default_rng(seed))
+    points = sobol.random_base2(math.ceil(math.log2(count)))[:count]
+    z = torch.from_numpy(norm.ppf(points[:, 1:].clip(1e-12, 1 - 1e-12)))
+    chosen = torch.searchsorted(
+        weights.cumsum(0) / weights.sum(), torch.from_numpy(points[:, 0].copy())
+    )
+    chosen = chosen.clamp(max=len(parts) - 1)
+    steps = [z[chosen == k, : p.root.shape[1]] @ p.root.T for k, p in enumerate(parts)]
+    pi = torch.empty(count, n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    for k, part in enumerate(parts):
+        change = torch.zeros(len(steps[k]), n * PARAMETERS_PER_LINK, dtype=torch.float64)
+        change.index_add_(1, part.at_body, steps[k][:, part.body])
+        pi[chosen == k] = bodies.moved(k, change)
+    # The first that are bodies; where too few are, of all draws the nearest bodies.
+    are = bodies.are(pi)
+    kept, nearest = are.nonzero().flatten()[:draws], 0
+    if len(kept) < draws:
+        kept = torch.arange(draws)
+        for d in (~are[:draws]).nonzero().flatten().tolist():
+            pi[d] = bodies.near.to(pi[d])
+            nearest += 1
+    within = [torch.zeros(count, dtype=torch.long) for _ in parts]
+    for k in range(len(parts)):
+        within[k][chosen == k] = torch.arange(int((chosen == k).sum()))
+    effects = tuple(
+        parts[k].effects(steps[k][int(within[k][d])])
+        for d, k in zip(kept.tolist(), chosen[kept].tolist(), strict=True)
+    )
+    used = int(kept.max()) + 1
+    anew = 0.0 if nearest else 1 - float(are[:used].double().mean())
+    every = Draws(chosen[kept], pi[kept], effects, nearest, anew)
+    said = list(bodies.warnings)
+    if every.anew > 0.05:
+        said.append(
+            f"{100 * every.anew:.0f} % of the points that the log allows are no bodies and were "
+            "drawn anew: ranges of single fields hold mostly impossible robots, the draws do not"
+        )
+    if nearest:
+        said.append(
+            f"{nearest} of {draws} draws of base parameters belong to no body, and have the bodies "
+            "nearest in torque and to the robot as given: ranges of single fields hold mostly "
+            "impossible robots, the draws do not"
+        )
+    robot = given.with_parameters(InertialParameters(bodies.centres[0]))
+    return replace(robot, effects=records(parts[0].effects(None))), every, said
+
+
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """One explanation as it is drawn from.
+
+    Attributes:
+        pi: (10 n,) of its model, loads included.
+        pairs: its effects but bodies.
+        root: (K, R) of the covariance of its K coefficients.
+        body, at_body: (K,) which coefficients are of bodies, and (those,) where in `pi`.
+        places: per coefficient (effect, coefficient) numbers among `pairs`; none of bodies.
+    """
+
+    pi: Float[Tensor, " P"]
+    pairs: tuple[Valued, ...]
+    root: Float[Tensor, "K R"]
+    body: Bool[Tensor, " K"]
+    at_body: Int[Tensor, " B"]
+    places: tuple[tuple[tuple[int, int], ...], ...]
+
+    @staticmethod
+    def of(model: Robot, fit: JointFit, between: Mapping[str, Spread]) -> "_Explained":
+        """Of a corrected model, its fit, and the spread between sessions or units."""
+        pairs, others = nominal_effects(model), list[Valued]()
+        robot, known = model, dict[tuple[str, str], tuple[int, int | None]]()
+        for link in range(model.n):
+            names = LinkInertia(link).coefficient_names()
+            known |= {("link_inertia", x): (10 * link + k, None) for k, x in enumerate(names)}
+        for effect, values in pairs:
+            own = [(effect.name, name) for name in effect.coefficient_names()]
+            if isinstance(effect, BodyEffect):
+                robot = effect.plant(robot, values)
+                first = PARAMETERS_PER_LINK * effect.link(model)
+                known |= {key: (first + k, None) for k, key in enumerate(own)}
+            else:
+                known |= {key: (len(others), k) for k, key in enumerate(own)}
+                others.append((effect, list(values)))
+        # Coefficients of the fit, then what differs between units and was not fitted here.
+        keys = [[(c.effect, name) for name in c.names] for c in fit.coefficients]
+        named = {name for key in keys for _, name in key}
+        extra = [key for key in known if key[1] in between and key[1] not in named]
+        covariance = torch.zeros(len(keys) + len(extra), len(keys) + len(extra)).double()
+        covariance[: len(keys), : len(keys)] = fit.covariance
+        keys += [[key] for key in extra]
+        own_spread = [
+            max((between[n].std for _, n in k if n in between), default=0.0) for k in keys
+        ]
+        covariance += torch.diag(torch.tensor(own_spread, dtype=torch.float64).square())
+        sizes, axes = torch.linalg.eigh(covariance)
+        root = axes * sizes.clamp(min=0).sqrt()
+        at = [[known[key] for key in own if key in known] for own in keys]
+        body = [bool(own) and own[0][1] is None for own in at]
+        return _Explained(
+            robot.require_parameters("a randomisation").pi.double().flatten(),
+            tuple(others),
+            root,
+            torch.tensor(body, dtype=torch.bool),
+            torch.tensor([own[0][0] for own, b in zip(at, body, strict=True) if b]).long(),
+            tuple(
+                tuple((i, c) for i, c in own if c is not None) if not b else ()
+                for own, b in zip(at, body, strict=True)
+            ),
+        )
+
+    def effects(self, step: Float[Tensor, " K"] | None) -> tuple[Valued, ...]:
+        """The effects with coefficients a step away, which keep the signs that physics asks for."""
+        values = [list(v) for _, v in self.pairs]
+        for own, by in zip(self.places, [] if step is None else step.tolist(), strict=False):
+            for i, c in own:
+                values[i][c] += by
+        for (effect, _), v in zip(self.pairs, values, strict=True):
+            signed = [c.non_negative for c in effect.coefficients]
+            v[:] = [max(0.0, x) if s else x for x, s in zip(v, signed, strict=True)]
+        return tuple((e, v) for (e, _), v in zip(self.pairs, values, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """What bodies draws have.
+
+    Attributes:
+        centres: (E, n, 10) of each explanation.
+        spread: (E, 10 n, 10 n) takes a change of parameters to the smallest relative change of
+            bodies with the same torque.
+        least: (n, 10) that each body holds at least.
+        near: finds the bodies nearest to parameters that belong to none.
+        warnings: sentences for the user.
+    """
+
+    centres: Float[Tensor, "E n 10"]
+    spread: Float[Tensor, "E P P"]
+    least: Float[Tensor, "n 10"]
+    near: "_Near"
+    warnings: tuple[str, ...]
+
+    @staticmethod
+    def of(given: Robot, found: GapRecord, asked: Sequence[Float[Tensor, " P"]]) -> "_Bodies":
+        """About bodies with the torque that each explanation asks for."""
+        n, order = given.n, paper_order(given.n)
+        base = base_parameters(given)
+        grouping = torch.zeros(len(base), PARAMETERS_PER_LINK * n, dtype=torch.float64)
+        grouping[:, order] = base.grouping
+        near = _Near(given, found)
+        centres, spreads, said = list[Tensor](), list[Tensor](), list[str]()
+        for pi in asked:
+            centre = pi.view(n, PARAMETERS_PER_LINK)
+            if not bool(_are_bodies(centre, INSIDE * usual_bodies(centre))):
+                centre = near.to(centre)
+                matrix = _carried(centre, grouping)
+                exact = centre + (matrix @ (pi - centre.flatten())).view_as(centre)
+                # Where the nearest bodies can have just this torque, they do.
+                if bool(_are_bodies(exact, INSIDE * usual_bodies(exact))):
+                    centre = exact
+                elif not centres:
+                    said += near.words(centre, pi.view_as(centre))
+            centres.append(centre)
+            spreads.append(_carried(centre, grouping))
+        least = INSIDE * usual_bodies(centres[0])
+        return _Bodies(torch.stack(centres), torch.stack(spreads), least, near, tuple(said))
+
+    def moved(self, k: int, change: Float[Tensor, "D P"]) -> Float[Tensor, "D n 10"]:
+        """Explanation k's bodies with the base parameters of these changes."""
+        step = (change @ self.spread[k].T).view(len(change), *self.centres[k].shape)
+        return self.centres[k] + step
+
+    def are(self, pi: Float[Tensor, "D n 10"]) -> Bool[Tensor, " D"]:
+        """Which draws are bodies."""
+        return _are_bodies(pi, self.least)
+
+
+def _are_bodies(pi: Float[Tensor, "*D n 10"], least: Float[Tensor, "n 10"]) -> Bool[Tensor, "*D"]:
+    """Whether all links are bodies that hold at least these."""
+    rest = InertialParameters(pi - least).pseudo_inertia
+    return (torch.linalg.cholesky_ex(rest)[1] == 0).all(-1)
+
+
+def _carried(centre: Float[Tensor, "n 10"], grouping: Float[Tensor, "B P"]) -> Float[Tensor, "P P"]:
+    """M^-1 G' (G M^-1 G')^-1 G: of all changes with the same base parameters the one of smallest
+    relative size, with M the second derivative of the entropic metric at the centre."""
+    near = InertialParameters(centre + usual_bodies(centre)).pseudo_inertia
+    inner = torch.linalg.inv(torch.linalg.cholesky(near)).unsqueeze(1)
+    units = inner @ pseudo_inertia_basis() @ inner.mT
+    metric = torch.block_diag(*torch.einsum("naij,nbij->nab", units, units))
+    back = torch.linalg.solve(metric, grouping.T)
+    return back @ torch.linalg.pinv(grouping @ back, hermitian=True, rtol=1e-13) @ grouping
+
+
+class _Near:
+    """Bodies near the robot as given with nearly the torque of parameters that belong to none,
+    joint by joint in units of what is left of the log's torque, at random states.
+
+    Args:
+        given: the robot.
+        found: the diagnosis that says what is left.
+    """
+
+    def __init__(self, given: Robot, found: GapRecord):
+        motion, n = states(given, 0), given.n
+        self.left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
+        rows = torch.empty(len(motion.q), n, PARAMETERS_PER_LINK * n, dtype=torch.float64)
+        rows[..., paper_order(n)] = regressor(given, motion.q, motion.dq, motion.ddq)
+        self.rows = rows / self.left.unsqueeze(-1)
+        self.matrix = self.rows.flatten(0, 1)
+        self.square = self.matrix.T @ self.matrix
+        self.room = room_of(given)
+        self.last: NearBodies | None = None
+
+    def to(self, pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
+        """The nearest bodies; the first answer is where the search for the others begins."""
+        y = self.matrix @ pi.flatten()
+        # What is left anyway is one on each row, beside which the bodies' part counts.
+        whole, none = float(y @ y) + len(y), torch.zeros(0, dtype=torch.bool)
+        asked = Quadratic(self.square, self.matrix.T @ y, whole, none)
+        if self.last is None:
+            self.last = nearest_bodies(asked, self.room, spent=NEARLY)
+            if self.last.error > (1 + PRICE) * len(y) ** 0.5:
+                self.room = self.room.bodies_alone
+                self.last = nearest_bodies(asked, self.room, spent=NEARLY)
+            return self.last.pi
+        return nearest_bodies(asked, self.room, near=self.last).pi
+
+    def words(self, bodies: Float[Tensor, "n 10"], pi: Float[Tensor, "n 10"]) -> list[str]:
+        """A sentence on how far the bodies' torque is from the parameters', if it is far."""
+        off = (self.rows @ (bodies - pi).flatten()).square().mean(0).sqrt()
+        worst = int(off.argmax())
+        size, share = float(off[worst] * self.left[worst]), 100 * float(off[worst])
+        return [
+            f"the corrected parameters belong to no body: the nearest bodies' torque is up to "
+            f"{size:.2g} off on joint {worst + 1} (RMS at random states), {share:.0f} % of what "
+            "is left there of the log's"
+        ] * int(off[worst] > PRICE)
+
+
+def _values(
+    every: Draws, centre: Robot
+) -> tuple[dict[str, Float[Tensor, "D n"]], list[tuple[str, str, Float[Tensor, " D"]]]]:
+    """Fields of joints (D, n), and coefficients without a field: name, unit, (D,)."""
+    count, n = len(every.which), centre.n
+    fields = {name: torch.zeros(count, n, dtype=torch.float64) for name in FIELDS}
+    beside: dict[str, tuple[str, Tensor]] = {}
+    for d, pairs in enumerate(every.effects):
+        for effect, values in pairs:
+            added = effect.attributes(values, True)
+            if added is not None:
+                for key, value in added.items():
+                    fields[key][d, effect.joints[0]] += value
+                continue
+            sliding = all(centre.joint_types[j] is JointType.PRISMATIC for j in effect.joints)
+            prismatic = bool(effect.joints) and sliding
+            for c, name, value in zip(
+                effect.coefficients, effect.coefficient_names(), values, strict=True
+            ):
+                full = f"{effect.name} {name}"
+                unit = c.unit_for(prismatic)
+                beside.setdefault(full, (unit, torch.zeros(count, dtype=torch.float64)))
+                beside[full][1][d] += value
+    return fields, [(name, unit, x) for name, (unit, x) in beside.items()]
+
+
+def _known_names(robot: Robot) -> list[str]:
+    """Names of everything that a robot has."""
+    links = [x for k in range(robot.n) for x in LinkInertia(k).coefficient_names()]
+    return links + [x for e, _ in nominal_effects(robot) for x in e.coefficient_names()]
+
+
+def _ranges(
+    found: GapRecord,
+    fields: Mapping[str, Float[Tensor, "D n"]],
+    beside: Sequence[tuple[str, str, Float[Tensor, " D"]]],
+    every: Draws,
+    centre: Robot,
+    between: Mapping[str, Spread],
+    level: float,
+) -> tuple[RangeRow, ...]:
+    """Of everything in which draws differ."""
+    out = []
+    tail = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
+    first = every.which == 0
+    mixed = not bool(first.all())
+
+    def row(field: str, name: str, unit: str, x: Float[Tensor, " D"], key: str | None) -> None:
+        spread = float(x.max() - x.min())
+        if spread <= 1e-9 * float(x.abs().max()):
+            return
+        low, high = x.quantile(tail).tolist()
+        own = x[first] if int(first.sum()) > 1 else x
+        parts = [f"one standard deviation is {float(own.std()):.2g} {unit} by the log"]
+        if key is not None and key in between:
+            parts[0] += f" and the spread of {between[key].std:.2g} in {between[key].source}"
+        if mixed and float((x[~first].mean() - own.mean()).abs()) > float(own.std()):
+            share = 100 * float((~first).double().mean())
+            parts.append(f"{share:.0f} % of the draws are of explanations that say it otherwise")
+        middle = float(own.median())
+        out.append(
+            RangeRow(
+                field=field,
+                name=name,
+                unit=unit,
+                low=low,
+                high=high,
+                centre=middle,
+                why=f"{'; '.join(parts)}.",
+            )
+        )
+
+    for field, x in fields.items():
+        kind, c = FIELDS[field]
+        for j, name in enumerate(centre.joint_names):
+            coefficient = kind.coefficients[c]
+            unit = coefficient.unit_for(centre.joint_types[j] is JointType.PRISMATIC)
+            row(field, name, unit, x[:, j], f"{coefficient.name}{j + 1}")
+    bodies = InertialParameters(every.pi)
+    values = torch.cat([bodies.mass.unsqueeze(-1), bodies.com], -1)
+    for k, (field, unit) in enumerate(BODY_FIELDS.items()):
+        for j, name in enumerate(centre.link_names):
+            key = LinkInertia(j).coefficient_names()[k]
+            row(field, name, unit, values[:, j, k], key)
+    for name, unit, x in beside:
+        row(name.rpartition(" ")[0], name, unit, x, name.rpartition(" ")[2])
+    return tuple(out)
+
+
+def _bands(found: GapRecord, level: float) -> tuple[ResidualBand, ...]:
+    """Of each joint the torque that stays, and what of it is noise of the sensor."""
+    out = []
+    for one in found.residual:
+        half = float(np.interp(level, one.levels, one.sizes)) if one.sizes else math.nan
+        floor, far = found.noise_floor, found.how_far.per_joint[one.joint]
+        noise = min(float(floor.high[one.joint]), far.after)
+        rest = math.sqrt(max(0.0, far.after**2 - noise**2))
+        unit = (
+            "N"
+            if found.model and found.model.joint_types[one.joint] is JointType.PRISMATIC
+            else "N m"
+        )
+        out.append(
+            ResidualBand(
+                joint=one.joint,
+                low=-half,
+                high=half,
+                rms=far.after,
+                noise=noise,
+                unexplained=rest,
+                correlation=one.correlation,
+                why=(
+                    f"on data that was not fitted the model misses {far.after:.2g} {unit} RMS, for "
+                    f"{one.correlation:.2g} s at a time; up to {noise:.2g} {unit} of it may be "
+                    f"noise of the sensor, and {rest:.2g} {unit} at least act on the arm."
+                ),
+            )
+        )
+    return tuple(out)
+
+
+def plain_draws(done: Randomisation) -> dict[str, Any]:
+    """The arrays of draws.npz; see `torchid.export.write_randomised`."""
+    bodies = InertialParameters(done.draws.pi)
+    fields, beside = _values(done.draws, done.robot)
+    return {
+        "joint_names": np.array(done.robot.joint_names),
+        "link_names": np.array(done.robot.link_names),
+        "explanation": done.draws.which.numpy(),
+        "mass": bodies.mass.numpy(),
+        "com": bodies.com.numpy(),
+        "inertia_about_com": bodies.inertia_about_com.numpy(),
+        **{name: x.numpy() for name, x in fields.items()},
+        "coefficient_names": np.array([name for name, _, _ in beside], dtype=str),
+        "coefficients": np.stack([x.numpy() for *_, x in beside], 1)
+        if beside
+        else np.zeros((len(done), 0)),
+        "residual": np.array([[band.low, band.high] for band in done.residual]),
+        "residual_unexplained_rms": np.array([band.unexplained for band in done.residual]),
+        "residual_correlation_s": np.array([band.correlation for band in done.residual]),
+    }

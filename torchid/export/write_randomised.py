@@ -1,0 +1,239 @@
+"""Ranges and draws in the words of simulators: MuJoCo (csv), mjlab, Isaac Lab, npz.
+
+Read for the two packages: mjlab v1.6 (`mjlab.envs.mdp.dr`, since v1.2), and Isaac Lab's main branch
+after 2.3 (`isaaclab.envs.mdp.randomize_joint_parameters` and `Articulation.write_joint_*_to_sim`).
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from torchid import __version__
+from torchid.export.export import require_name, stem_of
+from torchid.export.randomise import Randomisation, plain_draws
+from torchid.export.record import RangeRow
+from torchid.files import atomic_write
+
+MUJOCO = {
+    "damping": "dof_damping",
+    "friction": "dof_frictionloss",
+    "armature": "dof_armature",
+    "stiffness": "jnt_stiffness",
+    "offset": "qfrc_spring at q = 0",
+    "mass": "body_mass",
+    "com_x": "body_ipos[0]",
+    "com_y": "body_ipos[1]",
+    "com_z": "body_ipos[2]",
+}
+"""Fields of mjModel."""
+
+_MJLAB = {
+    "damping": "joint_damping",
+    "friction": "joint_friction",
+    "armature": "joint_armature",
+    "stiffness": "joint_stiffness",
+}
+
+
+def write_randomised(
+    done: Randomisation, folder: Path | str, name: str | None = None
+) -> list[Path]:
+    """Write NAME_ranges.csv, NAME_draws.npz, NAME_mjlab.py and NAME_isaaclab.py.
+
+    Args:
+        done: draws and ranges.
+        folder: made if need be.
+        name: without suffix; the robot's own by default.
+
+    Returns:
+        The files.
+
+    Raises:
+        TorchidError: a name with a folder in it, or a file that cannot be written.
+    """
+    stem = stem_of(done.robot) if name is None else name
+    require_name(stem)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {
+        f"{stem}_ranges.csv": _csv(done),
+        f"{stem}_mjlab.py": _mjlab(done, stem),
+        f"{stem}_isaaclab.py": _isaaclab(done, stem),
+    }
+    files = [folder / f"{stem}_draws.npz", *(folder / file for file in texts)]
+    robots = [json.dumps([dict(r) for r in done.one(k).effects]) for k in range(len(done))]
+    with atomic_write(files[0], "wb") as stream:
+        np.savez_compressed(stream, **plain_draws(done), effects=np.array(robots))
+    for file, text in zip(files[1:], texts.values(), strict=True):
+        with atomic_write(file) as stream:
+            stream.write(text)
+    return files
+
+
+def _csv(done: Randomisation) -> str:
+    """One row a range, then the torque that stays unexplained."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("field", "name", "low", "high", "centre", "unit", "why"))
+    for r in done.ranges:
+        row = (MUJOCO.get(r.field, r.field), r.name, r.low, r.high, r.centre, r.unit, r.why)
+        writer.writerow(row)
+    for band in done.residual:
+        joint = done.robot.joint_names[band.joint]
+        ends = (-1.96 * band.unexplained, 1.96 * band.unexplained)
+        writer.writerow(("qfrc_applied", joint, *ends, 0.0, "", band.why))
+    return out.getvalue()
+
+
+def _said(done: Randomisation, package: str, version: str) -> list[str]:
+    """The first lines of a file."""
+    share = f"{100 * done.level:g} %"
+    return [
+        f'"""Ranges of \'{done.robot.name}\' that hold {share} of what its log leaves open.',
+        "",
+        f"Written by torchid {__version__} for {package}, of which {version} was read. Ranges of",
+        "single fields take no notice of how fields vary together: the draws beside this file do.",
+        '"""',
+        "",
+    ]
+
+
+def _terms(done: Randomisation, wanted: tuple[str, ...]) -> Iterator[tuple[str, RangeRow]]:
+    """Ranges of fields with a Python name each."""
+    for r in done.ranges:
+        if r.field in wanted:
+            joined = "".join(c if c.isalnum() else "_" for c in f"{r.field}_{r.name}")
+            yield joined, r
+
+
+def _pair(r: RangeRow) -> str:
+    return f"({r.low!r}, {r.high!r})"
+
+
+def _mjlab(done: Randomisation, stem: str) -> str:
+    """EVENTS: one term a range, to be merged into an environment's `events`."""
+    lines = [
+        *_said(done, "mjlab", "v1.6"),
+        "from mjlab.envs.mdp import dr",
+        "from mjlab.managers.event_manager import EventTermCfg",
+        "from mjlab.managers.scene_entity_config import SceneEntityCfg",
+        "",
+        'ENTITY = "robot"  # name of the arm in the scene',
+        f'DRAWS = "{stem}_draws.npz"  # correlated draws, all of them bodies',
+        "",
+        "EVENTS = {",
+    ]
+    for name, r in _terms(done, tuple(_MJLAB)):
+        lines += [
+            f"    # {r.why}",
+            f"    {name!r}: EventTermCfg(",
+            '        mode="startup",',
+            f"        func=dr.{_MJLAB[r.field]},",
+            "        params={",
+            f'            "asset_cfg": SceneEntityCfg(ENTITY, joint_names=({r.name!r},)),',
+            f'            "ranges": {_pair(r)},  # {r.unit}',
+            '            "operation": "abs",',
+            "        },",
+            "    ),",
+        ]
+    for name, r in _terms(done, ("mass",)):
+        # Mass and inertia together grow by exp(2 alpha), the centre of mass staying.
+        ends = [0.5 * math.log(x / r.centre) for x in (r.low, r.high)]
+        lines += [
+            f"    # {r.why} Of the centre, {r.centre!r} kg.",
+            f"    {name!r}: EventTermCfg(",
+            '        mode="startup",',
+            "        func=dr.pseudo_inertia,",
+            "        params={",
+            f'            "asset_cfg": SceneEntityCfg(ENTITY, body_names=({r.name!r},)),',
+            f'            "alpha_range": ({ends[0]!r}, {ends[1]!r}),',
+            "        },",
+            "    ),",
+        ]
+    return "\n".join([*lines, "}", *_beside(done), ""])
+
+
+def _isaaclab(done: Randomisation, stem: str) -> str:
+    """Events: one term for all joints, which takes whole draws, and one a mass."""
+    lines = [
+        *_said(done, "Isaac Lab", "the main branch after 2.3"),
+        "from pathlib import Path",
+        "",
+        "import isaaclab.envs.mdp as mdp",
+        "import numpy as np",
+        "import torch",
+        "from isaaclab.managers import EventTermCfg, SceneEntityCfg",
+        "from isaaclab.utils import configclass",
+        "",
+        f'DRAWS = Path(__file__).with_name("{stem}_draws.npz")',
+        "",
+        "",
+        "def draw_joints(env, env_ids, asset_cfg, file=DRAWS):",
+        '    """One whole draw an environment: armature, dry and viscous friction.',
+        "",
+        "    randomize_joint_parameters would give dry and viscous friction the same numbers.",
+        '    """',
+        "    asset, draws = env.scene[asset_cfg.name], np.load(file)",
+        "    if env_ids is None:",
+        "        env_ids = torch.arange(env.scene.num_envs, device=asset.device)",
+        "    columns, _ = asset.find_joints(list(draws['joint_names']), preserve_order=True)",
+        "    which = np.random.randint(len(draws['explanation']), size=len(env_ids))",
+        "    dry, viscous, armature = (",
+        "        torch.tensor(draws[key][which], dtype=torch.float32, device=asset.device)",
+        '        for key in ("friction", "damping", "armature")',
+        "    )",
+        '    where = {"joint_ids": columns, "env_ids": env_ids}',
+        "    asset.write_joint_friction_coefficient_to_sim(",
+        "        dry,",
+        "        joint_dynamic_friction_coeff=dry,",
+        "        joint_viscous_friction_coeff=viscous,",
+        "        **where,",
+        "    )",
+        "    asset.write_joint_armature_to_sim(armature, **where)",
+        "",
+        "",
+        "@configclass",
+        "class RandomisationCfg:",
+        '    """To be merged into an environment\'s events."""',
+        "",
+        "    joints = EventTermCfg(",
+        "        func=draw_joints,",
+        '        mode="startup",',
+        '        params={"asset_cfg": SceneEntityCfg("robot")},',
+        "    )",
+    ]
+    for name, r in _terms(done, ("mass",)):
+        lines += [
+            f"    # {r.why}",
+            f"    {name} = EventTermCfg(",
+            "        func=mdp.randomize_rigid_body_mass,",
+            '        mode="startup",',
+            "        params={",
+            f'            "asset_cfg": SceneEntityCfg("robot", body_names={r.name!r}),',
+            f'            "mass_distribution_params": {_pair(r)},  # kg',
+            '            "operation": "abs",',
+            "        },",
+            "    )",
+        ]
+    return "\n".join([*lines, *_beside(done), ""])
+
+
+def _beside(done: Randomisation) -> list[str]:
+    """What no event sets, as comments: fields of other simulators, effects, unexplained torque."""
+    written = (*_MJLAB, "mass")
+    lines = [
+        f"#   {r.field} {r.name}: {r.low:.6g} to {r.high:.6g} {r.unit}"
+        for r in done.ranges
+        if r.field not in written
+    ]
+    lines += [
+        f"#   torque of {done.robot.joint_names[b.joint]}: +-{1.96 * b.unexplained:.3g}, lasting "
+        f"{b.correlation:.2g} s, stays unexplained"
+        for b in done.residual
+    ]
+    return ["", "# Without an event here:", *lines] if lines else []
