@@ -66,6 +66,7 @@ def make_command(
     out: opt.Folder,
     cases: Annotated[int, typer.Option(min=1, max=9999)],
     seed: RequiredSeed,
+    kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
     jobs: Jobs = None,
@@ -78,13 +79,23 @@ def make_command(
     Args:
         out: Folder of the set.
         cases: Number of cases.
+        kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
     """
     from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress:
-        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=processes(jobs), progress=progress)
+        made = make(
+            out,
+            cases,
+            seed,
+            kind=kind,
+            mix=mix,
+            keys=sealed,
+            jobs=processes(jobs),
+            progress=progress,
+        )
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
         "make.json",
