@@ -169,6 +169,10 @@ def score_command(
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
+    # Beside answers on commands and positions there is no other method of torques.
+    baselines, oracle, truth = (
+        wanted and found.kind == "torque" for wanted in (baselines, oracle, truth)
+    )
     with output.progress() as progress:
         count = processes(jobs)
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None

@@ -281,6 +281,13 @@ def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, T
         if effect.name not in KEPT:
             tried[effect.name] = _beside(data, simple, windows, effect)
     cost = {name: _one(data, model, windows) for name, model in tried.items()}
+    # Limits of set-points are brought to where they are best, where that can matter.
+    for name in ("set_point_profile", "set_point_speed"):
+        best = torch.stack(list(cost.values())).amin(0)
+        open_ = (best > least) | (cost[name] < ALIKE * best)
+        if bool((open_ & (before > least) & (cost[name] < 0.7 * before)).any()):
+            tried[name] = _scanned(data, tried[name], windows)
+            cost[name] = _one(data, tried[name], windows)
     now, cost_now = simple, before
     own = torch.stack([cost[name] for name in tried if BY_NAME[name].parameters])
     names = [name for name in tried if BY_NAME[name].parameters]
@@ -330,14 +337,14 @@ def _beside(data: PositionData, simple: Found, windows: Windows, effect: Positio
     if not effect.parameters:
         return _with_plane(data, simple, windows)
     if effect.name == "set_point_profile":
-        return _scanned(data, _with_profile(data, simple, windows), windows)
+        return _with_profile(data, simple, windows)
     now = simple
     if effect.parameters[0] in _SIZES:
         for name in effect.parameters:
             # Of two stops each where it helps: both at once would hold the joint.
             only = len(effect.parameters) == 1
             now = _grown(data, now, windows, name, sure=not only, iterations=3)
-        return _scanned(data, now, windows)
+        return now
     begun = _start(data, effect.parameters)
     joint = simple.servos.joint.clone()
     for name in effect.parameters:

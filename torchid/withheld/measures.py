@@ -137,9 +137,7 @@ def verdict(row: Row, *, every: bool) -> Verdict:
     for claim in judged:
         if any(p.allows(claim.name, claim.family) for p in row.planted):
             continue
-        among = any(
-            p.allows(n, row.families.get(n)) for p in row.planted for n in claim.ambiguous
-        )
+        among = any(p.allows(n, row.families.get(n)) for p in row.planted for n in claim.ambiguous)
         # An answer that says that there is more than it names is not sure.
         if not among and row.status != "partly_explained":
             return "confident_wrong"

@@ -1,4 +1,4 @@
-"""Servos in MuJoCo do what their numbers say, and cases of commands and positions are drawn whole."""
+"""Servos in MuJoCo do what their numbers say, and cases of positions are drawn whole."""
 
 from dataclasses import replace
 
@@ -45,9 +45,10 @@ def test_a_command_is_held_until_the_next_and_late(scene):
     u = np.arange(6.0)[:, None]
     servos = Servos({"delay": np.array([0.008]), "scale": np.array([2.0])}, rate_hz=RATE)
     x, _ = set_points(servos, u, 10, np.random.default_rng(0))
-    assert x[:, 0].tolist() == [0.0] * 14 + [2.0] * 10 + [4.0] * 10 + [6.0] * 10 + [8.0] * 10 + [
-        10.0
-    ] * 6
+    assert (
+        x[:, 0].tolist()
+        == [0.0] * 14 + [2.0] * 10 + [4.0] * 10 + [6.0] * 10 + [8.0] * 10 + [10.0] * 6
+    )
 
 
 def test_a_profile_keeps_its_limits_and_comes_to_rest():
