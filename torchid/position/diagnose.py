@@ -32,7 +32,7 @@ from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 
 WINDOW_S = 2.0
-STAGES = 12
+STAGES = 13
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""

@@ -50,10 +50,14 @@ class Scene:
     commands: list[Array]
     base: list[Moved]
 
-    def top(self, values: Callable[[Moved], Array], share: float = 0.999) -> Array:
-        """(n,) a quantile of the sizes of what motions show."""
-        every = np.concatenate([np.abs(values(m)) for m in self.base])
-        return np.asarray(np.quantile(every, share, axis=0))
+    def shown(self, values: Callable[[Moved], Array]) -> Array:
+        """Something of all motions, one after the other."""
+        return np.concatenate([values(m) for m in self.base])
+
+    @property
+    def torque(self) -> Array:
+        """(n,) 99.9 % of the servos' torques [N m]."""
+        return np.asarray(np.quantile(np.abs(self.shown(lambda m: m.torque)), 0.999, axis=0))
 
     @property
     def kp(self) -> Array:
@@ -62,7 +66,8 @@ class Scene:
 
     def rates(self, order: int) -> Array:
         """(n,) 99.5 % of the speeds [rad/s] (1) or accelerations [rad/s^2] (2) of the motions."""
-        return self.top(lambda m: np.diff(m.q, order, axis=0) * self.servos.rate_hz**order, 0.995)
+        size = np.abs(self.shown(lambda m: np.diff(m.q, order, axis=0)))
+        return np.asarray(np.quantile(size, 0.995, axis=0)) * self.servos.rate_hz**order
 
 
 Change = dict[str, float] | Plant
@@ -98,7 +103,7 @@ def _way(x: float) -> float:
 
 def _stop(scene: Scene, j: int, s: float, x: float) -> Plant:
     """An end that one side of the motions reaches."""
-    q = np.concatenate([m.q[:, j] for m in scene.base])
+    q = scene.shown(lambda m: m.q[:, j])
     middle, reach = np.median(q), min(0.18 * s, 0.7)
     low, high = q.min() - 1.0, q.max() + 1.0
     if x > 0.5:
@@ -110,7 +115,7 @@ def _stop(scene: Scene, j: int, s: float, x: float) -> Plant:
 
 def _floor(scene: Scene, j: int, s: float, x: float) -> Plant:
     """A plane that the tool reaches for a small part of the time."""
-    height = np.concatenate([m.tool for m in scene.base])
+    height = scene.shown(lambda m: m.tool)
     return replace(scene.plant, floor=float(np.quantile(height, min(0.02 * s * (1 + x), 0.2))))
 
 
@@ -131,7 +136,7 @@ def _payload(scene: Scene, j: int, s: float, x: float) -> Plant:
 
 
 def _cable(scene: Scene, j: int, s: float, x: float) -> Plant:
-    q = np.concatenate([m.q[:, j] for m in scene.base])
+    q = scene.shown(lambda m: m.q[:, j])
     rest = float(q.min() if x > 0.5 else q.max())
     return replace(scene.plant, springs=(Spring(j, 0.05 * s * float(scene.kp[j]), rest),))
 
@@ -170,7 +175,7 @@ KINDS: dict[str, Kind] = {
     ),
     "saturation": Kind(
         "servo",
-        _numbers(clip=lambda c, j, s, x: (0.4 + 0.3 * x) / s * float(c.top(lambda m: m.torque)[j])),
+        _numbers(clip=lambda c, j, s, x: (0.4 + 0.3 * x) / s * float(c.torque[j])),
     ),
     "dead_zone": Kind("servo", _numbers(dead_zone=lambda c, j, s, x: s * (0.004 + 0.008 * x))),
     "torque_offset": Kind(
@@ -201,7 +206,7 @@ KINDS: dict[str, Kind] = {
     "payload": Kind(OUTSIDE, _payload, "arm"),
     "supply_sag": Kind(
         OUTSIDE,
-        _numbers(sag=lambda c, j, s, x: s * (0.2 + 0.3 * x) / c.top(lambda m: m.torque).sum()),
+        _numbers(sag=lambda c, j, s, x: s * (0.2 + 0.3 * x) / c.torque.sum()),
         "all",
         ("saturation",),
     ),
@@ -426,7 +431,7 @@ def _placed(scene: Scene, name: str, rng: Rng, taken: set[int]) -> Planting:
     free = [j for j in range(n) if j not in taken]
     if kind.place == "loaded":
         # Gravity must make a torque that varies.
-        load = np.concatenate([m.load for m in scene.base]).std(0) / scene.kp
+        load = scene.shown(lambda m: m.load).std(0) / scene.kp
         free = [j for j in free if load[j] >= 0.3 * load.max()] or [int(load.argmax())]
     return Planting(name, (int(rng.choice(free)),), variant)
 
