@@ -377,7 +377,7 @@ def _scene(spec: PositionSpec, rng: Rng) -> Scene:
         {
             "kp": kp,
             "coulomb": kp * rng.uniform(0.002, 0.006, n),
-            "delay": rng.uniform(0, 0.4) / spec.rate_hz,
+            "delay": np.full(n, rng.uniform(0, 0.4) / spec.rate_hz),
         },
         count=2 * np.pi / spec.counts,
         rate_hz=spec.rate_hz,
