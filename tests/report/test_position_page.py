@@ -45,7 +45,7 @@ def test_without_a_finding():
     plain = diagnosis()
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
     text = parsed(render(position_page(plain, made))).text_content()
-    assert "no gap beside a plain servo" in text
+    assert "A gap is left that no effect closes." in text
     assert "which" not in figures(plain)
     assert len(position_tables(plain)) == 2
     assert "nominal" not in plain.plain()
