@@ -27,7 +27,7 @@ def diagnosis(*findings: PositionFinding, servo: str | None = None) -> PositionD
     plain[400:600, 1] += 0.03
     ways = [
         Accuracy(torch.tensor(x).double(), torch.tensor(x).double() / 2)
-        for x in ((30.0, 40.0, 35.0), (9.0, 14.0, 3.0), (4.0, 6.0, 2.5))
+        for x in ((30.0, 40.0, torch.nan), (9.0, 14.0, torch.nan), (4.0, 6.0, torch.nan))
     ]
     regimes = {
         "holding": (torch.tensor([3.0, 4.0, torch.nan]), torch.tensor([1.0, 1.5, torch.nan])),

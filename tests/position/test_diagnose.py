@@ -1,12 +1,18 @@
 """Planted causes are named on their joints, and a plain servo is named plain."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
 from torchid.position.data import prepare
-from torchid.position.diagnose import _parted, _some, _still, diagnose_positions
+from torchid.position.diagnose import _parted, _some, _still, _without, diagnose_positions
+from torchid.position.diagnosis import Accuracy
+from torchid.position.effects import BY_NAME
 from torchid.position.model import replay
+from torchid.position.search import Found
 from torchid.report.position import position_tables, position_verdict
 from torchid.results.files import load
 from torchid.simulation.servo_loop import Windows
@@ -33,10 +39,11 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     }
     if cause is None:
         assert named == set()
+        assert result.status == "no_gap"
     else:
         joint = next(iter(extra.values()))[0]
-        assert (cause, joint) in named
-        assert {j for _, j in named} == {joint}
+        assert named == {(cause, joint)}
+        assert result.status == "explained"
         assert float(result.answered.whole[joint - 1]) < float(result.plain_servo.whole[joint - 1])
     # Its answer can be read by people and programs.
     result.save(tmp_path / "gap.json")
@@ -87,3 +94,29 @@ def test_windows_that_tell_more_are_taken_sooner_and_stand_for_fewer(most):
     assert float(some.weight.sum()) == pytest.approx(count, rel=0.3)
     if most == 60:
         assert set(range(0, count, 40)) <= set((some.start // 100).tolist())
+
+
+def test_an_answer_says_whether_what_it_names_is_all():
+    found = diagnosis(finding("set_point_profile", 2, 9.0, 3.0, acceleration=4.0))
+    # Of (14 / 2)^2 + (9 / 2)^2 mrad^2 in windows of 2 s, (6 / 2)^2 + (4 / 2)^2 are left; joint 3
+    # never moves.
+    floor = (1e3 * found.data.slight[:2]).square().sum()
+    assert found.closed == pytest.approx(1 - float((13.0 - floor) / (69.25 - floor)), rel=1e-6)
+    assert found.status == "partly_explained"
+    near = Accuracy(*(0.2 * x for x in (found.answered.whole, found.answered.windows)))
+    assert replace(found, answered=near).status == "explained"
+    assert replace(found, findings=()).status == "detected_unexplained"
+    quiet = replace(found, findings=(), plain_servo=near, answered=near)
+    assert quiet.status == "no_gap"
+    assert "something else is there too" in position_verdict(found)
+    # A joint that never moves is neither a success nor a failure.
+    assert found.answered.mean == (5.0, 2.5)
+    assert found.record.how_far.answered.whole_mrad == 5.0
+
+
+def test_a_delay_of_less_than_a_sample_is_no_cause():
+    found = Found(
+        true_servos(3, delay=(2, 0.05)), {"delay": torch.ones(3, dtype=torch.bool)}, False
+    )
+    less = _without(found, BY_NAME["command_delay"], torch.tensor([True] * 3), 0.03)
+    assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])

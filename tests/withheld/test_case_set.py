@@ -79,6 +79,12 @@ def test_what_is_there_is_not_overwritten(made, plant, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+def test_cases_of_positions_have_one_mix(tmp_path):
+    with pytest.raises(TorchidError, match="one mix"):
+        make(tmp_path / "set", 1, seed=1, kind="position", mix="release")
+    assert not list(tmp_path.iterdir())
+
+
 def test_keys_cannot_lie_among_the_cases(plant, tmp_path):
     with pytest.raises(TorchidError, match="must not lie in"):
         make(tmp_path / "set", 1, seed=1, keys=tmp_path / "set" / "keys.json")

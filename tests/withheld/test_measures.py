@@ -44,7 +44,7 @@ def planted(name: str, *place: int, **more: Any) -> Planted:
 
 def row(truth: list[Planted], found: list[Claim], status: str = "explained", **more: Any) -> Row:
     ordered = sorted(found, key=lambda c: -c.share)
-    return Row(status, tuple(truth), tuple(ordered), **more)
+    return Row(status, tuple(truth), tuple(ordered), families=FAMILIES, **more)
 
 
 @pytest.mark.parametrize(("hits", "total"), [(0, 20), (3, 20), (20, 20), (1, 1), (50, 100)])
@@ -167,14 +167,14 @@ def test_largest_matching_beats_no_assignment() -> None:
 )
 def test_what_is_said_without_the_name(found: list[Claim], status: str, said: str) -> None:
     r = row([planted("coulomb_friction", 1)], found, status)
-    assert verdict(r, FAMILIES, every=False) == said
+    assert verdict(r, every=False) == said
 
 
 def test_one_wrong_claim_is_enough_where_every_one_counts() -> None:
     found = [claim("stribeck_friction", 1), claim("base_tilt", share=0.1)]
     r = row([planted("coulomb_friction", 1)], found)
-    assert verdict(r, FAMILIES, every=False) == "right_family"
-    assert verdict(r, FAMILIES, every=True) == "confident_wrong"
+    assert verdict(r, every=False) == "right_family"
+    assert verdict(r, every=True) == "confident_wrong"
 
 
 def test_outside_of_the_library_every_name_is_wrong_unless_it_is_acceptable() -> None:
@@ -186,10 +186,10 @@ def test_outside_of_the_library_every_name_is_wrong_unless_it_is_acceptable() ->
         (("sign",), "confident_wrong"),
     ):
         r = row([planted("air_drag", 1, acceptable=acceptable)], found)
-        assert verdict(r, FAMILIES, every=True) == said
+        assert verdict(r, every=True) == said
     hedged = [claim("base_tilt", ambiguous=("viscous_friction",))]
     r = row([planted("air_drag", 1, acceptable=("speed",))], hedged)
-    assert verdict(r, FAMILIES, every=True) == "hedged"
+    assert verdict(r, every=True) == "hedged"
 
 
 POOR = [planted("coulomb_friction", 2)]

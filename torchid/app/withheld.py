@@ -69,6 +69,7 @@ def make_command(
     out: opt.Folder,
     cases: Annotated[int, typer.Option(min=1, max=9999)],
     seed: RequiredSeed,
+    kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     keys: Annotated[Path | None, _KEYS, WRITTEN] = None,
     workers: Workers,
@@ -81,13 +82,17 @@ def make_command(
     Args:
         out: Folder of the set.
         cases: Number of cases.
+        kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
     """
     from torchid.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress:
-        made = make(out, cases, seed, mix=mix, keys=sealed, jobs=workers.count, progress=progress)
+        made = make(
+            out, cases, seed, kind=kind, mix=mix, keys=sealed, jobs=workers.count,
+            progress=progress,
+        )  # fmt: skip
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
         "make.json",
@@ -159,6 +164,10 @@ def score_command(
     opened = read_keys(found, keys_beside(folder) if keys is None else keys)
     answers = read_answers(found)
     require_answers(found, answers, partial=partial)
+    # Beside answers on commands and positions there is no other method of torques.
+    baselines, oracle, truth = (
+        wanted and found.kind == "torque" for wanted in (baselines, oracle, truth)
+    )
     with output.progress() as progress:
         count = workers.count
         simple = baseline_answers(found, tuple(answers), count, progress) if baselines else None

@@ -43,6 +43,8 @@ UNITS = {
     "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
 }
 """What one radian is in units that commands are sent in."""
+SLIGHT = 0.02
+"""Share of the distance between command and position below which nothing is looked for [1]."""
 NEAR = 1.5
 """Factor within which a ratio is that of two units; none of them are nearer to each other."""
 
@@ -84,6 +86,13 @@ class PositionData:
             steps = steps[steps > NO_STEP]
             out.append(steps.quantile(0.05) / 12**0.5 if len(steps) else q.new_tensor(0.0))
         return torch.stack(out)
+
+    @property
+    def slight(self) -> Float[Tensor, " n"]:
+        """(n,) RMS errors that call for no cause [rad]: what rounding leaves, and so small a share
+        of what parts positions from commands as a servo's own cycle and a bus's make."""
+        apart = (self.tracks.u - self.q).square().mean(0)
+        return (self.resolution**2 + SLIGHT**2 * apart).sqrt()
 
     def start(self, windows: Windows) -> tuple[Tensor, Tensor]:
         """q and dq (W, n) at the first rows of windows."""

@@ -15,7 +15,7 @@ from torchid.log.checks import STILL
 from torchid.log.model import Log
 from torchid.position.data import PositionData, missing_commands, prepare
 from torchid.position.diagnosis import Accuracy, PositionDiagnosis, PositionFinding, Size
-from torchid.position.effects import BY_NAME, EFFECTS, PositionEffect
+from torchid.position.effects import BY_NAME, EFFECTS, KEPT, PositionEffect
 from torchid.position.fit import NOISE, TOGETHER, errors, fit
 from torchid.position.judge import (
     Equations,
@@ -26,20 +26,18 @@ from torchid.position.judge import (
     value_interval,
 )
 from torchid.position.model import accuracy
-from torchid.position.search import Found, full, least_loss, plain
+from torchid.position.search import Found, Rivals, alone, full, plain, slight
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS, PLANE, Servos
 from torchid.simulation.servo_loop import Windows, windows_of
 
 WINDOW_S = 2.0
-STAGES = 12
+STAGES = 13
 """That are told as progress."""
 MOST = 250
 """Windows that a search looks at [1]: more do not change what it finds, only how long it takes."""
 WORTHWHILE = 0.05
 """Share of a joint's squared error that a cause must take away to be named [1]."""
-KEPT = ("command_delay", "torque_offset")
-"""What is part of every model, named or not."""
 RATIO = 0.2
 """Standard deviation of a torque's scale from which only ratios are told [1]."""
 
@@ -74,8 +72,8 @@ def diagnose_positions(
     ...     u = 0.3 * np.sin(np.outer(t, [1.1, 2.3, 3.1]) + k)
     ...     logs.append(torchid.replay(real, torchid.Log(t, q=u, u=u)).simulated[0])
     >>> found = diagnose_positions(robot, torchid.Log.concatenate(logs))
-    >>> answered = found.answered.whole.mean()  # mrad
-    >>> bool(answered < 0.1 * found.commanded.whole.mean())
+    >>> answered, _ = found.answered.mean  # mrad
+    >>> answered < 0.1 * found.commanded.mean[0]
     True
     """
     begun, stages = time.perf_counter(), count()
@@ -136,7 +134,7 @@ def diagnose_positions(
     )
     if held_out is None:
         return result
-    return replace(result, held_out=accuracy(result.corrected, held_out))
+    return replace(result, held_out=accuracy(result.corrected, held_out, ~still))
 
 
 def answer(robot: Robot, log: Log) -> tuple[PositionData, Found]:
@@ -162,20 +160,28 @@ def _answer(
     say: Callable[[str], None],
 ) -> "tuple[Found, Worth, Rivals]":
     """What the search finds in few windows and each effect is worth there, fitted to more."""
-    found = _no_worse(data, simple, full(data, few, say), few)
+    say("one effect at a time")
+    found, explained, alike = alone(data, simple, few)
+    if not bool(explained.all()):
+        found = _no_worse(data, found, _no_worse(data, simple, full(data, few, say), few), few)
     say("what each effect is worth")
     worth, rivals, found = _needed(data, found, few)
+    rivals = {at: names for at, names in alike.items() if bool(explained[at[1]])} | rivals
     servos = fit(data, found.servos, found.free, more, plane=found.plane, iterations=2)
     return replace(found, servos=servos), worth, rivals
 
 
 def _no_worse(data: PositionData, simple: Found, found: Found, windows: Windows) -> Found:
-    """The model with plain servos on the joints that a plain servo follows as well: a search may
-    end where more parameters do no better."""
+    """The model with simple servos on the joints that these follow as well: a search may end where
+    more parameters do no better."""
     before, after = (_losses(data, model.servos, windows).sum(0) for model in (simple, found))
-    needless = before - after < least_loss(data, windows)
+    needless = before - after < slight(data, windows)
     joint = torch.where(needless[:, None], simple.servos.joint, found.servos.joint)
-    free = {name: on if name in simple.free else on & ~needless for name, on in found.free.items()}
+    none = torch.zeros_like(needless)
+    free = {
+        name: torch.where(needless, simple.free.get(name, none), found.free.get(name, none))
+        for name in {**found.free, **simple.free}
+    }
     return Found(replace(found.servos, joint=joint), free, found.plane)
 
 
@@ -240,15 +246,18 @@ def _present(found: Found, effect: PositionEffect) -> Tensor:
     return on
 
 
-def _without(found: Found, effect: PositionEffect, joints: Tensor) -> Found:
-    """The model without an effect on some joints."""
+def _without(found: Found, effect: PositionEffect, joints: Tensor, sample: float) -> Found:
+    """The model without an effect on some joints; of a delay without what is beyond a sample."""
     if not effect.parameters:
         plane = found.servos.plane.clone()
         plane[4] = 0.0
         return Found(replace(found.servos, plane=plane), found.free, False)
     joint, free = found.servos.joint.clone(), dict(found.free)
     for name, value in effect.neutral().items():
-        joint[joints, INDEX[name]] = value
+        column = joint[joints, INDEX[name]]
+        # A command that is held until the next one, from some instant of the bus's cycle on, is
+        # late by less than a sample: that is no cause, and no row of a log tells it from another.
+        joint[joints, INDEX[name]] = column.clamp(max=sample) if name == "delay" else value
         if name in free:
             free[name] = free[name] & ~joints
     free = {name: on for name, on in free.items() if bool(on.any())}
@@ -257,8 +266,6 @@ def _without(found: Found, effect: PositionEffect, joints: Tensor) -> Found:
 
 Worth = dict[str, tuple[Tensor, Tensor]]
 """By effect: losses (n,) without it, NaN where it is not named, and with it [rad^2]."""
-Rivals = dict[tuple[str, int], tuple[str, ...]]
-"""By effect and joint: what does as well in its place."""
 
 
 def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
@@ -270,27 +277,29 @@ def _losses(data: PositionData, servos: Servos, windows: Windows) -> Tensor:
 def _needed(data: PositionData, found: Found, windows: Windows) -> tuple[Worth, Rivals, Found]:
     """The effects without which motion after motion is followed worse, all others refitted."""
     whole, n = _losses(data, found.servos, windows), found.servos.n
-    least = least_loss(data, windows)
+    least = slight(data, windows)
     worth: Worth = {}
     removed: dict[str, Tensor] = {}
     for effect in EFFECTS:
         on = _present(found, effect)
         if not bool(on.any()):
             continue
-        less = _without(found, effect, on)
+        less = _without(found, effect, on, data.tracks.dt)
         servos = fit(data, less.servos, less.free, windows, iterations=2)
         without = _losses(data, servos, windows)
         gain, total = without - whole, without.sum(0)
         if not effect.parameters:
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
         keep = on & (gain.sum(0) > WORTHWHILE * total) & (gain.sum(0) > least) & _sure(gain)
+        if effect.name == "command_delay":
+            keep &= found.servos.of("delay") > data.tracks.dt
         worth[effect.name] = without.sum(0), whole.sum(0)
         removed[effect.name] = on & ~keep
     now = found
     for name, joints in removed.items():
         # Delay and offset are numbers of any servo: they stay, unnamed.
         if name not in KEPT and bool(joints.any()):
-            now = _without(now, BY_NAME[name], joints)
+            now = _without(now, BY_NAME[name], joints, data.tracks.dt)
     servos = fit(data, now.servos, now.free, windows, iterations=2)
     now = replace(now, servos=servos)
     return _returned(data, found, now, worth, removed, whole, least, windows)
@@ -421,9 +430,12 @@ def _accuracies(
             apart = each_window(servos, folds[some.motion])
             error = errors(data, apart, some)[..., 0]
             errors_of[name].append(_on_rows(data, error, some) / data.scale)
-    ways = [Accuracy(_rms(commanded), _rms(commanded))]
-    for way in range(2):
-        ways.append(Accuracy(_rms(errors_of["whole"][way]), _rms(errors_of["windows"][way])))
+    pairs = zip(*errors_of.values(), strict=True)
+    still = _still(data)
+    ways = [
+        Accuracy(*(_rms(error).masked_fill(still, torch.nan) for error in pair))
+        for pair in ((commanded, commanded), *pairs)
+    ]
     return ways, (errors_of["whole"][0], errors_of["whole"][1])
 
 

@@ -1,5 +1,6 @@
 """What a diagnosis of commands and positions answers."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,11 @@ from torchid.position.record import EffectRecord, PositionRecord, position_recor
 from torchid.results.record import Result, Rows
 from torchid.simulation.servo import Servos
 from torchid.typing import Bool, Float, Tensor
+
+GAP = 2.0
+"""Squared error over what calls for no cause, from which on there is a gap [1]."""
+MOST = 0.9
+"""Share of a gap that its causes close [1]."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,8 @@ class PositionFinding:
 class Accuracy:
     """RMS position errors of one way to foretell a log [mrad of the log's unit].
 
+    A joint that never moves is NaN: to foretell it is neither a success nor a failure.
+
     Attributes:
         whole: (n,) whole motions from their measured start.
         windows: (n,) windows of 2 s.
@@ -65,6 +73,11 @@ class Accuracy:
 
     whole: Float[Tensor, " n"]
     windows: Float[Tensor, " n"]
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Of the joints that move: whole motions, and windows of 2 s."""
+        return float(self.whole.nanmean()), float(self.windows.nanmean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +101,8 @@ class PositionDiagnosis(Result):
         still: joints that never move.
         warnings: one sentence each.
         seconds: that it took.
-        held_out: errors of a log that took part in nothing, mean of the joints: whole motions and
-            windows of 2 s [mrad]; None without one.
+        held_out: errors of a log that took part in nothing, mean of the joints that move: whole
+            motions and windows of 2 s [mrad]; None without one.
         nominal: what the joints' servos are said to be; empty where nothing says it.
     """
 
@@ -109,6 +122,24 @@ class PositionDiagnosis(Result):
     seconds: float
     held_out: tuple[float, float] | None = None
     nominal: tuple[NominalServo, ...] = ()
+
+    @cached_property
+    def closed(self) -> float:
+        """Share of what the plain servos leave, in squares and but for what calls for no cause,
+        that the answered model takes away; NaN where they leave nothing."""
+        floor = (1e3 * self.data.slight / self.data.scale).square()
+        plain, answered = (way.windows.square() for way in (self.plain_servo, self.answered))
+        gap = (plain > GAP * floor) & ~self.still
+        left = (answered - floor)[gap].clamp(min=0).sum() / (plain - floor)[gap].sum()
+        return 1.0 - float(left)
+
+    @property
+    def status(self) -> str:
+        """`no_gap` beside a plain servo; `explained`, where what is named closes most of it;
+        `partly_explained`, where something else is there too; `detected_unexplained`."""
+        if not self.findings:
+            return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
+        return "partly_explained" if self.closed < MOST else "explained"
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(f.effect for f in self.findings)) or "no gap"

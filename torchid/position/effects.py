@@ -88,3 +88,5 @@ EFFECTS = (
     ),
 )  # fmt: skip
 BY_NAME = {effect.name: effect for effect in EFFECTS}
+KEPT = ("command_delay", "torque_offset")
+"""What is part of every model, named or not."""

@@ -21,7 +21,7 @@ from torchid.robot.yaml_values import parsed_yaml
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo import NAMES, Servos
 from torchid.simulation.servo_loop import Tracks, Windows, windows_of
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 KEY = "servos"
 SAME_RATE = 0.01
@@ -249,14 +249,14 @@ def _side_by_side(tracks: Sequence[Tracks]) -> Tracks:
     )
 
 
-def accuracy(arm: ServoArm, log: Log) -> tuple[float, float]:
-    """RMS position error, mean of the joints [mrad of the log's unit]: whole motions from their
-    measured start, and windows of 2 s.
+def accuracy(arm: ServoArm, log: Log, moving: Bool[Tensor, " n"]) -> tuple[float, float]:
+    """RMS position error, mean of the joints that move [mrad of the log's unit]: whole motions from
+    their measured start, and windows of 2 s.
 
     Raises:
         LogError, TorchidError: as `replay`.
     """
-    whole, short = (float(replay(arm, log, windows=w).error.mean()) for w in (None, 2.0))
+    whole, short = (float(replay(arm, log, windows=w).error[:, moving].mean()) for w in (None, 2.0))
     return whole, short
 
 

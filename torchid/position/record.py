@@ -58,7 +58,8 @@ class EffectRecord(Part, frozen=True, kw_only=True):
 
 
 class AccuracyRecord(Part, frozen=True, kw_only=True):
-    """Errors of one way to foretell a log, their mean and joint by joint [mrad]."""
+    """Errors of one way to foretell a log: the mean of the joints that move, and joint by joint
+    [mrad]."""
 
     whole_mrad: Real
     windows_2s_mrad: Real
@@ -86,6 +87,7 @@ class HowFarRecord(Part, frozen=True, kw_only=True):
     commanded: AccuracyRecord
     plain: AccuracyRecord
     answered: AccuracyRecord
+    closed: Real
     per_motion: tuple[MotionRecord, ...]
 
 
@@ -112,7 +114,7 @@ class PositionRecord(Record, frozen=True, kw_only=True, tag="torchid.position_ga
 
     Attributes:
         robot: its name. motions: how many.
-        status: `explained` or `no_gap`.
+        status: `explained`, `partly_explained`, `detected_unexplained` or `no_gap`.
         where, which, how_far: the answer.
         servos: its model. log_scale: (n,) from the log's unit to rad or m.
         warnings: sentences for the user.
@@ -172,13 +174,14 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
     return PositionRecord(
         robot=result.data.robot.name,
         motions=len(names),
-        status="explained" if result.findings else "no_gap",
+        status=result.status,
         where=WhereRecord(joints=joints, regimes=regimes),
         which=tuple(map(_finding, result.findings)),
         how_far=HowFarRecord(
             commanded=_accuracy(result.commanded),
             plain=_accuracy(result.plain_servo),
             answered=_accuracy(result.answered),
+            closed=result.closed,
             per_motion=tuple(
                 MotionRecord(motion=name, answered_mrad=row)
                 for name, row in zip(names, errors, strict=True)
@@ -211,9 +214,10 @@ def position_record(result: "PositionDiagnosis") -> PositionRecord:
 
 
 def _accuracy(way: "Accuracy") -> AccuracyRecord:
+    whole, windows = way.mean
     return AccuracyRecord(
-        whole_mrad=float(way.whole.mean()),
-        windows_2s_mrad=float(way.windows.mean()),
+        whole_mrad=whole,
+        windows_2s_mrad=windows,
         whole_per_joint=way.whole,
         windows_per_joint=way.windows,
     )

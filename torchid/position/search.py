@@ -6,6 +6,7 @@ beyond a limit (a profile, a clip, a stop, a plane) has no slope where it does n
 of it are simulated on all joints at once, and a joint takes the best of them if its error falls.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchid.position.data import PositionData
-from torchid.position.effects import CORE
+from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT, PositionEffect
 from torchid.position.fit import errors, fit, loss
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import PROFILE, Windows
@@ -23,6 +24,8 @@ SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
+ALIKE = 1.5
+"""Losses of two effects of which the larger is less than this times the other tell neither [1]."""
 TOUCHED = 0.02
 """Share of all joints' loss that a plane must take away to be tried [1]."""
 _ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
@@ -75,15 +78,18 @@ def full(data: PositionData, windows: Windows, say: Callable[[str], None] | None
     say("gains, friction and delay")
     servos = fit(data, _start(data, (*CORE, *SMOOTH)), free, windows, iterations=5)
     now = Found(servos, free, False)
-    for what, attempt in (
-        ("profile", _with_profile), ("stops", _with_stops), ("plane", _with_plane),
-        ("clip", _with_clip), ("speed", _with_speed), ("dead zone", _with_dead_zone),
-        ("scale of commands", _with_scale),
+    say("profile")
+    now = _scanned(data, _with_profile(data, now, windows), windows)
+    for what, names in (
+        ("stops", ("stop_low", "stop_high")), ("plane", ()), ("clip", ("clip",)),
+        ("speed", ("speed",)), ("dead zone", ("dead_zone",)), ("scale of commands", ("scale",)),
     ):  # fmt: skip
         say(what)
-        now = attempt(data, now, windows)
-        if what in ("profile", "scale of commands"):
-            now = _scanned(data, now, windows)
+        if not names:
+            now = _with_plane(data, now, windows)
+        for name in names:
+            now = _grown(data, now, windows, name)
+    now = _scanned(data, now, windows)
     say("all together")
     servos = fit(data, now.servos, now.free, windows, plane=now.plane, profiles=True, iterations=4)
     return replace(now, servos=servos)
@@ -115,16 +121,25 @@ def _batch(servos: Servos, count: int) -> Servos:
 
 
 def _grown(
-    data: PositionData, now: Found, windows: Windows, name: str, values: Tensor, iterations: int = 2
+    data: PositionData,
+    now: Found,
+    windows: Windows,
+    name: str,
+    *,
+    sure: bool = True,
+    iterations: int = 2,
 ) -> Found:
-    """With a parameter on the joints whose loss falls with one of some values (V, n), refitted
-    once around them; a joint whose loss has not fallen by then goes without."""
+    """With a parameter on the joints whose loss falls with one of some values, refitted around
+    them; or, if not `sure`, on all of them, for the others may have to give way first."""
+    values = _SIZES[name](data, now.servos)
     sets = _batch(now.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
     cost = _tried(data, sets, windows)
     best = cost[:, 1:].argmin(1)
     gain = cost[:, 0] - cost[:, 1:].amin(1)
     joints = (gain > TAKEN * cost[:, 0]) & (gain > least_loss(data, windows))
+    if not sure:
+        joints = torch.ones_like(joints)
     if not bool(joints.any()):
         return now
     chosen = now.servos.joint.clone()
@@ -176,15 +191,15 @@ def _with_profile(data: PositionData, now: Found, windows: Windows) -> Found:
 
 
 def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
-    """With limits of acceleration where simulations are best, farther and nearer about where they
-    are: motions that chase their commands have a loss with many small valleys, over which no slope
-    leads."""
-    if "acceleration" not in now.free:
-        return now
-    joints = now.free["acceleration"]
-    for factors in _SCANS:
+    """With limits of acceleration and speed where simulations are best, farther and nearer about
+    where they are: motions that chase their commands have a loss with many small valleys, over
+    which no slope leads."""
+    for name, factors in itertools.product(("acceleration", "speed"), _SCANS):
+        if name not in now.free:
+            continue
+        joints = now.free[name]
         sets = _batch(now.servos, len(factors))
-        column = sets.joint[:, :, INDEX["acceleration"]]
+        column = sets.joint[:, :, INDEX[name]]
         column *= torch.tensor(factors, dtype=torch.float64)[:, None]
         best = _tried(data, sets, windows).argmin(1)
         rows = torch.where(joints, best, torch.full_like(best, factors.index(1.0)))
@@ -194,13 +209,6 @@ def _scanned(data: PositionData, now: Found, windows: Windows) -> Found:
     return now
 
 
-def _with_stops(data: PositionData, now: Found, windows: Windows) -> Found:
-    """End stops about where the joints came to their lowest and highest positions."""
-    inside = torch.tensor(_STOP_INSIDE, dtype=torch.float64)[:, None]
-    now = _grown(data, now, windows, "stop_low", data.q.amin(0) + inside)
-    return _grown(data, now, windows, "stop_high", data.q.amax(0) - inside)
-
-
 def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
     """A plane that a point of the link touches: along its centre of mass, thrice as far out."""
     if data.body.height is None or data.robot.parameters is None:
@@ -208,9 +216,10 @@ def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
     point = 3 * data.robot.parameters.com[data.link].to(torch.float64)
     height = data.body.height @ torch.cat([point, point.new_ones(1)])
     levels = height.quantile(torch.tensor(_QUANTILES, dtype=torch.float64))
-    sets = _batch(now.servos, 1 + 2 * len(levels))
+    # A floor is harder than servos are.
+    sets, strong = _batch(now.servos, 1 + 2 * len(levels)), max(1.0, float(data.strength.median()))
     for k, level in enumerate(levels.tolist()):
-        for i, stiffness in enumerate((300.0, 1000.0)):
+        for i, stiffness in enumerate((300.0 * strong, 1000.0 * strong)):
             row = sets.plane[1 + 2 * k + i]
             row[:3], row[3], row[4] = point, level, stiffness
     total = _tried(data, sets, windows).sum(0)
@@ -222,24 +231,125 @@ def _with_plane(data: PositionData, now: Found, windows: Windows) -> Found:
     return Found(servos, now.free, True)
 
 
-def _with_clip(data: PositionData, now: Found, windows: Windows) -> Found:
-    # Shares of the torque that the largest position errors would make.
-    e = (data.tracks.u - data.q).abs().quantile(0.999, 0)
-    shares = torch.tensor([0.4, 0.6, 0.8], dtype=torch.float64)[:, None]
-    return _grown(data, now, windows, "clip", shares * e * now.servos.of("kp"))
+def _shares(*shares: float) -> Tensor:
+    return torch.tensor(shares, dtype=torch.float64)[:, None]
 
 
-def _with_speed(data: PositionData, now: Found, windows: Windows) -> Found:
-    top = data.dq.abs().quantile(0.9999, 0).clamp(min=0.1)
-    shares = torch.tensor([0.7, 0.85, 1.0], dtype=torch.float64)[:, None]
-    return _grown(data, now, windows, "speed", shares * top)
+_SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
+    # End stops about where the joints came to their lowest and highest positions.
+    "stop_low": lambda data, servos: data.q.amin(0) + _shares(*_STOP_INSIDE),
+    "stop_high": lambda data, servos: data.q.amax(0) - _shares(*_STOP_INSIDE),
+    # Of the torque that the largest position errors would make.
+    "clip": lambda data, servos: (
+        _shares(0.4, 0.6, 0.8) * (data.tracks.u - data.q).abs().quantile(0.999, 0) * servos.of("kp")
+    ),
+    "speed": lambda data, servos: (
+        _shares(0.4, 0.55, 0.7, 0.85, 1.0) * data.dq.abs().quantile(0.9999, 0).clamp(min=0.1)
+    ),
+    "dead_zone": lambda data, servos: _shares(0.0015, 0.004).expand(-1, servos.n),
+    "scale": lambda data, servos: _shares(0.9, 0.97, 1.03, 1.1).expand(-1, servos.n),
+}
+"""(V, n) values to try of what has no slope where it does not act."""
 
 
-def _with_dead_zone(data: PositionData, now: Found, windows: Windows) -> Found:
-    widths = torch.tensor([0.0015, 0.004], dtype=torch.float64)[:, None]
-    return _grown(data, now, windows, "dead_zone", widths.expand(-1, data.robot.n))
+def slight(data: PositionData, windows: Windows) -> Tensor:
+    """(n,) losses that call for no cause [rad^2]."""
+    return data.slight**2 * float((windows.length * windows.weight).sum())
 
 
-def _with_scale(data: PositionData, now: Found, windows: Windows) -> Found:
-    factors = torch.tensor([0.9, 0.97, 1.03, 1.1], dtype=torch.float64)[:, None]
-    return _grown(data, now, windows, "scale", factors.expand(-1, data.robot.n))
+Rivals = dict[tuple[str, int], tuple[str, ...]]
+"""By effect and joint: what does as well in its place."""
+
+
+def alone(data: PositionData, simple: Found, windows: Windows) -> tuple[Found, Tensor, Rivals]:
+    """Each effect by itself beside a plain servo: a joint that one of them explains needs no other.
+
+    Args:
+        data: motions.
+        simple: the plain servos.
+        windows: to fit to.
+
+    Returns:
+        The plain servos, and on every joint that has a gap the effect that closes most of it; the
+        joints (n,) on which no gap is left; what does as well in an effect's place.
+    """
+    least, before = slight(data, windows), _one(data, simple, windows)
+    if bool((before <= least).all()):
+        return simple, before <= least, {}
+    tried: dict[str, Found] = {}
+    for effect in EFFECTS:
+        if effect.name not in KEPT:
+            tried[effect.name] = _beside(data, simple, windows, effect)
+    cost = {name: _one(data, model, windows) for name, model in tried.items()}
+    # Limits of set-points are brought to where they are best, where that can matter.
+    for name in ("set_point_profile", "set_point_speed"):
+        best = torch.stack(list(cost.values())).amin(0)
+        open_ = (best > least) | (cost[name] < ALIKE * best)
+        if bool((open_ & (before > least) & (cost[name] < 0.7 * before)).any()):
+            tried[name] = _scanned(data, tried[name], windows)
+            cost[name] = _one(data, tried[name], windows)
+    now, cost_now = simple, before
+    own = torch.stack([cost[name] for name in tried if BY_NAME[name].parameters])
+    names = [name for name in tried if BY_NAME[name].parameters]
+    # A plane that leaves no more on all joints than an effect of its own on each.
+    plane = next(name for name in tried if not BY_NAME[name].parameters)
+    if float(cost[plane].sum()) < ALIKE * float(torch.minimum(own.amin(0), before).sum()):
+        now, cost_now = tried[plane], cost[plane]
+    given, rivals = torch.zeros(data.robot.n, dtype=torch.bool), {}
+    # The joints that are worst first: what is left on others may be these joints' doing.
+    for share in (0.3, 0.0):
+        excess = cost_now / least
+        worst = ~given & (excess > 1) & (excess >= share * excess.amax())
+        best, which = own.min(0)
+        worst &= best < (1 - TAKEN) * cost_now
+        if not bool(worst.any()):
+            continue
+        joint, free, repeated = now.servos.joint.clone(), dict(now.free), now.servos.repeated
+        for j in torch.nonzero(worst).flatten().tolist():
+            name = names[int(which[j])]
+            model = tried[name]
+            joint[j] = model.servos.joint[j]
+            repeated |= model.servos.repeated
+            for key in BY_NAME[name].parameters:
+                on = free.get(key, torch.zeros_like(given)).clone()
+                on[j] = bool(model.free.get(key, on)[j])
+                free[key] = on
+            rivals[name, j] = tuple(
+                other
+                for other, loss_of in zip(names, own[:, j].tolist(), strict=True)
+                if other != name and loss_of < ALIKE * float(best[j])
+            )
+        given |= worst
+        servos = replace(now.servos, joint=joint, repeated=repeated)
+        servos = fit(data, servos, free, windows, plane=now.plane, iterations=3)
+        now = Found(servos, free, now.plane)
+        cost_now = _one(data, now, windows)
+    return now, cost_now <= least, rivals
+
+
+def _one(data: PositionData, model: Found, windows: Windows) -> Tensor:
+    """(n,) losses of a model."""
+    return _tried(data, _batch(model.servos, 1), windows)[:, 0]
+
+
+def _beside(data: PositionData, simple: Found, windows: Windows, effect: PositionEffect) -> Found:
+    """Plain servos with one more effect, on every joint that is better with it."""
+    if not effect.parameters:
+        return _with_plane(data, simple, windows)
+    if effect.name == "set_point_profile":
+        return _with_profile(data, simple, windows)
+    now = simple
+    if effect.parameters[0] in _SIZES:
+        for name in effect.parameters:
+            # Of two stops each where it helps: both at once would hold the joint.
+            only = len(effect.parameters) == 1
+            now = _grown(data, now, windows, name, sure=not only, iterations=3)
+        return now
+    begun = _start(data, effect.parameters)
+    joint = simple.servos.joint.clone()
+    for name in effect.parameters:
+        joint[:, INDEX[name]] = begun.joint[:, INDEX[name]]
+    every = torch.ones(data.robot.n, dtype=torch.bool)
+    free = {**simple.free, **dict.fromkeys(effect.parameters, every)}
+    servos = fit(data, replace(simple.servos, joint=joint), free, windows, iterations=4)
+    return Found(servos, free, False)

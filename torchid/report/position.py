@@ -26,21 +26,30 @@ def shown(result: PositionDiagnosis) -> Shown:
     )
 
 
+_STATUS = {
+    "no_gap": "Nothing beside a plain servo is needed.",
+    "detected_unexplained": "A gap is left that no effect closes.",
+    "partly_explained": "That is not all: something else is there too.",
+}
+
+
 def position_verdict(result: PositionDiagnosis) -> str:
     """How far, and by what, in two sentences."""
-    plain, answered = float(result.plain_servo.whole.mean()), float(result.answered.whole.mean())
+    commanded, plain, answered = (
+        way.mean[0] for way in (result.commanded, result.plain_servo, result.answered)
+    )
     names = list(dict.fromkeys(f.effect for f in result.findings))
     said = (
-        f"Whole motions are foretold to {answered:.1f} mrad (mean of the joints, held out), "
-        f"a plain servo reaches {plain:.1f}, the command alone "
-        f"{float(result.commanded.whole.mean()):.1f}."
+        f"Whole motions are foretold to {answered:.1f} mrad (mean of the joints that move, held "
+        f"out), a plain servo reaches {plain:.1f}, the command alone {commanded:.1f}."
     )
     if result.held_out is not None:
         whole, windows = result.held_out
         said += f" Held-out logs: {whole:.1f} mrad, in windows of 2 s {windows:.1f} mrad."
     if not names:
-        return f"{said} Nothing beside a plain servo is needed."
-    return f"{said} What closes it: {', '.join(names)}."
+        return f"{said} {_STATUS[result.status]}"
+    said += f" What closes it: {', '.join(names)}."
+    return said if result.status == "explained" else f"{said} {_STATUS[result.status]}"
 
 
 def position_tables(result: PositionDiagnosis) -> list[Table]:
@@ -50,7 +59,7 @@ def position_tables(result: PositionDiagnosis) -> list[Table]:
             str(j + 1),
             name,
             *(
-                f"{float(x[j]):.1f}"
+                "-" if result.still[j] else f"{float(x[j]):.1f}"
                 for x in (
                     result.commanded.whole, result.plain_servo.whole, result.answered.whole,
                     result.plain_servo.windows, result.answered.windows,
@@ -145,8 +154,8 @@ def motion_table(result: PositionDiagnosis) -> Table:
     names, errors = result.motions
     joints = result.data.robot.joint_names
     rows = [
-        (name, *(f"{x:.1f}" for x in row), f"{sum(row) / len(row):.1f}")
-        for name, row in zip(names, errors.tolist(), strict=True)
+        (name, *(f"{x:.1f}" for x in row.tolist()), f"{float(row[~result.still].mean()):.1f}")
+        for name, row in zip(names, errors, strict=True)
     ]
     title = "Error of each motion, left out [mrad]"
     return Table(title, ("motion", *joints, "mean"), rows, names=("motion",))
@@ -164,7 +173,7 @@ def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
     """The page of a diagnosis."""
     r, names = result, result.data.robot.joint_names
     order = position_figures.worst_joints(r)
-    left = int(r.answered.whole.argmax())
+    left = int(r.answered.whole.nan_to_num().argmax())
     tables = position_tables(r)
     if r.findings:
         tables.insert(3, meaning_table(r))
@@ -172,11 +181,11 @@ def position_page(result: PositionDiagnosis, origin: Origin) -> Page:
         f"Command and position of {r.data.robot.name}",
         position_verdict(r),
         (
-            ("Status", "explained" if r.findings else "no gap beside a plain servo"),
-            ("Command alone", _mrad(r.commanded.whole.mean())),
-            ("Plain servo, motions left out", _mrad(r.plain_servo.whole.mean())),
-            ("With what was found", _mrad(r.answered.whole.mean())),
-            ("The same, windows of 2 s", _mrad(r.answered.windows.mean())),
+            ("Status", r.status.replace("_", " ")),
+            ("Command alone", _mrad(r.commanded.mean[0])),
+            ("Plain servo, motions left out", _mrad(r.plain_servo.mean[0])),
+            ("With what was found", _mrad(r.answered.mean[0])),
+            ("The same, windows of 2 s", _mrad(r.answered.mean[1])),
             (
                 "Most is left on",
                 f"joint {left + 1} {names[left]}: {_mrad(r.answered.whole[left])}",
@@ -262,7 +271,7 @@ def _change(before: Tensor, after: Tensor) -> str:
     return "-" if before.isnan() else f"{float(before):.1f} -> {float(after):.1f}"
 
 
-def _mrad(value: Tensor) -> str:
+def _mrad(value: Tensor | float) -> str:
     return f"{float(value):.1f} mrad"
 
 

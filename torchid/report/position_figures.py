@@ -1,5 +1,6 @@
 """Figures of a diagnosis of commands and positions: where they part, what closes it, how far."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -48,7 +49,7 @@ def figures(result: PositionDiagnosis) -> Figures:
 
 def worst_joints(result: PositionDiagnosis, most: int = WORST) -> list[int]:
     """Joints on which a plain servo is worst, those that never move left out."""
-    order = result.plain_servo.whole.argsort(descending=True).tolist()
+    order = result.plain_servo.whole.nan_to_num().argsort(descending=True).tolist()
     return [j for j in order if not result.still[j]][:most]
 
 
@@ -83,10 +84,11 @@ def where_figure(result: PositionDiagnosis) -> Figure:
     bar.set_label("plain servo [mrad]", fontsize=_SMALL)
     bar.ax.tick_params(labelsize=_SMALL, length=0)
     styled(bars)
-    said = result.commanded.whole.numpy()
+    said = result.commanded.whole.nan_to_num().numpy()
     bars.barh(range(n), said, color=GREY, height=0.6)
     for y, value in enumerate(said):
-        bars.text(value, y, f" {value:.1f}", va="center", fontsize=_SMALL, color=INK)
+        words = " never moves" if result.still[y] else f" {value:.1f}"
+        bars.text(value, y, words, va="center", fontsize=_SMALL, color=INK)
     bars.set(xlim=(0, 1.35 * max(float(said.max()), 1e-9)), xticks=[])
     bars.tick_params(which="both", length=0, labelleft=False)
     bars.grid(False)
@@ -135,6 +137,8 @@ def error_figure(record: PositionRecord) -> Figure:
     for k, (name, colour, errors) in enumerate(ways):
         axes.bar(place + 0.27 * (k - 1), errors, 0.25, color=colour, label=name)
         for x, error in zip(place, errors, strict=True):
+            if math.isnan(error):
+                continue
             axes.text(
                 x + 0.27 * (k - 1), error, f"{error:.1f}", ha="center", va="bottom", fontsize=7,
                 color=INK,

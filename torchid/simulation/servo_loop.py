@@ -35,8 +35,8 @@ STEP = 0.005
 """Longest step, and longest time for which the rigid body is what it is in its middle [s]."""
 SWEEPS = 30
 """Most solutions of a step where one set is run."""
-STOP_STIFFNESS = 200.0
-"""Of an end stop [N m/rad]: much more than a small servo's gain."""
+STOP_STIFFNESS, STOP_SHARE = 200.0, 10.0
+"""Of an end stop: so much [N m/rad], and no less than so many times the servo's gain [1]."""
 CONTACT_DAMPING = 20.0
 """Of the plane [N s/m]."""
 PROFILE = ("scale", "acceleration", "speed")
@@ -540,9 +540,10 @@ class _Run:
         """Torque of critically damped end stops, and what they add to the factor of w."""
         p = self.p
         beyond = state.q - state.q.clamp(p["stop_low"], p["stop_high"])
-        damping = 2 * (STOP_STIFFNESS * (p["armature"] + 1e-3)).sqrt()
-        hard = torch.where(beyond != 0, STOP_STIFFNESS * THETA * self.h + damping, 0.0)
-        return -STOP_STIFFNESS * beyond, hard
+        stiffness = (STOP_SHARE * p["kp"]).clamp(min=STOP_STIFFNESS)
+        damping = 2 * (stiffness * (p["armature"] + 1e-3)).sqrt()
+        hard = torch.where(beyond != 0, stiffness * THETA * self.h + damping, 0.0)
+        return -stiffness * beyond, hard
 
     def _reach(self, body: Body) -> tuple[Tensor, Tensor, Tensor]:
         """Height of the point (W, 1, P) and its slopes (W, n, P), and where they were taken."""

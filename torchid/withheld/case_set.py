@@ -16,6 +16,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,9 @@ KEYS_SCHEMA = "torchid.withheld.keys/1"
 KEPT = ".keys"
 """Of a set that is being made: keys of its cases so far."""
 
+_PLANTS = {"torque": "case", "position": "position"}
+"""Modules that draw and simulate, by what a log has."""
+
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
 
 
@@ -47,6 +51,7 @@ class CaseSet:
         keys_sha256: of the key file's bytes, in hexadecimal.
         version: of torchid that wrote it.
         mix: of its kinds of cases, `mixed` or `release`.
+        kind: what its logs have: `torque`, or `position`, commands alone.
     """
 
     folder: Path
@@ -55,6 +60,7 @@ class CaseSet:
     keys_sha256: str
     version: str
     mix: str = "mixed"
+    kind: str = "torque"
 
     def robot(self, case: str) -> Path:
         """The nominal model of a case."""
@@ -103,6 +109,7 @@ def read_cases(folder: Path) -> CaseSet:
             str(data["keys_sha256"]),
             str(data["version"]),
             str(data.get("mix", "mixed")),
+            str(data.get("kind", "torque")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is incomplete or damaged.", got=str(error)) from error
@@ -156,6 +163,7 @@ def make(
     count: int,
     seed: int,
     *,
+    kind: str = "torque",
     mix: str = "mixed",
     keys: Path | None = None,
     jobs: int = 1,
@@ -163,16 +171,19 @@ def make(
 ) -> CaseSet:
     """Write the first `count` cases of a seed, and their keys apart.
 
-    A case depends on seed, mix and number alone, so a smaller set is the beginning of a larger one.
-    A set appears in its place when it is complete, or not at all; one that was interrupted goes on
-    where it stopped.
+    A case depends on seed, kind, mix and number alone, so a smaller set is the beginning of a
+    larger one. A set appears in its place when it is complete, or not at all; one that was
+    interrupted goes on where it stopped.
 
     Args:
         folder: of the set; it must not exist yet, or be empty.
         count: cases.
         seed: of everything random.
-        mix: `mixed`: all kinds of cases, for development; `release`: of nineteen cases four without
-            an effect, eight with one, three with two or three, four outside the library.
+        kind: `torque`: logs of torques; `position`: of commands and positions alone, of twenty
+            cases five without an effect, nine with one, two with two, four outside the library.
+        mix: of logs of torques. `mixed`: all kinds of cases, for development; `release`: of
+            nineteen cases four without an effect, eight with one, three with two or three, four
+            outside the library.
         keys: file of the keys, outside the folder; `FOLDER.keys.json` if None.
         jobs: processes.
         progress: called with (stage, done, total).
@@ -181,6 +192,8 @@ def make(
         TorchidError: the folder or the key file is there already, or the keys would lie inside.
         MissingExtraError: the simulator is not installed.
     """
+    if kind == "position" and mix != "mixed":
+        raise TorchidError("cases of commands and positions have one mix.", got=mix)
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
@@ -201,14 +214,16 @@ def make(
         if not above.is_dir():
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
     # It takes the place of `folder` when all are there; until then it keeps what is made.
-    place = folder.resolve().parent / f".{folder.name}-{seed}-{mix}"
+    what = mix if kind == "torque" else kind
+    place = folder.resolve().parent / f".{folder.name}-{seed}-{what}"
     (place / KEPT).mkdir(parents=True, exist_ok=True)
-    write = partial(write_drawn, place, seed, mix)
+    given = {"mix": mix} if kind == "torque" else {}
+    write = partial(write_drawn, place, seed, kind, given)
     found = each(write, range(count), jobs, "simulating cases", progress)
     sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
     ids = tuple(map(case_id, range(count)))
-    made = CaseSet(folder, seed, ids, sealed, __version__, mix)
-    data = {"schema": SCHEMA, **picked(made, "seed mix keys_sha256 version cases=ids")}
+    made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind)
+    data = {"schema": SCHEMA, **picked(made, "seed kind mix keys_sha256 version cases=ids")}
     write_json(data, place / CASES)
     # What a longer run had begun is no part of this one.
     shutil.rmtree(place / KEPT)
@@ -220,28 +235,32 @@ def make(
     return made
 
 
-def write_drawn(folder: Path, seed: int, mix: str, number: int) -> dict[str, Any]:
+def write_drawn(
+    folder: Path, seed: int, measured: str, given: Mapping[str, Any], number: int
+) -> dict[str, Any]:
     """Draw one case of a seed, and write it; returns its key, which is kept until all are made."""
     kept = folder / KEPT / f"{case_id(number)}.json"
     if not kept.exists():
-        write_json(write_case(folder / case_id(number), seed, number, mix=mix), kept)
+        write_json(write_case(folder / case_id(number), seed, number, measured, **given), kept)
     return read_json(kept, "a key")
 
 
-def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, Any]:
+def write_case(
+    place: Path, seed: int, number: int, measured: str = "torque", **given: Any
+) -> dict[str, Any]:
     """Simulate one case and write what the diagnosis may see.
 
     Args:
         place: its folder, with the case's name.
         seed, number: that it is drawn from.
+        measured: what the log has, `torque` or `position`.
         given: what is not drawn, see `draw_case`.
 
     Returns:
         Its key.
     """
-    from torchid.withheld.plant.case import draw_case, simulate_case
-
-    case = simulate_case(draw_case(seed, number, **given))
+    plant = import_module(f"torchid.withheld.plant.{_PLANTS[measured]}")
+    case = plant.simulate_case(plant.draw_case(seed, number, **given))
     write_shown(case.urdf, case.columns, place)
     return {"id": place.name} | case.key | {"id": place.name}
 

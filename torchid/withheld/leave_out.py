@@ -130,7 +130,7 @@ def summary(
             "effect": one.effect,
             "family": FAMILIES[one.effect],
             "size": row.planted[0].size,
-            "verdict": ERROR if row.status == ERROR else verdict(row, FAMILIES, every=False),
+            "verdict": ERROR if row.status == ERROR else verdict(row, every=False),
             "status": row.status,
             "named": named_record(row),
         }

@@ -4,7 +4,7 @@ Shares, F1 and medians come with 95 % intervals, as data; of nothing they are No
 """
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -117,16 +117,15 @@ def largest_matching(fits: Sequence[Sequence[bool]]) -> int:
     return int(table[linear_sum_assignment(table, maximize=True)].sum())
 
 
-def verdict(row: Row, families: Mapping[str, str], *, every: bool) -> Verdict:
+def verdict(row: Row, *, every: bool) -> Verdict:
     """What is said of a cause that the library lacks.
 
     `right_family`: what is named is acceptable or of the planted family; `hedged`: something else
-    is, an acceptable one among the alternatives; `confident_wrong`: something else, for sure;
-    `missed`: nothing is said to be there.
+    is, an acceptable one among the alternatives, or it is said not to be all; `confident_wrong`:
+    something else, for sure; `missed`: nothing is said to be there.
 
     Args:
         row: with one planted effect or more.
-        families: family of every effect.
         every: whether one wrong claim is enough; else the top one speaks for all.
     """
     if row.status in ("detected_unexplained", "not_testable"):
@@ -138,7 +137,9 @@ def verdict(row: Row, families: Mapping[str, str], *, every: bool) -> Verdict:
     for claim in judged:
         if any(p.allows(claim.name, claim.family) for p in row.planted):
             continue
-        if not any(p.allows(n, families.get(n)) for p in row.planted for n in claim.ambiguous):
+        among = any(p.allows(n, row.families.get(n)) for p in row.planted for n in claim.ambiguous)
+        # An answer that says that there is more than it names is not sure.
+        if not among and row.status != "partly_explained":
             return "confident_wrong"
         worst = "hedged"
     return worst

@@ -10,11 +10,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from torchid.effects.base import Effect, JointEffect
-from torchid.effects.registry import KINDS
+from torchid.effects.registry import FAMILIES, KINDS
 from torchid.effects.variation import OneJointEffect
+from torchid.position.effects import EFFECTS
 
 INERTIAL = ("link_inertia", "all_base")
 """Names of claims that a model's own parameters are wrong."""
+
+POSITION_SCHEMA = "torchid.position_gap/1"
 
 SURE = ("explained", "parametric_only")
 """Statuses of a diagnosis that says it knows the cause."""
@@ -96,12 +99,14 @@ class Row:
         planted: causes that are there.
         claims: causes that were named, the largest share first.
         not_testable: (name, joint or None) of effects said to be invisible in these data.
+        families: of every effect that the diagnosis can name.
     """
 
     status: str
     planted: tuple[Planted, ...]
     claims: tuple[Claim, ...]
     not_testable: tuple[tuple[str, int | None], ...] = ()
+    families: Mapping[str, str] = field(default_factory=lambda: FAMILIES, repr=False)
 
     @property
     def top(self) -> Claim | None:
@@ -124,6 +129,13 @@ def named_record(row: Row) -> list[dict[str, Any]]:
 
 def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
     """A case from its key and its answer, as they are in files."""
+    if answer.get("schema") == POSITION_SCHEMA:
+        return Row(
+            str(answer["status"]),
+            tuple(map(_planted, key["effects"])),
+            _position_claims(answer),
+            families={effect.name: effect.family for effect in EFFECTS},
+        )
     claims = [_claim(c) for c in answer.get("which", ())]
     for p in answer.get("parametric", ()):
         if p["all_base_parameters"]:
@@ -135,6 +147,46 @@ def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
         tuple(sorted(claims, key=lambda c: -c.share)),
         tuple((x["effect"], x["joint"]) for x in answer.get("not_testable", ())),
     )
+
+
+def _position_claims(answer: Mapping[str, Any]) -> tuple[Claim, ...]:
+    """Claims of an answer on commands and positions, which has an entry for each joint that an
+    effect is on: of each effect one, with all of its joints."""
+    entries: dict[str, list[Mapping[str, Any]]] = {}
+    for found in answer["which"]:
+        entries.setdefault(found["effect"], []).append(found)
+    n = len(answer["where"]["joints"])
+    claims = []
+    for name, own in entries.items():
+        place = tuple(sorted(j for found in own for j in found["joints"]))
+        # Squares of errors in mrad, of one joint or in the mean of all.
+        gains = [
+            (found["error_without_mrad"] ** 2 - found["error_with_mrad"] ** 2)
+            * (1 if found["joints"] else n)
+            for found in own
+        ]
+        others = {other for found in own for other in found["ambiguous_with"]} - {name}
+        claims.append(
+            Claim(
+                name,
+                own[0]["family"],
+                place,
+                place or tuple(range(1, n + 1)),
+                tuple(sorted(others)),
+                sum(gains),
+                _from_intervals(own[0]) if len(own) == 1 else {},
+            )
+        )
+    return tuple(sorted(claims, key=lambda c: -c.share))
+
+
+def _from_intervals(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Values and standard deviations of what has a 95 % interval."""
+    out = {}
+    for name, (low, high) in found["ci95"].items():
+        if low is not None and high is not None:
+            out[name] = (found["parameters"][name], (high - low) / (2 * 1.96))
+    return out
 
 
 def _claim(found: Mapping[str, Any]) -> Claim:

@@ -148,9 +148,12 @@ def written(
 
 
 def _answer(job: Job) -> dict[str, Any]:
-    from torchid import diagnose, load_robot, read_log
+    from torchid import diagnose, diagnose_positions, load_robot, read_log
 
-    found = diagnose(load_robot(job.robot), read_log(job.log), settings=job.settings)
+    robot, log = load_robot(job.robot), read_log(job.log)
+    if log.tau is None and log.u is not None:
+        return diagnose_positions(robot, log).plain()
+    found = diagnose(robot, log, settings=job.settings)
     corrected = {
         "effects": [dict(effect) for effect in found.corrected.effects],
         "pi": found.corrected.require_parameters("an answer").pi,

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from torchid.effects.registry import FAMILIES
 from torchid.withheld.measures import (
     believed,
     coefficient_coverage,
@@ -129,7 +128,7 @@ def scores(
         "single_clear": _naming([c for c in single if c.row.planted[0].size >= CLEAR]),
         # Of one effect of any size: whether a wrong family is named for sure.
         "wrong_for_sure": rate(
-            verdict(c.row, FAMILIES, every=False) == "confident_wrong" for c in single + severity
+            verdict(c.row, every=False) == "confident_wrong" for c in single + severity
         ),
         "how_sure": reliability([pair for c in cases for pair in believed(c.row)]),
         "joints": micro_f1([joint_counts(c.row) for c in single + several]),
@@ -185,7 +184,7 @@ def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
     said: Counter[str] = Counter()
     by_cause: dict[str, Counter[str]] = defaultdict(Counter)
     for case in cases:
-        found = verdict(case.row, FAMILIES, every=True)
+        found = verdict(case.row, every=True)
         said[found] += 1
         by_cause[_cause(case)][found] += 1
     return {

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchid import __version__
-from torchid.effects.registry import FAMILIES
 from torchid.errors import TorchidError
 from torchid.json_data import picked, plain
 from torchid.withheld.case_set import CaseSet
@@ -116,7 +115,7 @@ def right(kind: str, row: Row) -> bool:
     if kind == "parameters":
         return row.alarm and not any(c.structural for c in row.claims)
     if kind == "outside":
-        return verdict(row, FAMILIES, every=True) not in ("confident_wrong", "missed")
+        return verdict(row, every=True) not in ("confident_wrong", "missed")
     if kind == "poor":
         return poor_verdict(row) not in ("confident_wrong", "missed")
     if kind == "severity":

@@ -143,18 +143,18 @@ def draw_case(
     if mix not in MIXES:
         raise TorchidError(f"unknown mix of cases '{mix}'.", available=list(MIXES))
     block, foreign = MIXES[mix], FOREIGN if mix == "mixed" else REDRAWN
-    kind = kind or _in_turn(seed, number, block, 101)
+    kind = kind or in_turn(seed, number, block, 101)
     if kind not in CASE_KINDS:
         raise TorchidError(f"unknown kind of case '{kind}'.", available=list(CASE_KINDS))
     rng = np.random.default_rng([seed, number, 1])
     name = arm or str(rng.choice(list(ARMS)))
     n = arm_named(name).n
-    turn = _turn(seed, number, kind, block)
+    turn = turn_of(seed, number, kind, block)
     rng = np.random.default_rng([seed, number, 2])
     planted = _effects(rng, seed, turn, kind, n, effects, foreign)
     wanted = level or LEVEL if planted else None
     if planted and not level and kind == "severity":
-        wanted = _in_turn(seed, turn, LEVELS, 102)
+        wanted = in_turn(seed, turn, LEVELS, 102)
     motion = _motion(np.random.default_rng([seed, number, 3]), n)
     poor, excitation = None, "rich"
     if kind == "poor":
@@ -201,7 +201,7 @@ def draw_case(
     )  # fmt: skip
 
 
-def _turn(seed: int, number: int, kind: str, kinds: Sequence[str]) -> int:
+def turn_of(seed: int, number: int, kind: str, kinds: Sequence[str]) -> int:
     """How many cases of a kind came before this one."""
     block, place = divmod(number, len(kinds))
     order = np.random.default_rng([seed, block, 101]).permutation(len(kinds))
@@ -209,7 +209,7 @@ def _turn(seed: int, number: int, kind: str, kinds: Sequence[str]) -> int:
     return block * kinds.count(kind) + before
 
 
-def _in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
+def in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
     """One of the items, each once before any comes twice."""
     lap, place = divmod(turn, len(names))
     order = np.random.default_rng([seed, lap, salt]).permutation(len(names))
@@ -255,9 +255,9 @@ def _effects(
             if found is not None:
                 return found
     if kind == "outside":
-        return (drawn_effect(rng, _in_turn(seed, turn, foreign, 103), n),)
+        return (drawn_effect(rng, in_turn(seed, turn, foreign, 103), n),)
     if kind == "single":
-        return (drawn_effect(rng, _in_turn(seed, turn, LIBRARY, 104), n),)
+        return (drawn_effect(rng, in_turn(seed, turn, LIBRARY, 104), n),)
     return (drawn_effect(rng, str(rng.choice(LIBRARY)), n),)
 
 

@@ -1,5 +1,6 @@
 """The true arm as data, and as a MuJoCo model."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +26,12 @@ def mujoco() -> Any:
 
 
 GRAVITY = (0.0, 0.0, -9.81)
+
+_HARD = 'solreflimit="0.004 1" solimplimit="0.99 0.9999 0.001 0.5 2"'
+"""An end that gives way by less than a milliradian."""
+
+_TOUCH = 1e-3
+"""Radius of what touches the floor [m]."""
 
 _WEIGHTLESS = '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>'
 
@@ -114,6 +121,8 @@ class Plant:
         springs, couplings, drives: see there.
         mount: of the base; None where it is rigid.
         fluid: density [kg/m^3] of what the arm moves in.
+        stops: ends (low, high) [rad] of joints (from 0) that have any.
+        floor: height of a plane that the tool point touches [m]; None where there is none.
     """
 
     links: tuple[Link, ...]
@@ -128,6 +137,8 @@ class Plant:
     drives: tuple[Drive, ...] = ()
     mount: BaseMount | None = None
     fluid: float = 0.0
+    stops: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    floor: float | None = None
 
     @property
     def n(self) -> int:
@@ -181,6 +192,8 @@ def compiled(plant: Plant, kp: Array, kd: Array, step: float) -> tuple[Any, Arra
 
 
 def _mounted(plant: Plant, inner: str) -> str:
+    if plant.floor is not None:
+        inner += f'<geom type="plane" size="3 3 .1" pos="0 0 {plant.floor - _TOUCH!r}" condim="1"/>'
     if plant.mount is None:
         return inner
     m = plant.mount
@@ -212,8 +225,11 @@ def _body(plant: Plant, k: int, inner: str) -> str:
         body = combined([body, plant.payload])
     if last:
         # Forces at the tool act on a body of its own, whose weight is nothing.
-        inner += f'<body name="tool" pos="{spaced(plant.tool)}">{_WEIGHTLESS}</body>'
-    motor = f'<joint name="motor{k}" {axis} {friction}/>'
+        touches = "" if plant.floor is None else f'<geom size="{_TOUCH!r}" condim="1" mass="0"/>'
+        inner += f'<body name="tool" pos="{spaced(plant.tool)}">{_WEIGHTLESS}{touches}</body>'
+    ends = plant.stops.get(k)
+    stop = "" if ends is None else f' limited="true" range="{spaced(ends)}" {_HARD}'
+    motor = f'<joint name="motor{k}" {axis} {friction}{stop}/>'
     entries = spaced(body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
     content = (
         f'<inertial pos="{spaced(body.com)}" mass="{float(body.mass)!r}" '
