@@ -52,6 +52,10 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)
     set_threads(sys.argv[1:])
-    from torchid.app.commands import run
+    try:
+        from torchid.app.commands import run
+    except Exception as error:  # too little memory for a library, or one that is not whole
+        from torchid.app.faults import report
 
+        sys.exit(report(error, str))
     run()

@@ -149,6 +149,9 @@ def extract_command(
         output.written.append(output.out / "sets.json")
     search = found.search
     if search is not None:
+        if output.out is not None:
+            # Not sooner: what was searched for is not lost where the disk is full.
+            _checkpoint(output.out).unlink(missing_ok=True)
         output.draw(lambda: {"search": search_figure(search, proven)})
     output.say(*tables(found, proven))
     output.warn(notes)
@@ -161,7 +164,7 @@ def _searched(
     from torchid.extraction.extract import extract
     from torchid.extraction.found import Found, judged
 
-    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
+    checkpoint = None if output.out is None else _checkpoint(output.out)
     if checkpoint is not None and checkpoint.exists() != resume:
         output.warn(
             (
@@ -177,10 +180,15 @@ def _searched(
             settings,
             checkpoint=checkpoint,
             resume=resume,
+            keep=True,
             device=where,
             report=stage(progress, "stages"),
         )
     return Found(problem, "cma-es", *judged(problem, found.sets), found, found.seconds)
+
+
+def _checkpoint(out: Path) -> Path:
+    return out / "checkpoint.npz"
 
 
 @command
