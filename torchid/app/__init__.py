@@ -26,6 +26,8 @@ def set_threads(arguments: Sequence[str]) -> None:
             asked = value if value.isdigit() and int(value) > 0 else None
             break
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    # Arrow's own pool keeps what is freed, which for a large log is as much memory again.
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     for name in _ONE_EACH:
         if asked is not None:
             os.environ[name] = asked
