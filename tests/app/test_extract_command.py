@@ -292,3 +292,13 @@ def test_a_changed_result_is_refused(command, identified, tmp_path):
     assert "base_values" in shown.err
     broken.write_text("{}")
     assert "not a result of an identification" in command("extract", "3r_friction", broken).err
+
+
+def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> None:
+    """Else a disk that is full at the end costs the whole search."""
+    (tmp_path / "extraction.json").mkdir()
+    assert command("extract", "3r", *SMALL, "--out", tmp_path).code == 1
+    assert (tmp_path / "checkpoint.npz").exists()
+    (tmp_path / "extraction.json").rmdir()
+    assert command("extract", "3r", *SMALL, "--out", tmp_path, "--resume").code == 0
+    assert not (tmp_path / "checkpoint.npz").exists()
