@@ -168,6 +168,12 @@ def _sample_of(values: np.ndarray) -> str:
 
 
 def _same_length(column: np.ndarray, name: str, samples: int, path: Path) -> None:
+    if column.ndim != 1:
+        raise LogError(
+            f"'{path}': column {name} has the wrong number of dimensions.",
+            got=f"shape {column.shape}",
+            expected="(samples,)",
+        )
     if len(column) != samples:
         raise LogError(
             f"'{path}': column {name} has another length than t.",
