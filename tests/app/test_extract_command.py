@@ -338,3 +338,13 @@ def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, ide
     expected = MujocoOracle(true).inverse_dynamics(q, 0 * dq, ddq)
     error = (torch.stack(torque) - expected).square().mean(0).sqrt()
     assert bool((error < 0.03 * expected.square().mean(0).sqrt() + 0.05).all()), error
+
+
+def test_the_checkpoint_stays_until_results_are_written(command, tmp_path) -> None:
+    """Else a disk that is full at the end costs the whole search."""
+    (tmp_path / "extraction.json").mkdir()
+    assert command("extract", "3r", *SMALL, "--out", tmp_path).code == 1
+    assert (tmp_path / "checkpoint.npz").exists()
+    (tmp_path / "extraction.json").rmdir()
+    assert command("extract", "3r", *SMALL, "--out", tmp_path, "--resume").code == 0
+    assert not (tmp_path / "checkpoint.npz").exists()

@@ -42,7 +42,7 @@ def faulty(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(
     "error",
-    [ValueError("of two\nlines"), ZeroDivisionError(), RecursionError("deep"), MemoryError(),
+    [ValueError("of two\nlines"), ZeroDivisionError(), RecursionError("deep"), RuntimeError("x"),
      AssertionError("[/bold]"), KeyError("x" * 5000)],
     ids=lambda error: type(error).__name__,
 )  # fmt: skip
@@ -82,6 +82,28 @@ def test_a_report_that_cannot_be_written_is_no_second_fault(command, faulty, mon
     assert done.code == faults.FAULT
     assert "--debug" in done.err
     assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError("Unable to allocate 7.28 TiB"),
+     RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 1 bytes.")],
+    ids=["numpy", "torch"],
+)  # fmt: skip
+def test_too_little_memory_is_an_error(command, faulty, tmp_path, error) -> None:
+    faulty(error)
+    done = command("robot", "3r", "--json", tmp_path / "r.json")
+    assert done.code == 1
+    assert done.err.startswith("error: this work needs more memory than this process may use.\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_too_little_memory_for_the_libraries_is_an_error_too() -> None:
+    text = "import resource; resource.setrlimit(resource.RLIMIT_AS, (200 << 20, 200 << 20))"
+    done = program(text, "robot", "3r")
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"error: this work needs more memory")
+    assert b"Traceback" not in done.stderr
 
 
 def test_interrupted(command, faulty) -> None:

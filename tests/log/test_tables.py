@@ -1,6 +1,7 @@
 """Tables of other programs: HDF5, MATLAB, text of all kinds, arrays; what is wrong with them."""
 
 import builtins
+import importlib.util
 import math
 from pathlib import Path
 
@@ -281,6 +282,10 @@ def without(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
         return real(name, *rest, **named)
 
     monkeypatch.setattr(builtins, "__import__", importing)
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == package else found(name)
+    )
 
 
 def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,16 +18,39 @@ import traceback
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
+import numpy as np
 import yaml
 
+from tests.log.recordings import BAGS, START_NS, write_bag, write_lerobot
 from tests.robustness import bad_logs, bad_results, bad_robots
 from tests.robustness.bench import TooLongError, limited
+from torchid.app.project import read as read_project
 from torchid.errors import TorchidError
-from torchid.log.readers import read_log
+from torchid.log import apart
+from torchid.log.mapping import read_mapping
+from torchid.log.readers import log_from_columns, read_log
 from torchid.results.files import load
 from torchid.robot.library import load_robot
 
+PROJECT = """robot = "3r"
+logs = ["run.csv"]
+gain = [1.0, 2.0, 3.0]
+[limits]
+velocity = [1, 2, 3]
+[payload]
+mass = 0.5
+com = [0, 0, 0.1]
+[gap]
+worthwhile = 0.1
+[log.show]
+columns = "t=t,q=q{j}"
+"""
+COLUMNS = """t: time ms
+q: pos_{j} deg
+tau: {columns: [a, b, c], unit: mN m, factor: [1, -1, 1]}
+"""
 CORPUS = Path(__file__).parent / "corpus"
 WORDS = tuple(
     [struct.pack(f"{order}{kind}", value & (2 ** (8 * size) - 1))
@@ -40,10 +63,30 @@ WORDS = tuple(
 
 
 def seeds(folder: Path) -> dict[str, bytes]:
-    """A small good file of every format, by name."""
+    """A small good file of every format, by name; those of datasets and bags that are folders with
+    their places in it, and all of them there."""
     table = bad_logs.motion(40)
     sets, identified = bad_results.good(folder)
+    states = [
+        {"stamp": START_NS + round(1e9 * t), "name": ["a", "b", "c"], "position": q, "velocity": q}
+        for t, q in zip(table["t"], np.stack([table[f"q{j}"] for j in (1, 2, 3)], -1), strict=True)
+    ]
+    bags = {kind: write_bag(folder / kind, kind, {"/joint_states": states}) for kind in BAGS}
+    frames = log_from_columns(table, folder)
+    write_lerobot(
+        folder / "lerobot", "v3.0", frames, {"observation.state": (None, frames.q.numpy())}
+    )
+    inside = [
+        *(folder / "mcap").iterdir(), *(folder / "sqlite3").iterdir(),
+        *(file for file in (folder / "lerobot").rglob("*") if file.is_file()),
+    ]  # fmt: skip
     return {
+        **{str(file.relative_to(folder)): file.read_bytes() for file in sorted(inside)},
+        "log.bag": bags["ros1"].read_bytes(),
+        "log.mcap": next((folder / "mcap").glob("*.mcap")).read_bytes(),
+        "log.db3": next((folder / "sqlite3").glob("*.db3")).read_bytes(),
+        "torchid.toml": PROJECT.encode(),
+        "columns.yml": COLUMNS.encode(),
         "log.csv": bad_logs.csv(table),
         "log.npz": bad_logs.npz(table),
         "log.parquet": bad_logs.parquet(table),
@@ -55,6 +98,17 @@ def seeds(folder: Path) -> dict[str, bytes]:
         "sets.json": sets.read_bytes(),
         "identified.json": identified.read_bytes(),
     }
+
+
+def placed(folder: Path, name: str, content: bytes) -> tuple[Path, Path]:
+    """Write a file of a name of `seeds`; what was written, and what a reader is given: the folder
+    that it is in, where it is in one."""
+    if os.sep in name:
+        (folder / name).write_bytes(content)
+        return folder / name, folder / name.partition(os.sep)[0]
+    path = folder / f"changed_{name}"
+    path.write_bytes(content)
+    return path, path
 
 
 def changed(content: bytes, others: bytes, choose: random.Random) -> bytes:
@@ -90,6 +144,7 @@ def read(path: Path) -> None:
     """A file with the reader of its suffix."""
     readers: dict[str, Callable[[Path], object]] = {
         ".json": load, ".yaml": load_robot, ".urdf": load_robot, ".xml": load_robot,
+        ".toml": read_project, ".yml": read_mapping,
     }  # fmt: skip
     readers.get(path.suffix, read_log)(path)
 
@@ -97,7 +152,7 @@ def read(path: Path) -> None:
 def fault(path: Path) -> str | None:
     """What is wrong with how reading a file ends; None where all is right."""
     try:
-        with limited(10):
+        with limited(10), mock.patch.object(apart, "PATIENCE", 2.0):
             read(path)
     except TorchidError as error:
         text = str(error)
@@ -125,22 +180,21 @@ def fuzz(folder: Path, seed: int, *, minutes: float, count: int, keep: Path | No
     """
     choose, found = random.Random(seed), Counter[str]()
     good = seeds(folder)
-    # A process of its own is started for each .mat, so there are fewer of them.
-    names = [name for name in good for _ in range(1 if name == "log.mat" else 20)]
+    names = list(good)
     end = time.monotonic() + 60 * minutes
     while time.monotonic() < end and found[""] < count:
         name = choose.choice(names)
         content = changed(good[name], good[choose.choice(names)], choose)
-        path = folder / f"changed_{name}"
-        path.write_bytes(content)
+        file, path = placed(folder, name, content)
         found[""] += 1
         wrong = fault(path)
+        file.write_bytes(good[name])
         if wrong is None:
             continue
         found[f"{name}: {wrong}"] += 1
         if keep is not None and found[f"{name}: {wrong}"] == 1:
             keep.mkdir(exist_ok=True)
-            (keep / f"{len(found):03}_{name}").write_bytes(content)
+            (keep / f"{len(found):03}_{name.replace(os.sep, '-')}").write_bytes(content)
             sys.stderr.write(f"{name}: {wrong}\n")
     return found
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from tests.app.test_inputs_kept import COMMANDS, _shown
 from tests.compare.test_diagnoses import diagnosis, named
@@ -25,6 +25,11 @@ _QUIET = ("log doctor", "log show", "init")
 _SLOW = ("excite", "extract", "atlas", "wrenches", "compare")
 """Commands that compute for long where a changed result is still one."""
 
+LATE = ((("correct",), "name"),)
+"""Options that are looked at when a command has computed for long."""
+_READ = (*_ROBOTS, *_LOGS, "result", "results", "sets")
+"""Options whose bad values are files, in `Table.files`."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -34,11 +39,13 @@ class Case:
         name: what is bad in it.
         arguments: of the program.
         refused: whether it must be refused; else it may do its work, in good order.
+        option: that the bad value is given to, as the command line has it.
     """
 
     name: str
     arguments: tuple[str, ...]
     refused: bool = True
+    option: str = ""
 
 
 @dataclass(frozen=True)
@@ -126,37 +133,54 @@ class Table:
                 if kind == "result" and " ".join(name) in _SLOW and not broken:
                     continue
                 refused = broken or (kind != "result" and " ".join(name) not in _QUIET)
-                yield Case(f"{kind} {text}", self.line(name, option, path), refused)
+                line = self.line(name, option, path)
+                yield Case(f"{kind} {text}", line, refused, option.shown)
 
     def values(self, name: tuple[str, ...]) -> Iterator[Case]:
         """Bad values of each option."""
         for option in COMMANDS[name]:
             kind = get_args(option.parameter.annotation)[0]
             kinds = {kind, *get_args(kind)}
-            if option.name in ("debug", "project_file", "threads", "json_file", "tip"):
+            if (name, option.name) in LATE or option.name in _READ:
                 continue
-            if option.name == "name" and name == ("correct",):
-                continue  # it computes for long before there is anything to name
             bad: dict[Any, bool] = {}
-            if int in kinds:
+            if any(get_origin(one) is Literal for one in kinds):
+                bad = {"no such choice": True}
+            elif option.name == "project_file":
+                bad = {"absent.toml": True}
+            elif PLACE in option.said:
+                # Nowhere to put a folder: what is above it is a file.
+                bad = {str(self.folder / "good" / "log.csv" / "below"): True}
+            elif int in kinds:
                 bad = dict.fromkeys(("x", "1.5", "-1", "1" * 30), True)
             elif float in kinds:
                 bad = dict.fromkeys(("x", "nan", "-inf", "1e300"), True)
             elif WRITTEN in option.said:
                 bad = {"absent/x.csv": True, str(self.folder / "good"): True, "n" * 300: True}
-            elif option.takes[0] and PLACE not in option.said:
+            elif option.takes[0]:
                 bad = {"absent.csv": True, "/dev/null": True, "\udcff.json": True}
-            elif str in kinds and bool not in kinds and PLACE not in option.said:
+            elif kinds & {str, list[str]} and bool not in kinds:
                 texts = (LONG, f"{ESCAPE}{MARKUP}", "=", "nan,nan,nan")
                 bad = dict.fromkeys(texts, False)
             for value, refused in bad.items():
                 text = f"{option.shown} {str(value)[:20]!r}"
-                yield Case(text, self.line(name, option, value), refused)
+                yield Case(text, self.line(name, option, value), refused, option.shown)
 
     def cases(self, name: tuple[str, ...]) -> Iterator[Case]:
         """All of a command."""
         yield from self.values(name)
         yield from self.files(name)
+
+    def without(self, name: tuple[str, ...]) -> list[str]:
+        """Options of a command that take a value and are given no bad one."""
+        rows = {case.option for case in self.cases(name)}
+        return [
+            option.shown
+            for option in COMMANDS[name]
+            if {get_args(option.parameter.annotation)[0]} != {bool}
+            and (name, option.name) not in LATE
+            and option.shown not in rows
+        ]
 
 
 def beside(folder: Path) -> Iterator[Case]:

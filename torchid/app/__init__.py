@@ -26,6 +26,8 @@ def set_threads(arguments: Sequence[str]) -> None:
             asked = value if value.isdigit() and int(value) > 0 else None
             break
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    # Arrow's own pool keeps what is freed, which for a large log is as much memory again.
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     for name in _ONE_EACH:
         if asked is not None:
             os.environ[name] = asked
@@ -52,6 +54,10 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)
     set_threads(sys.argv[1:])
-    from torchid.app.commands import run
+    try:
+        from torchid.app.commands import run
+    except Exception as error:  # too little memory for a library, or one that is not whole
+        from torchid.app.faults import report
 
+        sys.exit(report(error, str))
     run()

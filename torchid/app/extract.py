@@ -117,6 +117,7 @@ def extract_command(
     method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
     if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
+    checkpoint = None if output.out is None else output.out / "checkpoint.npz"
     proven = None
     if certificate or method == "sdp":
         with output.progress("the certificate"):
@@ -132,7 +133,6 @@ def extract_command(
         with output.progress("descending"):
             found = descended(problem, runs=settings.runs, seed=settings.seed)
     else:
-        checkpoint = None if output.out is None else output.out / "checkpoint.npz"
         if checkpoint is not None and checkpoint.exists() != resume:
             output.warn(
                 [
@@ -144,13 +144,17 @@ def extract_command(
             )
         with resumable(checkpoint), output.progress() as progress:
             found = torchid.extract(
-                problem, settings, checkpoint=checkpoint, resume=resume,
+                problem, settings, checkpoint=checkpoint, resume=resume, keep=True,
                 device=opt.device(device_name), report=stage(progress, "stages"),
             ).found  # fmt: skip
     notes = (*notes, *found.warnings, *loss_notes(found, values))
     found = replace(found, proof=proven, warnings=notes)
     output.put(output.out and output.out / "sets.json", sets_record(found.sets, problem.robot).save)
-    output.give(found, "extraction.json", shown)
+    said = output.keep(found, "extraction.json", shown)
+    # Not sooner: what was searched for is not lost where the disk is full.
+    if found.search is not None and checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    output.tell(said)
 
 
 @command

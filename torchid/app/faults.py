@@ -19,6 +19,11 @@ from torchid.errors import TorchidError, visible
 INTERRUPTED, FAULT = 130, 70
 """Exit codes: of a shell for Ctrl-C; EX_SOFTWARE of sysexits.h."""
 
+_MEMORY = ("allocate memory", "not enough memory", "out of memory", "failed to map segment")
+_NO_MEMORY = (
+    "error: this work needs more memory than this process may use.\n"
+    "  hint: fewer or shorter logs at a time; `ulimit -v` shows a limit that is set"
+)
 _PLAIN = {
     "\u00b1": "+-", "\u00b2": "^2", "\u00b3": "^3", "\u00b5": "u", "\u03bc": "u", "\u00b0": " deg",
     "\u00d7": "x", "\u00b7": ".", "\u2013": "-", "\u2014": "-", "\u2026": "...", "\u2192": "->",
@@ -45,6 +50,14 @@ def print_plainly() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="torchid.plain")
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether NumPy, torch or Python could not have the memory that they asked for."""
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError | ImportError | OSError)
+        and any(words in str(error) for words in _MEMORY)
+    )
 
 
 @contextmanager
@@ -75,6 +88,8 @@ def report(error: BaseException, words: Callable[[str], str]) -> int:
     elif isinstance(error, OSError) and error.errno is not None:  # a file system's, not torchid's
         what = f"'{error.filename}': " if error.filename is not None else ""
         said, code = visible(f"error: {what}{error.strerror}."), 1
+    elif out_of_memory(error):
+        said, code = _NO_MEMORY, 1
     elif isinstance(error, KeyboardInterrupt):
         said, code = "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED
     else:

@@ -38,18 +38,24 @@ def log_from_columns(columns: Columns, path: str | Path) -> Log:
     """
     path = Path(path)
     joints = joint_columns(columns, path)
-    values = {
-        name: _numeric(columns[name], name, path)
-        for name in ("t", *(column for group in joints.values() for column in group))
-    }
-    _same_length(values, path)
-    trajectory, names = _trajectories(columns.get("traj"), len(values["t"]), path)
-    signals: dict[str, Any] = {
-        signal: torch.from_numpy(np.stack([values[c] for c in group], 1))
-        for signal, group in joints.items()
-    }
+    t = _numeric(columns["t"], "t", path)
+    samples = len(t)
+    # Each column goes to its place alone: a second copy of all of them is a second log in memory.
+    signals: dict[str, Any] = {}
+    for signal, group in joints.items():
+        values = np.empty((samples, len(group)))
+        for k, name in enumerate(group):
+            column = _numeric(columns[name], name, path)
+            _same_length(column, name, samples, path)
+            values[:, k] = column
+        signals[signal] = torch.from_numpy(values)
+    if samples < 2:
+        what = "columns and no rows" if samples == 0 else "one sample only"
+        wanted = "samples" if samples == 0 else "a trajectory"
+        raise LogError(f"'{path}' has {what}.", got=samples, expected=wanted)
+    trajectory, names = _trajectories(columns.get("traj"), samples, path)
     return Log(
-        t=torch.from_numpy(values["t"]),
+        t=torch.from_numpy(t),
         **signals,
         trajectory=torch.from_numpy(trajectory),
         names=names,
@@ -132,7 +138,8 @@ def some(names: Sequence[str], most: int = 40) -> list[str]:
 def _numeric(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     # A copy: arrow's buffers are read-only.
     numbers = np.array(numbers_of(values, f"'{path}': column {name}"), dtype=np.float64)
-    beyond = np.isfinite(numbers) & (np.abs(numbers) > LARGEST)
+    beyond = np.abs(numbers) > LARGEST
+    beyond &= np.isfinite(numbers)
     if beyond.any():
         raise LogError(
             f"'{path}': column {name} holds numbers that nothing measures.",
@@ -160,19 +167,19 @@ def _sample_of(values: np.ndarray) -> str:
     return values.dtype.name
 
 
-def _same_length(values: Columns, path: Path) -> None:
-    samples = len(values["t"])
-    for name, column in values.items():
-        if len(column) != samples:
-            raise LogError(
-                f"'{path}': column {name} has another length than t.",
-                got=len(column),
-                expected=samples,
-            )
-    if samples == 0:
-        raise LogError(f"'{path}' has columns and no rows.", got=0, expected="samples")
-    if samples == 1:
-        raise LogError(f"'{path}' has one sample only.", got=1, expected="a trajectory")
+def _same_length(column: np.ndarray, name: str, samples: int, path: Path) -> None:
+    if column.ndim != 1:
+        raise LogError(
+            f"'{path}': column {name} has the wrong number of dimensions.",
+            got=f"shape {column.shape}",
+            expected="(samples,)",
+        )
+    if len(column) != samples:
+        raise LogError(
+            f"'{path}': column {name} has another length than t.",
+            got=len(column),
+            expected=samples,
+        )
 
 
 def _trajectories(
@@ -182,7 +189,7 @@ def _trajectories(
     if column is None:
         return np.zeros(samples, dtype=np.int64), (path.stem,)
     ids = _numeric(column, "traj", path)
-    _same_length({"t": np.empty(samples), "traj": ids}, path)
+    _same_length(ids, "traj", samples, path)
     if not np.isfinite(ids).all() or (ids != np.round(ids)).any():
         wrong = ids[~np.isfinite(ids) | (ids != np.round(ids))]
         raise LogError(f"'{path}': column traj is not integer.", got=float(wrong[0]))

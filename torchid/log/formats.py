@@ -39,12 +39,13 @@ def parquet_table(path: Path, request: Request) -> Table:
 
 def read_parquet_columns(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:
     """Columns of a parquet file by name: (T,), or (T, k) where they are lists of numbers."""
-    if not wanted:
-        return {}
+    columns: dict[str, np.ndarray] = {}
     with pa.parquet.ParquetFile(path) as file:
-        table = file.read(columns=list(wanted))
-        columns = {name: from_arrow(table.column(name), name, path) for name in table.column_names}
-        del table
+        # One at a time, so that only one is in memory twice.
+        for name in wanted:
+            table = file.read(columns=[name])
+            columns |= {n: from_arrow(table.column(n), n, path) for n in table.column_names}
+            del table
     pa.default_memory_pool().release_unused()
     return columns
 

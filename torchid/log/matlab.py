@@ -1,8 +1,5 @@
 """Tables in MATLAB's .mat files: arrays, and the fields of structs, `struct.field`."""
 
-import io
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from torchid.errors import LogError
+from torchid.log.apart import read_apart
 from torchid.log.hdf5 import hdf5_table
+from torchid.log.reading_program import MATLAB
 from torchid.log.table import Request, Table
 
 
@@ -35,21 +34,11 @@ def matlab_table(path: Path, request: Request) -> Table:
             return {name: arrays[dotted[name]] for name in wanted}
 
         return replace(table, columns={n: table.columns[k] for n, k in dotted.items()}, read=read)
-    # In a process of its own: a damaged file may end scipy's reader, and Python with it.
-    script = Path(__file__).with_name("matlab_arrays.py")
-    done = subprocess.run([sys.executable, "-P", script, path], capture_output=True, check=False)
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    if done.returncode:
-        raise LogError(
-            f"'{path}' is not a mat file, though its name says so, or is damaged.",
-            got=said[-1][:200] if said else "a file on which its reader ends",
-        )
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as content:
-        arrays = dict(content)
+    said, arrays = read_apart(path, "mat", {"do": MATLAB})
     if not arrays:
         raise LogError(
             f"'{path}' has no array of numbers.",
-            got=", ".join(said) or "nothing",
+            got=", ".join(said["others"]) or "nothing",
             expected="arrays, or structs of arrays; save timeseries and tables as arrays",
         )
     return Table.in_memory(path, "MATLAB", arrays)

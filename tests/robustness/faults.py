@@ -1,0 +1,486 @@
+"""Kill commands at random times, fill their disk and their memory, and look at what is left.
+
+    python -m tests.robustness.faults --kills 20 --seed 1 --of gap
+
+What is on disk must be whole or absent, and the same command afterwards must give the same bits as
+one that nothing has happened to. A disk is filled by a file system of a few kilobytes where one may
+be mounted; by a limit on the size of files elsewhere.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import types
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import yaml
+
+from tests.fleet.simulated import Plan, make
+from tests.gap.small_logs import Recording, arm, friction, logged
+from tests.withheld import fakes
+from torchid.log.readers import write_log
+from torchid.robot.library import load_robot
+from torchid.withheld import case_set
+
+TEMPORARY = ".torchid-"
+"""Begin of the names of files that are not yet what they will be; nothing reads them."""
+NOT_COMPARED = ("seconds", "saved", "elapsed", "started")
+"""Entries of results that are times of the run."""
+COMPARED = (".json", ".npz", ".yaml")
+"""Results whose bits are compared; pages and figures hold dates."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One command, run in a folder of its own.
+
+    Attributes:
+        name: of the command.
+        arguments: of the program.
+        again: more arguments that continue what was interrupted.
+        prepare: puts into the folder what the command expects there.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    again: tuple[str, ...] = ()
+    prepare: Callable[[Path], object] = lambda folder: None
+
+
+def scenes(inputs: Path) -> dict[str, Scene]:
+    """All of them, their inputs written; each takes seconds."""
+    log = logged(arm(friction(2, Fc=0.6)), Recording(duration=5.0, rate=100.0))
+    write_log(log, inputs / "log.parquet")
+    fleet = Plan(units=4, sessions=2, seconds=5.0)
+    make(load_robot("3r_friction"), fleet, inputs / "fleet")
+    module = types.ModuleType("torchid.withheld.plant.case")
+    module.draw_case, module.simulate_case = fakes.draw_case, fakes.simulate_case  # type: ignore[attr-defined]
+    with mock.patch.dict(sys.modules, {module.__name__: module}):
+        case_set.make(inputs / "cases", 3, 0)
+    effects = "viscous_friction,coulomb_friction,torque_offset"
+    few = "--stages 5 --generations 30 --runs"
+    commands = (
+        Scene("extract", (*f"extract 3r {few} 8 --out out".split(),), ("--resume",)),
+        Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--resume",)),
+        Scene(
+            "gap",
+            (
+                *("gap", "3r", str(inputs / "log.parquet"), "--no-rollout"),
+                *("--effects", effects, "--save-model", "made.yaml", "--out", "out"),
+            ),
+        ),
+        Scene(
+            "withheld run",
+            ("withheld", "run", "cases", "--jobs", "1", "--json", "run.json"),
+            prepare=lambda folder: shutil.copytree(inputs / "cases", folder / "cases"),
+        ),
+        Scene(
+            "fleet identify",
+            (
+                *("fleet", "identify", "3r_friction", str(inputs / "fleet")),
+                *("--effects", effects, "--out", "out"),
+            ),
+        ),
+    )
+    return {scene.name: scene for scene in commands}
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended: its exit code (minus the signal that ended it), what it said, how long it
+    took."""
+
+    code: int
+    said: str
+    seconds: float
+
+
+class Child:
+    """A command in a process that is forked from this one, where torch is loaded already."""
+
+    def __init__(
+        self, folder: Path, arguments: Sequence[str], *, file: int = 0, memory: int = 0
+    ) -> None:
+        self.began = time.monotonic()
+        self.said = tempfile.TemporaryFile()  # noqa: SIM115, it outlives this function
+        self.number = os.fork()
+        if self.number == 0:
+            try:
+                self._be(folder, arguments, file, memory)
+            finally:
+                os._exit(99)
+
+    def _be(self, folder: Path, arguments: Sequence[str], file: int, memory: int) -> None:
+        os.setpgid(0, 0)  # with the processes that it starts
+        os.chdir(folder)
+        for stream in (1, 2):
+            os.dup2(self.said.fileno(), stream)
+        sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)
+        sys.argv = ["torchid", *arguments]
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if file:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (file, file))
+        if memory:
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            most = pages * resource.getpagesize() + memory
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        from torchid.app import main
+
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        sys.stdout.flush()
+        os._exit(code)
+
+    def ended(self, within: float = 600.0) -> Ended:
+        """Wait for its end; killed where that takes too long."""
+        while not (state := os.waitpid(self.number, os.WNOHANG))[0]:
+            if time.monotonic() - self.began > within:
+                self.kill()
+            time.sleep(0.002)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.number, signal.SIGKILL)
+        self.said.seek(0)
+        said = self.said.read().decode(errors="replace")
+        self.said.close()
+        return Ended(os.waitstatus_to_exitcode(state[1]), said, time.monotonic() - self.began)
+
+    def kill(self) -> None:
+        """As `kill -9` does."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.number, signal.SIGKILL)
+
+
+def run(scene: Scene, folder: Path, more: Sequence[str] = (), **limits: int) -> Ended:
+    """Run a scene's command to its end."""
+    return Child(folder, (*scene.arguments, *more), **limits).ended()
+
+
+def fragments(folder: Path) -> list[str]:
+    """Files that are not whole, by their names."""
+    return [f"{path.relative_to(folder)}: {why}" for path in _files(folder) if (why := _half(path))]
+
+
+def _files(folder: Path) -> list[Path]:
+    every = sorted(path for path in folder.rglob("*") if path.is_file())
+    return [path for path in every if not path.name.startswith(TEMPORARY)]
+
+
+def _half(path: Path) -> str | None:
+    """Why a file is no whole one of its kind."""
+    import pyarrow.parquet
+    from matplotlib.image import imread
+
+    content = path.read_bytes()
+    readers: dict[str, Callable[[], object]] = {
+        ".json": lambda: json.loads(content),
+        ".npz": lambda: _arrays(path),
+        ".yaml": lambda: yaml.safe_load(content)["name"],
+        ".png": lambda: imread(io.BytesIO(content)),
+        ".parquet": lambda: pyarrow.parquet.read_table(path),
+        ".svg": lambda: content.index(b"</svg>"),
+        ".html": lambda: content.index(b"</html>"),
+    }
+    try:
+        readers.get(path.suffix, lambda: None)()
+    except Exception as error:
+        return f"{len(content)} bytes, {type(error).__name__}: {error}"[:200]
+    return None
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    if not zipfile.is_zipfile(path):
+        raise ValueError("no archive")
+    with np.load(path, allow_pickle=False) as found:
+        return {name: found[name] for name in found.files}
+
+
+def results(folder: Path) -> dict[str, str]:
+    """What a command has left, but for times: by file, in a form that is the same for the same
+    bits."""
+    found = {}
+    for path in _files(folder):
+        name = str(path.relative_to(folder))
+        if path.suffix == ".json":
+            found[name] = json.dumps(_timeless(json.loads(path.read_bytes())))
+        elif path.suffix == ".npz":
+            found[name] = str(_timeless({k: _plain(v) for k, v in _arrays(path).items()}))
+        elif path.suffix == ".yaml":
+            found[name] = path.read_text()
+        else:
+            found[name] = "there"
+    return found
+
+
+def _plain(array: np.ndarray) -> object:
+    if array.dtype == np.uint8:  # words of a store's answer
+        with contextlib.suppress(ValueError):
+            return json.loads(array.tobytes())
+    return array.dtype.str, array.shape, array.tobytes()
+
+
+def _timeless(value: object) -> object:
+    if isinstance(value, dict):
+        return {k: _timeless(v) for k, v in value.items() if k not in NOT_COMPARED}
+    return [_timeless(v) for v in value] if isinstance(value, list) else value
+
+
+@dataclass
+class Faults:
+    """Faults to one scene.
+
+    Attributes:
+        scene: which.
+        place: folder for its runs.
+        random: what decides when it is killed.
+        whole: what a run to which nothing happens leaves.
+        seconds: that it takes.
+        wrong: what was not as it should be.
+    """
+
+    scene: Scene
+    place: Path
+    random: random.Random
+    whole: dict[str, str]
+    seconds: float
+    wrong: list[str]
+
+    @classmethod
+    def of(cls, scene: Scene, place: Path, seed: int) -> "Faults":
+        """After two runs to the end: their results must agree."""
+        found = cls(scene, place, random.Random(f"{seed} {scene.name}"), {}, 0.0, [])
+        for _ in range(2):  # the first one loads modules
+            with found.folder() as folder:
+                done = run(scene, folder)
+                assert done.code == 0, done.said
+                other, found.whole, found.seconds = found.whole, results(folder), done.seconds
+        assert other == found.whole
+        return found
+
+    @contextlib.contextmanager
+    def folder(self) -> Iterator[Path]:
+        """A fresh folder for one run and those that continue it."""
+        with tempfile.TemporaryDirectory(dir=self.place) as name:
+            self.scene.prepare(Path(name))
+            yield Path(name)
+
+    def look(self, folder: Path, what: str) -> None:
+        """That all files are whole."""
+        self.wrong += [f"{what}: {name}" for name in fragments(folder)]
+
+    def goes_on(self, folder: Path, what: str) -> None:
+        """That the same command, with --resume, ends well and with the same bits."""
+        done = run(self.scene, folder, self.scene.again)
+        if done.code:
+            self.wrong.append(f"{what}, then: exit code {done.code}: {done.said[-400:]}")
+            return
+        self.look(folder, f"{what}, then")
+        found = results(folder)
+        for name in sorted({*found, *self.whole}):
+            if found.get(name) != self.whole.get(name):
+                kind = "differs" if name in found and name in self.whole else "is there or not"
+                self.wrong.append(f"{what}, then: {name} {kind}")
+
+    def refused(self, done: Ended, what: str) -> bool:
+        """Whether a run failed; if so, with one error."""
+        if done.code == 0:
+            return False
+        errors = f"\n{done.said}".count("\nerror: ")
+        if done.code != 1 or errors != 1 or "Traceback" in done.said:
+            self.wrong.append(f"{what}: exit code {done.code}, {errors} errors: {done.said[-600:]}")
+        return True
+
+    def killed(self, times: int) -> int:
+        """Kill it at random times, some in the runs that continue it, until it was so often."""
+        done = 0
+        while done < times:
+            with self.folder() as folder:
+                more: tuple[str, ...] = ()
+                what = "killed"
+                while True:
+                    after = self.random.uniform(0.0, self.seconds)
+                    child = Child(folder, (*self.scene.arguments, *more))
+                    time.sleep(after)
+                    child.kill()
+                    child.ended()
+                    done += 1
+                    what += f" {after:.3f} s"
+                    self.look(folder, what)
+                    more = self.scene.again
+                    if done >= times or self.random.random() < 0.6:
+                        break
+                self.goes_on(folder, what)
+        return done
+
+    def full(self, times: int) -> int:
+        """Fill its disk: on file systems of different sizes, or with a limit on the size of files.
+
+        Returns:
+            How many of the runs were refused.
+        """
+        with self.folder() as folder:
+            run(self.scene, folder)
+            sizes = [path.stat().st_size for path in _files(folder)]
+        begin = sum(path.stat().st_size for path in _files(self.place))
+        refused = 0
+        for k in range(times):
+            share = (k + self.random.random()) / times
+            with tempfile.TemporaryDirectory(dir=self.place) as name:
+                folder = Path(name)
+                size = max(4096, int(share * (sum(sizes) + 4096 * len(sizes) + begin)))
+                what = f"a disk of {size / 1000:.0f} kB"
+                if mounted(folder, size):
+                    try:
+                        self.scene.prepare(folder)
+                    except OSError:
+                        continue
+                    else:
+                        refused += self.refused(run(self.scene, folder), what)
+                        self.look(folder, what)
+                        _mount("-o", "remount,size=1g", name)
+                        self.goes_on(folder, what)
+                    finally:
+                        subprocess.run(["umount", name], check=True)
+                else:
+                    self.scene.prepare(folder)
+                    most = max(64, int(share * max(sizes)))
+                    what = f"files of {most} bytes at most"
+                    refused += self.refused(run(self.scene, folder, file=most), what)
+                    self.look(folder, what)
+                    self.goes_on(folder, what)
+        return refused
+
+    def read_only(self) -> bool:
+        """A folder that takes no file; False where none can be mounted."""
+        with tempfile.TemporaryDirectory(dir=self.place) as name:
+            folder = Path(name)
+            if not mounted(folder, 1 << 24):
+                return False
+            try:
+                self.scene.prepare(folder)
+                _mount("-o", "remount,ro", name)
+                if not self.refused(run(self.scene, folder), "read-only"):
+                    self.wrong.append("read-only: it ended well")
+            finally:
+                subprocess.run(["umount", name], check=True)
+        return True
+
+    def starved(self, times: int) -> int:
+        """Give it too little memory; how often that was so."""
+        refused = 0
+        for k in range(times):
+            more = int((k + self.random.random()) / times * (24 << 20))
+            with self.folder() as folder:
+                what = f"{more >> 10} kB of memory"
+                child = Child(folder, self.scene.arguments, memory=more)
+                # Near the limit every allocation is a call of the system's, which is slow.
+                done = child.ended(within=5 * self.seconds)
+                refused += done.code == -signal.SIGKILL or self.refused(done, what)
+                self.look(folder, what)
+                self.goes_on(folder, what)
+        return refused
+
+    def twice(self, times: int) -> None:
+        """Two of it at once, in one folder."""
+        for _ in range(times):
+            with self.folder() as folder:
+                first = Child(folder, self.scene.arguments)
+                time.sleep(self.random.uniform(0.0, 0.5 * self.seconds))
+                second = Child(folder, self.scene.arguments)
+                for k, child in enumerate((first, second)):
+                    done = child.ended()
+                    if done.code:
+                        self.wrong.append(f"two at once, {k}: {done.code}: {done.said[-600:]}")
+                self.look(folder, "two at once")
+                if results(folder) != self.whole:
+                    self.wrong.append("two at once: other results")
+
+
+def mounted(folder: Path, size: int) -> bool:
+    """Make a folder a file system of so many bytes; False where that is not allowed."""
+    return _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
+
+
+def _mount(*arguments: str) -> bool:
+    try:
+        return not subprocess.run(
+            ["mount", *arguments], check=False, capture_output=True
+        ).returncode
+    except FileNotFoundError:
+        return False
+
+
+def loaded() -> None:
+    """What all commands import, here, so that each fork has it."""
+    from torchid.app import set_threads
+
+    set_threads(())
+    import matplotlib.pyplot
+    import torch
+
+    import torchid
+    import torchid.app.commands
+
+    torch.set_num_threads(1)
+    matplotlib.pyplot.figure().savefig(io.BytesIO())
+    for name in torchid.__all__:
+        getattr(torchid, name)
+
+
+def main() -> None:
+    """The command line; exits 1 where something was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--disks", type=int, default=10)
+    parser.add_argument("--memories", type=int, default=6)
+    parser.add_argument("--pairs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--of", action="append", help="commands; all by default")
+    given = parser.parse_args()
+    loaded()
+    bad = False
+    with tempfile.TemporaryDirectory() as name:
+        inputs, place = Path(name) / "inputs", Path(name) / "runs"
+        inputs.mkdir()
+        place.mkdir()
+        for scene in scenes(inputs).values():
+            if given.of and scene.name not in given.of:
+                continue
+            one = Faults.of(scene, place, given.seed)
+            killed = one.killed(given.kills)
+            full = one.full(given.disks)
+            one.read_only()
+            starved = one.starved(given.memories)
+            one.twice(given.pairs)
+            print(
+                f"{scene.name} ({one.seconds:.1f} s, {len(one.whole)} files): {killed} kills, "
+                f"{full} of {given.disks} disks full, {starved} of {given.memories} times too "
+                f"little memory, {given.pairs} pairs: {len(one.wrong)} wrong",
+                flush=True,
+            )
+            for text in one.wrong:
+                print(f"  {text}", flush=True)
+            bad |= bool(one.wrong)
+    sys.exit(bad)
+
+
+if __name__ == "__main__":
+    main()
