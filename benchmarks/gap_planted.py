@@ -235,7 +235,8 @@ def judged(case: dict[str, Any], before: set[tuple[str, tuple[int, ...]]]) -> tu
     new = [w for w in case["answer"]["which"] if (w["effect"], tuple(w["joints"])) not in before]
 
     def is_it(w: dict[str, Any], also: Sequence[str] = ()) -> bool:
-        near = not w["joints"] or bool(places & set(w["joints"]))
+        # Felt by no joint as much as by another: it is the whole arm's.
+        near = not w["joints"] or not places or bool(places & set(w["joints"]))
         return near and key["effect"] in (w["effect"], *also)
 
     def holds_it(w: dict[str, Any]) -> bool:
