@@ -14,6 +14,7 @@ A claim is a finding or a parametric entry; the top claim is the one with the la
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -80,7 +81,7 @@ def matched(row: Row, strict: bool) -> Counts:
 
 def without_its_name(row: Row, families: Mapping[str, str]) -> Verdict:
     """Verdict on a diagnosis whose library lacks the planted effect."""
-    return measures.verdict(seen(row), families, every=False)
+    return measures.verdict(replace(seen(row), families=families), every=False)
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:

@@ -88,13 +88,13 @@ def test_friction_without_bounds_is_refused() -> None:
 def test_unknown_group_is_refused(group: str) -> None:
     with pytest.raises(RobotError, match="no bounds") as caught:
         read_bounds(load_robot("3r"), group)
-    assert caught.value.available == ["loose", "normal", "tight"]
+    assert caught.value.available == ["loose", "normal", "tight", "from-robot", "wide", "none"]
 
 
 def test_robot_without_bounds_is_refused() -> None:
     with pytest.raises(RobotError, match="no bounds") as caught:
         read_bounds(load_robot("ur10e"), "normal")
-    assert caught.value.available == ["(none)"]
+    assert caught.value.available == ["from-robot", "wide", "none"]
 
 
 NORMAL = "normal"

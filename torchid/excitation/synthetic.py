@@ -137,7 +137,7 @@ def simulate(
         raise TorchidError(
             "paper noise is for a torque that is computed from the trajectory.",
             got="effects, or motion under control",
-            available=["honest noise", "none"],
+            available=["HonestNoise", "None"],
         )
     # Each trajectory from its own beginning.
     parts = motion.trajectories()

@@ -156,7 +156,7 @@ def write_actuator(robot: Robot, package: Package, folder: Path | str, name: str
         raise TorchidError(
             f"'{robot.name}' has no effect that an actuator adds.",
             got=", ".join(e.name for e, _ in nominal_effects(robot)) or "no effects",
-            hint="damping, frictionloss and armature are in the file that `--to mjcf` writes",
+            hint="damping, frictionloss and armature are in what `torchid export --to mjcf` writes",
         )
     if core.ignored:
         lines.append(f"and not: {', '.join(core.ignored)}.")
