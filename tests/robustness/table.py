@@ -3,7 +3,6 @@
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -15,8 +14,9 @@ from tests.robustness.bench import Outcome, outcome
 from torchid.app.signature import PLACE, WRITTEN, Option
 
 EVERY = 40
-"""Of all bad files one in so many goes to each command beside those that get all of a kind."""
+"""Of all bad results one in so many goes to a command that computes for long."""
 _ROBOTS = ("robot", "params")
+_RESULTS = ("result", "results", "sets")
 _LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
 _WHOLE = {"check": 5, "log show": 4, "export": 15}
 """Commands that get all of the first kind of file that they take, or one in so many of them."""
@@ -122,12 +122,19 @@ class Table:
                 every, kind = self.robots, "robot"
             elif option.name in _LOGS:
                 every, kind = self.logs, "log"
-            elif option.name in ("result", "results", "sets"):
+            elif option.name in _RESULTS:
                 every, kind = self.results, "result"
             else:
                 continue
-            step = _WHOLE.get(" ".join(name), EVERY) if k == 0 else EVERY
-            chosen = islice(every.items(), len(name[0]) * (k + 1) % step, None, step)
+            # Each place takes files that no other takes, so that all are given somewhere; some
+            # commands take more of them.
+            slot, places = _slot(name, option)
+            more = _WHOLE.get(" ".join(name), 0) if k == 0 else 0
+            chosen = [
+                item
+                for i, item in enumerate(every.items())
+                if (places and i % places == slot) or (more and i % more == 0)
+            ]
             for text, path in chosen:
                 broken = path.name.startswith("no_")
                 if kind == "result" and " ".join(name) in _SLOW and not broken:
@@ -221,3 +228,18 @@ def beside(folder: Path) -> Iterator[Case]:
         file = folder / "robots" / f"study_{name}.yaml"
         file.write_bytes(content)
         yield Case(f"study {name}", ("study", str(file), "--json", "result.json"))
+
+
+def _slot(name: tuple[str, ...], option: Option) -> tuple[int, int]:
+    """The number of a place among all that take a robot, or a log, or a result, and how many these
+    are; none of results where a command is slow."""
+    kind = next(k for k in (_ROBOTS, _LOGS, _RESULTS) if option.name in k)
+    slow = _SLOW if kind is _RESULTS else ()
+    places = [
+        (n, o.name)
+        for n, options in COMMANDS.items()
+        for o in options
+        if o.name in kind and " ".join(n) not in slow
+    ]
+    here = (name, option.name)
+    return (places.index(here), len(places)) if here in places else (0, EVERY)
