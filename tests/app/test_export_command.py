@@ -156,7 +156,7 @@ def test_actuators(tmp_path, to):
     write_robot(robot, tmp_path / "arm.yaml")
     out = tmp_path / "out"
     said = run(tmp_path / "arm.yaml", "--to", to, "--out", out, "--name", "arm")
-    assert "LEFT OUT of the actuator: joint 2: time_delay" in said.replace("\n", " ")
+    assert f"LEFT OUT of the {to} file: joint 2: time_delay" in said.replace("\n", " ")
     record = torchid.load(out / f"export_{to}.json")
     assert record.effects.in_file[0].startswith("joint 1: stribeck_friction")
     assert record.effects.beside[0].startswith("joint 1: coulomb_friction")

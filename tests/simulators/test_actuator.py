@@ -1,11 +1,7 @@
-"""Effects as an explicit actuator's torque, to 1e-9, and in files for Isaac Lab and mjlab."""
+"""Effects as an explicit actuator's torque, to 1e-9."""
 
 import math
-import runpy
-import sys
-import types
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 import torch
@@ -17,7 +13,6 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
 from torchid.simulators.actuator import EffectTorque
-from torchid.simulators.actuator_files import write_actuator
 
 DT = 0.01
 
@@ -100,67 +95,3 @@ def test_what_an_actuator_cannot_add_is_named() -> None:
     late = {"effect": "time_delay", "joint": 1, "delay": 0.004}
     robot = replace(arm("3r"), effects=(*FIELDS, late))
     assert EffectTorque(robot).ignored == ("time_delay",)
-    with pytest.raises(TorchidError, match="no effect that an actuator adds"):
-        write_actuator(robot, "mjlab", Path(), "arm")
-
-
-class _Base:
-    """What both packages' ideal PD actuators do, and no more."""
-
-    _num_envs, _device = 2, "cpu"
-
-    def __init__(self, cfg: object, *args: object, joint_names: list[str] | None = None) -> None:
-        self.cfg, self.joint_names = cfg, joint_names
-
-    def initialize(self, *args: object) -> None: ...
-
-    def reset(self, env_ids: object = None) -> None: ...
-
-    def compute(self, command: types.SimpleNamespace, *state: torch.Tensor) -> object:
-        if state:
-            command.joint_efforts = torch.full_like(state[0], 3.0)
-            return command
-        return torch.full_like(command.pos, 3.0)
-
-
-@dataclass(kw_only=True)
-class _Cfg:
-    target_names_expr: tuple[str, ...] = ()
-    joint_names_expr: tuple[str, ...] = ()
-    stiffness: float = 0.0
-    damping: float = 0.0
-    effort_limit: float = 0.0
-
-
-@pytest.mark.parametrize("package", ["isaaclab", "mjlab"])
-def test_files_run_where_the_package_is(
-    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With classes that stand in for the package's own, of the interface that was read."""
-    stand_ins = {
-        "isaaclab": {}, "isaaclab.utils": {"configclass": dataclass(kw_only=True)},
-        "isaaclab.actuators": {"IdealPDActuator": _Base, "IdealPDActuatorCfg": _Cfg},
-        "mjlab": {}, "mjlab.actuator": {"IdealPdActuator": _Base, "IdealPdActuatorCfg": _Cfg},
-    }  # fmt: skip
-    for name, content in stand_ins.items():
-        module = types.ModuleType(name)
-        module.__dict__.update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-    robot = replace(arm("3r"), effects=(*FIELDS, *records([BESIDE["load"], BESIDE["presliding"]])))
-    files = write_actuator(robot, package, tmp_path, "arm")  # type: ignore[arg-type]
-    made = runpy.run_path(str(files[0]))
-    x = torch.ones(2, 3)
-    if package == "isaaclab":
-        cfg = made["actuators"](10.0, 1.0, 50.0, DT)["arm"]
-        actuator = made["EffectActuator"](cfg, joint_names=list(robot.joint_names))
-        out = actuator.compute(types.SimpleNamespace(), x, x).joint_efforts
-    else:
-        (cfg,) = made["actuators"](10.0, 1.0, 50.0)
-        actuator = cfg.build(None, [0, 1, 2], list(robot.joint_names))
-        model = types.SimpleNamespace(opt=types.SimpleNamespace(timestep=DT))
-        actuator.initialize(model, None, types.SimpleNamespace(nworld=2), "cpu")
-        out = actuator.compute(types.SimpleNamespace(pos=x, vel=x))
-    actuator.reset(torch.tensor([0]))
-    core = EffectTorque(robot, environments=2)
-    torch.testing.assert_close(out, 3.0 - core.torque(x, x, DT, torch.full_like(x, 3.0)))
-    assert float((out - 3.0).abs().max()) > 0.05

@@ -1,7 +1,7 @@
 """`torchid export`: a result's dynamics in the formats of other programs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 
@@ -11,9 +11,6 @@ from torchid.app.correct import corrected_by
 from torchid.app.output import Computed, Output
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-
-if TYPE_CHECKING:
-    from torchid.export.dynamics import Dynamics
 
 
 @command
@@ -75,7 +72,6 @@ def export_command(
         raise TorchidError(
             "there is nothing to write.", expected="--to FORMAT or --randomise LEVEL"
         )
-    from torchid.export.export import require_name, stem_of
     from torchid.export.projection import Target
     from torchid.export.results import carried
     from torchid.report.robot import correction_shown, export_shown
@@ -89,11 +85,6 @@ def export_command(
                 hint="--log LOG (several times, with --gain or --columns as before); --to yaml "
                 "writes the corrected robot with all its effects",
             )
-        if to == "isaaclab" or to == "mjlab":
-            stem = stem_of(found.nominal) if name is None else name
-            require_name(stem)
-            _write_actuator(output, found.dynamics, to, stem, seed)
-            return
         done = torchid.export_dynamics(
             found.dynamics, to, output.out or Path(), name, nominal=found.nominal,
             original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
@@ -134,44 +125,4 @@ def _randomised(
     files = [str(file) for file in done.write(output.out or Path(), name)]
     shown = randomisation_shown(done, files)
     plain = {**done.plain(), "files": files}
-    output.tell(output.keep(plain, "randomisation.json", lambda _: shown, seed=seed))
-
-
-def _write_actuator(
-    output: Output, dynamics: "Dynamics", to: Literal["isaaclab", "mjlab"], stem: str, seed: int
-) -> None:
-    """Write the effects as an actuator class, and tell which it adds."""
-    from torchid.effects.registry import nominal_effects
-    from torchid.export.dynamics import described
-    from torchid.export.record import ExportRecord, Places
-    from torchid.simulators.actuator import EffectTorque
-    from torchid.simulators.actuator_files import write_actuator
-
-    robot = dynamics.robot
-    files = [str(file) for file in write_actuator(robot, to, output.out or Path(), stem)]
-    # What the simulator has fields for, what the actuator adds, and what nobody does.
-    ignored = EffectTorque(robot).ignored
-    places: dict[str, list[str]] = {"in_file": [], "beside": [], "left_out": []}
-    for effect, values in nominal_effects(robot):
-        field = effect.attributes(values, True) is not None
-        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
-        places[place].append(described(effect, values, robot))
-    lost = [f"LEFT OUT of the actuator: {words}" for words in places["left_out"]]
-    done = ExportRecord(
-        robot=robot.name,
-        what=dynamics.kind,
-        result=dynamics.title,
-        format=to,
-        files=tuple(files),
-        original=None,
-        feasible=None,
-        reasons=(),
-        checks=(),
-        effects=Places(**{key: tuple(words) for key, words in places.items()}),
-        warnings=tuple(lost),
-    )
-    output.write_json({**done.plain(), "seed": seed}, f"export_{to}.json")
-    output.say(*(f"added at run time: {words}" for words in places["in_file"]))
-    output.say(*(f"left to the simulator's own fields: {words}" for words in places["beside"]))
-    output.warn(lost)
-    output.say(f"\nwritten: {', '.join(files)}")
+    output.give(plain, "randomisation.json", lambda _: shown, seed=seed)

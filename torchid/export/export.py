@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, described, nearest_representative, states
 from torchid.export.record import ExportRecord, export_record
 from torchid.export.results import Exportable, dynamics_of
+from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_table, write_yaml
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.findings import by_percent
@@ -20,8 +21,9 @@ from torchid.feasibility.sets import nominal_set
 from torchid.results.record import Result
 from torchid.robot.model import Robot
 
-Format = Literal["urdf", "mjcf", "yaml", "csv", "c"]
+Format = Literal["urdf", "mjcf", "yaml", "csv", "c", "isaaclab", "mjlab"]
 SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "csv": ".csv", "c": ".c"}
+SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +35,10 @@ class Export(Result):
         format: of the files.
         files: what was written, the main file first.
         original: the file that was edited a copy of; None for a new one.
-        check: feasibility of the physical parameters; None for base parameters (csv, c).
+        check: feasibility of the physical parameters; None where none are written.
         comparisons: of what was reloaded with the result's model.
-        in_file, beside, left_out: effects that the format knows, that are in the sidecar, and that
-            are nowhere, in words.
+        in_file, beside, left_out: effects that the format knows, that are in the sidecar (of an
+            actuator: that the simulator's own fields say), and that are nowhere, in words.
         notes: sentences for the user.
     """
 
@@ -99,7 +101,8 @@ def export_dynamics(
         result: what to write: an identification, one set of parameters, a robot, or what the
             functions of `torchid.export.results` read from files.
         to: format. yaml, urdf and mjcf need physical parameters: of base parameters those nearest
-            to the robot's own that have exactly them.
+            to the robot's own that have exactly them. isaaclab and mjlab are actuator classes that
+            add the effects at run time.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
@@ -136,7 +139,8 @@ def export_dynamics(
         )
     same_format = to in ("urdf", "mjcf") and Path(model.source).suffix.lower() == SUFFIXES[to]
     edited = model if same_format else None
-    physical = dynamics.base is None or to not in ("csv", "c")
+    actuator = to == "isaaclab" or to == "mjlab"
+    physical = not actuator and (dynamics.base is None or to not in ("csv", "c"))
     written = dynamics.robot
     if dynamics.base is not None and physical:
         written = nearest_representative(nominal, dynamics.base)
@@ -153,6 +157,8 @@ def export_dynamics(
         draft, comparisons = write_table(dynamics, path, motion)
     elif to == "c":
         draft, comparisons = write_c(dynamics, path, motion)
+    elif to == "isaaclab" or to == "mjlab":
+        draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
         draft, comparisons = write_xml(dynamics, written, path, edited, motion)
     in_file, beside, left_out = (

@@ -310,9 +310,7 @@ def _drawn(
         for d in (~are[:draws]).nonzero().flatten().tolist():
             pi[d] = bodies.near.to(pi[d])
             nearest += 1
-    within = [torch.zeros(count, dtype=torch.long) for _ in parts]
-    for k in range(len(parts)):
-        within[k][chosen == k] = torch.arange(int((chosen == k).sum()))
+    within = [(chosen == k).cumsum(0) - 1 for k in range(len(parts))]
     effects = tuple(
         parts[k].effects(steps[k][int(within[k][d])])
         for d, k in zip(kept.tolist(), chosen[kept].tolist(), strict=True)

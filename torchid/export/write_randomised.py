@@ -18,6 +18,7 @@ from torchid.export.export import require_name, stem_of
 from torchid.export.randomise import Randomisation, plain_draws
 from torchid.export.record import RangeRow
 from torchid.files import atomic_write
+from torchid.statistics.proportion import HALF_95
 
 MUJOCO = {
     "damping": "dof_damping",
@@ -85,7 +86,7 @@ def _csv(done: Randomisation) -> str:
         writer.writerow(row)
     for band in done.residual:
         joint = done.robot.joint_names[band.joint]
-        ends = (-1.96 * band.unexplained, 1.96 * band.unexplained)
+        ends = (-HALF_95 * band.unexplained, HALF_95 * band.unexplained)
         writer.writerow(("qfrc_applied", joint, *ends, 0.0, "", band.why))
     return out.getvalue()
 
@@ -232,8 +233,8 @@ def _beside(done: Randomisation) -> list[str]:
         if r.field not in written
     ]
     lines += [
-        f"#   torque of {done.robot.joint_names[b.joint]}: +-{1.96 * b.unexplained:.3g}, lasting "
-        f"{b.correlation:.2g} s, stays unexplained"
+        f"#   torque of {done.robot.joint_names[b.joint]}: +-{HALF_95 * b.unexplained:.3g}, "
+        f"lasting {b.correlation:.2g} s, stays unexplained"
         for b in done.residual
     ]
     return ["", "# Without an event here:", *lines] if lines else []

@@ -22,6 +22,7 @@ from torchid.position.fit import (
 )
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Int
 
 FOLDS = 5
@@ -127,7 +128,7 @@ def value_interval(name: str, value: float, deviation: float) -> tuple[float, fl
     """95 % interval of a parameter from the deviation of its searched coordinate."""
     kind = PARAMETERS[INDEX[name]].kind
     if kind == "log":
-        factor = float(torch.tensor(1.96 * deviation).exp())
+        factor = float(torch.tensor(HALF_95 * deviation).exp())
         return value / factor, value * factor
-    low, high = value - 1.96 * deviation, value + 1.96 * deviation
+    low, high = value - HALF_95 * deviation, value + HALF_95 * deviation
     return (max(low, 0.0) if kind == "positive" else low), high

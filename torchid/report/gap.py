@@ -8,7 +8,6 @@ from typing import Any
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_MEANING, INERTIA_REMEDY, Diagnosis, unit_of
 from torchid.gap.record import Experiment, NotTestable
-from torchid.gap.search.solve import NORMAL
 from torchid.report import gap_figures
 from torchid.report import gap_words as words
 from torchid.report.page.document import Origin, Page
@@ -29,6 +28,7 @@ from torchid.report.table import (
 )
 from torchid.results.record import as_plain
 from torchid.simulation.two_models import Rollout
+from torchid.statistics.proportion import HALF_95
 
 _MOST_REGIMES = 3
 _MOST_NUMBERS = 12
@@ -300,7 +300,7 @@ def coefficient_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for f in diagnosis.findings:
         for c, value, std in zip(f.effect.coefficients, f.values, f.std, strict=True):
-            half = NORMAL * std
+            half = HALF_95 * std
             spread = (f"{std:.3g}", f"[{value - half:.6g}, {value + half:.6g}]")
             unit = unit_of(c.unit, f.located or f.joints, diagnosis.robot)
             rows.append(
@@ -315,7 +315,7 @@ def coefficient_table(diagnosis: Diagnosis) -> Table:
         ("effect", "place", "coefficient", "value", "std", "95 % interval", "unit"),
         rows,
         names=("effect", "place", "coefficient", "unit"),
-        note=f"Interval: value ± {NORMAL} std; std over blocks of the log, because neighbouring "
+        note=f"Interval: value ± {HALF_95} std; std over blocks of the log, because neighbouring "
         "residuals are alike. A dash: the data do not tell.",
     )
 

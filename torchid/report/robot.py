@@ -139,6 +139,9 @@ def effect_lines(done: Export) -> list[str]:
     """Where each effect went, one sentence a place."""
     sidecar = done.files[-1].name if len(done.files) > 1 else "the sidecar"
     places = ((f"in the {done.format} file", done.in_file), (f"in {sidecar}", done.beside))
+    if done.files[0].suffix == ".py":
+        own = "left to the simulator's own fields"
+        places = (("added at run time", done.in_file), (own, done.beside))
     return [f"{count(len(words), 'effect')} {place}" for place, words in places if words]
 
 

@@ -3,6 +3,7 @@
 from xml.sax.saxutils import quoteattr
 
 from torchid.export.joint_dynamics import split
+from torchid.export.mjcf import ATTRIBUTES
 from torchid.report.table import listed
 from torchid.robot.model import Robot
 
@@ -21,11 +22,12 @@ def simulator_block(robot: Robot) -> str:
     lines = []
     for mjcf in (True, False):
         joints, rest = split(robot, mjcf=mjcf)
-        lines.append(f"<!-- {'MJCF' if mjcf else 'URDF'}: into the joint of the same name -->")
+        angles = ', of a file with <compiler angle="radian"/>' if mjcf else ""
+        kind = "MJCF" if mjcf else "URDF"
+        lines.append(f"<!-- {kind}: into the joint of the same name{angles} -->")
         for name, own in zip(robot.joint_names, joints, strict=True):
             if mjcf:
-                given = {"damping": own.damping, "frictionloss": own.friction}
-                given |= {"armature": own.armature, "stiffness": own.stiffness}
+                given = {key: getattr(own, attribute) for key, attribute in ATTRIBUTES.items()}
                 given |= {"springref": own.rest} if own.stiffness else {}
                 said = "".join(f' {key}="{value:.6g}"' for key, value in given.items() if value)
                 line = f"<joint name={quoteattr(name)}{said}/>"

@@ -1,8 +1,14 @@
-"""Intervals of a share, from how many of how many."""
+"""Half widths of normal intervals, and intervals of a share, from how many of how many."""
 
 import math
 
 from scipy.stats import beta, norm
+
+HALF_95 = 1.96
+"""Standard deviations in half of a 95 % interval of a normal variable."""
+
+HALF_90 = 1.645
+"""The same of a 90 % interval."""
 
 
 def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:

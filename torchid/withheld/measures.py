@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from torchid.statistics.proportion import wilson
+from torchid.statistics.proportion import HALF_95, wilson
 from torchid.statistics.resampling import bootstrap, percentile_interval
 from torchid.withheld.rows import Claim, Planted, Row
 
@@ -173,7 +173,7 @@ def poor_verdict(row: Row) -> PoorVerdict:
     return "confident_wrong"
 
 
-def inside(value: float, std: float, true: float, z: float = 1.96) -> bool:
+def inside(value: float, std: float, true: float, z: float = HALF_95) -> bool:
     """Whether an interval holds the truth."""
     return abs(value - true) <= z * std
 

@@ -13,6 +13,7 @@ from torchid.effects.base import Effect, JointEffect
 from torchid.effects.registry import FAMILIES, KINDS
 from torchid.effects.variation import OneJointEffect
 from torchid.position.effects import EFFECTS
+from torchid.statistics.proportion import HALF_95
 
 INERTIAL = ("link_inertia", "all_base")
 """Names of claims that a model's own parameters are wrong."""
@@ -185,7 +186,7 @@ def _from_intervals(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     out = {}
     for name, (low, high) in found["ci95"].items():
         if low is not None and high is not None:
-            out[name] = (found["parameters"][name], (high - low) / (2 * 1.96))
+            out[name] = (found["parameters"][name], (high - low) / (2 * HALF_95))
     return out
 
 

@@ -24,6 +24,7 @@ from torchid.gap.noise.spectrum import bandwidth, white_level
 from torchid.gap.record import NoiseFloor
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_numbers, block_sums
+from torchid.statistics.proportion import HALF_90
 from torchid.typing import Bool, Float, Tensor
 
 BLOCK_SECONDS = 2.0
@@ -39,9 +40,6 @@ CLIPPED = 4.5
 
 FEWEST = 100
 """Samples of repeats below which they say less than the bracket."""
-
-NORMAL = 1.645
-"""Half a 90 % interval of a normal variable, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +211,7 @@ def _from_repeats(
     uneven = (mean > UNEVEN * median) & (mean > chance * median)
     rms = torch.where(uneven, median, mean).sqrt()
     # The interval of a variance with so many degrees of freedom, in logarithms.
-    half = NORMAL / (2 * freedom).sqrt()
+    half = HALF_90 / (2 * freedom).sqrt()
     notes = [""] * len(rms)
     for j in uneven.nonzero().flatten().tolist():
         worst = int(variance[j].nan_to_num().argmax())

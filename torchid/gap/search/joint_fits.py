@@ -43,11 +43,9 @@ def joint_fits(
         # What physics then refuses has left, and with it the alternative.
         if not any(t is other for t in again.terms):
             continue
-        solution = solved(
-            columns, again.terms, again.values(), data, solution.wanted, block, again.effective
-        )
-        words = f"{_words(other)} in the place of {_words(term)}"
-        out.append(_fit(solution, rise, words))
+        values, wanted = again.values(), solution.wanted
+        fitted = solved(columns, again.terms, values, data, wanted, block, again.effective)
+        out.append(_fit(fitted, rise, f"{_words(other)} in the place of {_words(term)}"))
     total = sum(one.weight for one in out)
     return tuple(msgspec.structs.replace(one, weight=one.weight / total) for one in out)
 

@@ -19,6 +19,7 @@ from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.terms import BASE, LINK, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import fit_statistics
+from torchid.statistics.proportion import HALF_95
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -26,9 +27,6 @@ STEPS = 4
 SETTLED = 1e-4
 """Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
 another."""
-
-NORMAL = 1.96
-"""Standard deviations in half of a 95 % interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class Solution:
         wanted: what was looked for.
         terms: fixed ones first, secants at the estimate.
         values, std: per term (C,): coefficients, and standard deviations by a block jackknife, of
-            which `NORMAL` are the 95 % interval, however few blocks there are.
+            which `HALF_95` are the 95 % interval, however few blocks there are.
         covariance: (K, K) of all coefficients, term by term; std are the roots of its diagonal.
         model: corrected.
         weight: (n,) of the joints' squares.
@@ -156,7 +154,7 @@ def solved(
     found = fit_statistics(
         table, rest, torch.cat([block.repeat(len(best.left)), own]), variance=1.0
     )
-    wide = torch.where(found.by_one_block, 1.0, found.quantile() / NORMAL)
+    wide = torch.where(found.by_one_block, 1.0, found.quantile() / HALF_95)
     covariance = found.covariance * wide * wide.unsqueeze(1)
     # With another scale of a joint's torque all coefficients of its effects have it, too; those of
     # the whole arm have that of all joints.

@@ -13,9 +13,10 @@ import numpy as np
 import torch
 
 from torchid.gap.diagnosis import Trace
-from torchid.gap.noise.floor import BLOCK_SECONDS, NORMAL
+from torchid.gap.noise.floor import BLOCK_SECONDS
 from torchid.gap.record import Budget, Interval, NoiseFloor, Residual
 from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.proportion import HALF_90
 from torchid.statistics.resampling import DRAWS, LEVEL, bootstrap_weights, percentile_interval
 from torchid.typing import Float, Tensor
 
@@ -86,7 +87,7 @@ def closing(
     if floor.source == "repeats":
         low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
         z = torch.from_numpy(rng.standard_normal(tuple(rows.shape)))
-        ends = [(rows * torch.exp((high - low) / NORMAL * z)).sum(1)]
+        ends = [(rows * torch.exp((high - low) / HALF_90 * z)).sum(1)]
         if unpredicted is not None:
             largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
             ends.append((rows * (largest / unit).clamp(min=1.0)).sum(1))

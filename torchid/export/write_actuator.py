@@ -10,11 +10,15 @@ from pathlib import Path
 from typing import Literal
 
 from torchid import __version__
-from torchid.effects.registry import nominal_effects
+from torchid.effects.base import Motion
+from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import TorchidError
-from torchid.files import atomic_write
-from torchid.robot.model import Robot
-from torchid.robot.writer import write_robot
+from torchid.export.checks import compared
+from torchid.export.dynamics import Dynamics, robot_torque
+from torchid.export.keeping import Draft, kept, staged
+from torchid.export.write_plain import READER, Written
+from torchid.robot.library import load_robot
+from torchid.robot.writer import robot_yaml
 from torchid.simulators.actuator import EffectTorque
 
 Package = Literal["isaaclab", "mjlab"]
@@ -131,47 +135,55 @@ def actuators(stiffness, damping, effort_limit):
 '''
 
 
-def write_actuator(robot: Robot, package: Package, folder: Path | str, name: str) -> list[Path]:
-    """Write NAME_actuator_PACKAGE.py, and NAME_effects.yaml which it reads.
+def write_actuator(
+    dynamics: Dynamics, package: Package, folder: Path, name: str, motion: Motion
+) -> Written:
+    """Write NAME_actuator_PACKAGE.py, and NAME_effects.yaml which it reads; the yaml is read back
+    and its effects' torque compared.
 
     Args:
-        robot: with its effects.
+        dynamics: of which the robot's effects are written.
         package: whose actuator.
-        folder: made if need be.
+        folder: exists.
         name: of the files, without suffix.
+        motion: states (T, n) of the comparison.
 
     Returns:
-        Both files.
+        The draft, in which `beside` are effects that the simulator's own fields say, and the
+        comparison.
 
     Raises:
-        TorchidError: a robot of whose effects none can be added, or a file that cannot be written.
+        TorchidError: a robot of whose effects none can be added, or files that cannot be written.
     """
-    core = EffectTorque(robot)
-    lines = [
-        f"- {effect.name} ({', '.join(effect.coefficient_names())})"
-        for effect, values in nominal_effects(robot)
-        if effect.attributes(values, True) is None and effect.name not in core.ignored
-    ]
-    if not lines:
+    robot = replace(dynamics.robot, bounds={})
+    ignored = EffectTorque(robot).ignored
+    # What the actuator adds, what the simulator has fields for, and what nobody does.
+    places: dict[str, list[Valued]] = {"in_file": [], "beside": [], "left_out": []}
+    for effect, values in nominal_effects(robot):
+        field = effect.attributes(values, True) is not None
+        place = "beside" if field else "left_out" if effect.name in ignored else "in_file"
+        places[place].append((effect, values))
+    if not places["in_file"]:
         raise TorchidError(
             f"'{robot.name}' has no effect that an actuator adds.",
             got=", ".join(e.name for e, _ in nominal_effects(robot)) or "no effects",
             hint="damping, frictionloss and armature are in what `torchid export --to mjcf` writes",
         )
-    if core.ignored:
-        lines.append(f"and not: {', '.join(core.ignored)}.")
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}_actuator_{package}.py", folder / f"{name}_effects.yaml"]
+    lines = [f"- {e.name} ({', '.join(e.coefficient_names())})" for e, _ in places["in_file"]]
+    lines += [f"and not: {', '.join(ignored)}."] if ignored else []
+    source, yaml = f"{name}_actuator_{package}.py", f"{name}_effects.yaml"
     text = (_HEAD + (_ISAACLAB if package == "isaaclab" else _MJLAB)).format(
         robot=robot.name,
         version=__version__,
         package="Isaac Lab" if package == "isaaclab" else "mjlab",
         effects="\n".join(lines),
-        yaml=files[1].name,
+        yaml=yaml,
         joints=tuple(robot.joint_names) if package == "mjlab" else list(robot.joint_names),
     )
-    write_robot(replace(robot, bounds={}), files[1])
-    with atomic_write(files[0]) as stream:
-        stream.write(text)
-    return files
+    files = {source: text.encode(), yaml: robot_yaml(robot).encode()}
+    in_file, beside, left_out = map(tuple, places.values())
+    draft = Draft(files, in_file, beside, left_out)
+    with staged(folder, files) as paths:
+        torque = robot_torque(load_robot(paths[yaml]), motion)
+        what = f"torque with all effects of {yaml}"
+        return draft, kept([compared(READER, what, motion, dynamics.torque(motion), torque)])
