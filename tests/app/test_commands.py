@@ -30,6 +30,7 @@ def test_version_and_help(command):
         assert "Example" in shown.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", [["cli.py"], ["-m", "torchid"]])
 def test_launchers_run_one_thread_by_default(launcher):
     result = subprocess.run(

@@ -107,7 +107,7 @@ def test_excite_for_a_diagnosis(command, tmp_path):
         (["--for", "missing.json"], "cannot be read"),
         (["--for", "E"], "is of another robot"),
         (["--for", "F"], "leaves nothing open"),
-        (["--for", "G"], "no motion settles"),
+        pytest.param(["--for", "G"], "no motion settles", marks=pytest.mark.slow),
     ],
 )
 def test_excite_refuses(command, results, tmp_path, arguments, message):

@@ -17,6 +17,7 @@ def words(text):
     return " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_a_first_run_at_a_tenth_of_the_speed(command, tmp_path):
     """All files hold the same slow motion along the path of the fast one."""
     arm, files = shaped_arm("6r", tmp_path), ("fast", "slow")

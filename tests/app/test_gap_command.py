@@ -183,6 +183,11 @@ def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
         assert first["parameters"]["Fc"] == pytest.approx(0.6, abs=0.05)
 
 
+@pytest.fixture(scope="module")
+def commanded():
+    return planted(true_servos(3), motions=2, seconds=8.0)
+
+
 @pytest.mark.parametrize(
     ("change", "options", "words"),
     [
@@ -199,10 +204,8 @@ def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
         ),
     ],
 )
-def test_logs_of_commands_that_are_refused(tmp_path, command, change, options, words):
-
-    log = planted(true_servos(3), motions=2, seconds=8.0)
-    write_log(change(log), tmp_path / "run.csv")
+def test_logs_of_commands_that_are_refused(tmp_path, command, commanded, change, options, words):
+    write_log(change(commanded), tmp_path / "run.csv")
     outcome = command("gap", "3r", str(tmp_path / "run.csv"), *options)
     assert outcome.code == 1
     for word in words:

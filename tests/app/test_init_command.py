@@ -159,6 +159,7 @@ def test_names_that_are_hard_to_write(command, place) -> None:
     assert read_project(Path("torchid.toml")).robot == name
 
 
+@pytest.mark.slow
 def test_after_it_six_short_commands_go_from_raw_logs_to_a_corrected_model(
     command, place, types_unchecked
 ) -> None:

@@ -194,6 +194,7 @@ def test_a_bag_with_several_topics(command, folder, tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mapping", "bag"])
 def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, kind):
     """What is identified is the same but for the rounding of units and time stamps."""

@@ -28,6 +28,7 @@ def run(*arguments: object) -> str:
     return result.output
 
 
+@pytest.mark.slow
 def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_path: Path) -> None:
     before = bad.read_bytes()
     copy, out = tmp_path / "mended.parquet", tmp_path / "out"

@@ -32,6 +32,7 @@ def test_a_fault_is_said_first(command, pair, tmp_path):
     assert load(tmp_path / "pair.json").faults[0].value == pytest.approx(2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_effect_with_a_robot(command, pair, tmp_path):
     record = tmp_path / "pair.json"
     done = command("gap", "3r", "--simulated", pair / "sim.csv", "--real", pair / "real.csv",

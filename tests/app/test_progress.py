@@ -46,6 +46,7 @@ def on_a_terminal(*arguments: str) -> tuple[str, str]:
     return out.decode(), shown.decode()
 
 
+@pytest.mark.slow
 def test_a_terminal_is_told_what_runs_and_how_much_is_left() -> None:
     out, shown = on_a_terminal()
     assert out == "the answer\n"

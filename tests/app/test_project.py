@@ -136,6 +136,7 @@ def test_currents_become_torque_in_what_is_written(command, bench) -> None:
     torch.testing.assert_close(three.tau, three.current * 3)
 
 
+@pytest.mark.slow
 def test_a_log_that_is_given_is_not_held_out(command, bench, folder) -> None:
     text = (bench / "torchid.toml").read_text()
     (bench / "torchid.toml").write_text(text.replace("logs =", 'held-out = ["run2.csv"]\nlogs ='))

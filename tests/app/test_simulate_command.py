@@ -65,6 +65,7 @@ def test_closed_loop_without_effects_follows(command, trajectory, tmp_path) -> N
     assert float((log.q[::2] - wanted.q).abs().max()) < 1e-4
 
 
+@pytest.mark.slow
 def test_honest_noise_hides_the_accelerations(command, trajectory, tmp_path) -> None:
     done, target, _ = _simulate(command, trajectory, tmp_path, "--closed-loop")
     assert done.code == 0, done.err

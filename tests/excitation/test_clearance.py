@@ -207,6 +207,7 @@ def bar(folder, mesh=""):
     return with_acceleration(load_robot(path))
 
 
+@pytest.mark.slow
 def test_the_gradient_is_that_of_the_distance(tmp_path):
     robot, clearance = made("6r", tmp_path, floor=-0.4)
     start = random_trajectory(robot, 5, count=2, fill=True)

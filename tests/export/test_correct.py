@@ -158,6 +158,7 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
     assert "no field for" in done.exports[0].files[0].read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("types_unchecked")
 def test_what_is_kept_is_what_the_fit_itself_makes_of_the_effect(full, logs):
     """Against two whole projections, one of a log without a tenth of the effect: what the file
@@ -280,6 +281,7 @@ def test_an_engine_moves_as_torchid_does(tmp_path, monkeypatch):
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
+@pytest.mark.slow
 def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_path):
     """The sensor of joint 3 writes noise: no file can be fitted to it, or judged by it."""
     given = {"effect": "viscous_friction", "joint": 3, "Fv": 0.7}

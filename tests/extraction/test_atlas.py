@@ -160,6 +160,7 @@ def test_the_ends_are_reached(name: str) -> None:
     assert bool(((found.narrowed >= 0) & (found.narrowed <= 1)).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["3r", "3r_friction"])
 def test_sets_of_equal_torque_lie_in_the_ranges(name: str) -> None:
     """Feasible sets, as far out in the null space as they stay feasible, in random directions."""

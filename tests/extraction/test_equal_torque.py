@@ -142,6 +142,7 @@ def test_torque_is_the_references(name: str) -> None:
     assert torch.equal(found.sets.coefficients, case.start.coefficients.expand(len(found.sets), -1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_pinocchio_finds_the_same_torque(name: str) -> None:
     case, found = setting(name), family(name)

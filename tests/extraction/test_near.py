@@ -32,6 +32,7 @@ def apart(robot: Robot, other: Robot, oracle: type) -> Tensor:
     return (own - theirs).square().mean(0).sqrt() / own.square().mean(0).sqrt()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bounds"), [("panda", "none"), ("ur10e", "none"), ("ur10e", "wide"), ("mixed", "wide")]
 )

@@ -72,6 +72,7 @@ def test_spreads_are_those_that_were_drawn(found, model) -> None:
         assert p.ci95[0] - 0.05 * true <= true <= p.ci95[1] + 0.05 * true
 
 
+@pytest.mark.slow
 def test_the_bits_do_not_depend_on_the_workers(found, model, logs, tmp_path) -> None:
     backwards = tuple(reversed(logs))
     other = fleet_identify(model, backwards, store=Store(str(tmp_path)), workers=2)

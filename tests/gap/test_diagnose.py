@@ -192,6 +192,7 @@ def test_coarse_encoders_are_no_gap():
     assert any("noise of the positions" in w for w in found.warnings)
 
 
+@pytest.mark.slow
 def test_wrong_parameters_are_no_effects():
     found = case("parameters")
     assert found.status == "parametric_only"
@@ -210,6 +211,7 @@ def test_corrected_parameters_have_no_gap():
     assert again.status == "no_gap"
 
 
+@pytest.mark.slow
 def test_a_robot_without_parameters_is_fitted_first():
     found = case("unknown")
     assert any("fitted first" in w for w in found.warnings)
@@ -310,6 +312,7 @@ def test_nothing_is_left_to_chance():
     assert json.dumps(again.plain()) == json.dumps(case("coulomb").plain())
 
 
+@pytest.mark.slow
 def test_a_joint_that_never_moves_is_no_reason_to_stop():
     still = torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64)
     moved = Log.concatenate(

@@ -93,6 +93,7 @@ def test_what_is_left_is_what_the_answered_model_leaves(real, how) -> None:
 
 @pytest.mark.parametrize("hz", [None, 2.0])
 # Fails as of 0.1.0 for coloured noise: an effect of p above alpha is accepted.
+@pytest.mark.slow
 def test_an_empty_answer_closes_nothing(hz) -> None:
     """Friction that one run in three shows, at the size of the noise: folds may find what all rows
     together do not confirm."""
@@ -134,6 +135,7 @@ TOO_MUCH = {
 
 @pytest.mark.parametrize("name", TOO_MUCH)
 # Fails as of 0.1.0: stribeck and smoothed coulomb are not named; the spring is there twice.
+@pytest.mark.slow
 def test_too_much_of_an_effect_is_named_as_that(name) -> None:
     simulated, real, coefficient = TOO_MUCH[name]
     effect = simulated["effect"]
@@ -264,6 +266,7 @@ def test_withheld_own_on_a_log_that_stands_still() -> None:
 # Nothing is named beside the one clear effect.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [Recording(), Recording(runs=ONCE)], ids=["repeats", "once"])
 def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
     """Coulomb friction of joint 2, and beside it a ripple of 0.2 % of the joint's torque."""
@@ -278,6 +281,7 @@ def test_a_ripple_of_two_per_mille_is_no_effect(how) -> None:
     assert named(found) == {("coulomb_friction", (2,))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hz", [None, 2.0], ids=["white", "coloured"])
 def test_no_drift_at_the_end_of_its_range_and_no_p_above_alpha(hz) -> None:
     """Noise alone, and noise that wanders as a warming arm does."""
@@ -338,6 +342,7 @@ CHANGES: dict[str, tuple[Callable[[], tuple[Robot, Log]], float]] = {
 """What is changed, and what coefficients are multiplied by."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_the_answer_does_not_change(name) -> None:
     change, factor = CHANGES[name]
@@ -387,6 +392,7 @@ def test_the_robot_that_is_given_stays_as_it_is() -> None:
 # A joint whose torque says nothing.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dead", [0.0, 0.5], ids=["zero", "noise"])
 @pytest.mark.parametrize("runs", [ONCE, (0, 1, 2, 0)], ids=["once", "repeated"])
 def test_nothing_is_told_of_a_joint_whose_torque_follows_no_motion(

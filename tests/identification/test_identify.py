@@ -211,6 +211,7 @@ def test_currents_times_gains():
         identify(ROBOT, amps, settings=QUICK)
 
 
+@pytest.mark.slow
 def test_prediction_and_residual():
     found = by_default("3r_friction", 0)
     motion = Motion(*(torch.randn(4, 5, 3, dtype=torch.float64) for _ in range(3)))
@@ -442,6 +443,7 @@ def test_95_percent_intervals_cover_the_truth(name, runs, reversal, record_prope
     assert lowest > 0.95 - 5 * (0.95 * 0.05 / runs) ** 0.5
 
 
+@pytest.mark.slow
 def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
     found = by_default("3r", 0)
     q, dq, ddq = torch.randn(3, 10, 3, dtype=torch.float64)

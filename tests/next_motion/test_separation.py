@@ -184,6 +184,7 @@ def test_the_design_separates_more_within_the_limits(robot, setting):
     assert torch.equal(again.trajectory.a, found.trajectory.a)
 
 
+@pytest.mark.slow
 def test_no_search_for_what_the_plain_motion_decides(robot, setting, monkeypatch):
     """And half of one where the plain motion is hardly beaten by then."""
     plain = random_trajectory(robot, 1, fill=True, duration=8.0)

@@ -106,6 +106,7 @@ def test_faults_of_the_set_up_without_a_model(simulated, answer):
     assert any("mend" in w for w in found.record.warnings)
 
 
+@pytest.mark.slow
 def test_gravity_friction_and_rotors_that_the_simulator_lacks():
     robot = load_robot("3r")
     arm = log(("all", "rotors"))
@@ -141,6 +142,7 @@ def test_an_effect_of_one_side_is_named_with_its_side():
     assert less.simulator["Fc"] == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_load_that_only_the_simulator_carries():
     """It is taken into the simulator's last link, which the arm's is lighter than."""
     robot = load_robot("3r")

@@ -87,6 +87,7 @@ def test_time(log: Log) -> None:
     assert "number the parts in a column traj" in (info.value.hint or "")
 
 
+@pytest.mark.slow
 def test_nothing_to_tell_from(log: Log) -> None:
     still = torch.zeros_like(log.q) + log.q[:1]
     with pytest.raises(LogError, match="no joint moves"):

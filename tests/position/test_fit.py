@@ -82,6 +82,7 @@ def test_a_fit_moves_only_what_is_free(found):
     assert torch.allclose(a, b, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -98,6 +99,7 @@ def test_a_log_that_tells_nothing_is_refused(change, words):
         prepare(robot(), change(log))
 
 
+@pytest.mark.slow
 def test_a_joint_in_another_unit_is_seen():
     """Measured velocities in rad/s tell that a position is a fraction of its range."""
     log = planted(true_servos(3), motions=2)

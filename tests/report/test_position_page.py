@@ -41,6 +41,7 @@ def test_the_first_screen(found):
     assert len(rows_of(tree, "Error of each motion, left out [mrad]")) == 2
 
 
+@pytest.mark.slow
 def test_without_a_finding():
     plain = diagnosis()
     made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())

@@ -33,6 +33,7 @@ def found():
     return diagnose(robot, real, settings=GapSettings(effects=names, rollout=False))
 
 
+@pytest.mark.slow
 def test_parts_add_up_and_are_the_planted_ones(found):
     views = viewed(found)
     assert len(views) == 2 * 3

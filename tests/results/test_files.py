@@ -68,6 +68,7 @@ def test_settings_are_recorded_whole(record, settings, left_out) -> None:
     assert set(record.__struct_fields__) - left_out == set(vars(settings))
 
 
+@pytest.mark.slow
 def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
     robot = torchid.load_robot("3r")
     motion = torchid.excite(robot, duration=12.0, restarts=1, iterations=0).log()
@@ -119,6 +120,7 @@ def test_the_next_motion_of_what_was_read_back(tmp_path: Path) -> None:
     assert made.log().samples > 100
 
 
+@pytest.mark.slow
 def test_the_next_motion_of_an_identification(tmp_path: Path) -> None:
     robot = arm("3r_friction")
     path = identification(tmp_path / "a.json", 0, robot=robot)

@@ -123,6 +123,7 @@ def steady(level: float, seconds: float) -> Tracks:
     return Tracks(u, torch.tensor([0]), torch.tensor([samples - 1]), DT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_a_stuck_joint_stays_for_minutes(share):
     """Below the dry friction a joint does not move at all; above it goes to where it holds."""

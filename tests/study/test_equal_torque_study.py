@@ -101,6 +101,7 @@ def test_torque_is_equal_by_pinocchio(name: str) -> None:
     assert float(relative.max()) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_forces_do_not_depend_on_the_inertias(name: str) -> None:
     found = drawn(name)

@@ -24,6 +24,7 @@ def found():
     return withheld_own(ROBOT, logged(REAL), untouched=runs, settings=settings)
 
 
+@pytest.mark.slow
 def test_what_was_accepted_is_found_again_and_closes_as_much(found):
     assert [(w.effect, w.joints) for w in found.withheld] == [ONE]
     (friction,) = found.withheld

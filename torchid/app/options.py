@@ -259,7 +259,9 @@ class Trials(ArmAndLogs):
         from torchid.robot.library import robot_file
 
         if self.held_out and fraction:
-            raise TorchidError("--held-out and --held-out-fraction exclude each other.")
+            raise TorchidError(
+                "--held-out and --held-out-fraction exclude each other.", expected="one of them"
+            )
         robot, apart = self.load(), self.held_out or []
         roles = [("log", path) for path in self.logs] + [("held-out log", path) for path in apart]
         named = [(role, str(path), path) for role, path in roles]

@@ -51,6 +51,7 @@ def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
     return (squares.sum(1) / keep.sum(1)).sqrt()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hz", COLOURS)
 @pytest.mark.parametrize("gap", [0.0, 5.0])
 def test_repeats_tell_the_noise_and_not_what_repeats(hz, gap):

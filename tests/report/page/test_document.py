@@ -82,6 +82,7 @@ def test_every_theme_colour_is_given_for_light_and_dark(page):
     assert named[0] - named[1] == {"serif", "sans", "mono"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 @pytest.mark.parametrize("width", [390, 1280])
 def test_no_sideways_scroll(page, tmp_path, width):
