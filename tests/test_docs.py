@@ -91,6 +91,7 @@ def test_python_compiles_and_its_imports_exist(page: Path) -> None:
                 exec(line, {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if blocks(p, "pycon")], ids=lambda page: page.name
 )
