@@ -389,7 +389,10 @@ def _findings(
                 if key not in known.names or not bool(found.free[key][j]):
                     continue
                 p, k = PARAMETERS[INDEX[key]], known.names.index(key)
-                value = float(found.servos.of(key)[j])
+                # Commands are simulated along straight lines; that they are held until the next one
+                # makes them half a sample late on average, which is no delay of its own.
+                held = 0.5 * data.tracks.dt if key == "delay" else 0.0
+                value = float(found.servos.of(key)[j]) - held
                 spread = value_interval(key, value, float(deviation[j, k]))
                 sizes.append(Size(key, p.unit, value, spread))
             ends = float(without[j]), float(with_it[j])

@@ -1,9 +1,9 @@
 """How well servos are known: by how much motions disagree, and by how much noise alone allows.
 
-Per motion, the normal equations of every joint at the fitted servos tell where that motion pulls.
-What the pulls of motions spread is the larger of two answers on most parameters (a sandwich
-estimate, motions as clusters: Liang and Zeger 1986). A parameter that one motion alone tells has
-no such spread: there what is left in the windows, alike within a second, is its noise.
+Per motion, the normal equations of every joint at the fitted servos tell where that motion pulls;
+their spread is a jackknife with motions as blocks (see `statistics.jackknife`). A parameter that
+one motion alone tells has no such spread: there what is left in the windows, alike within a second,
+is its noise. The larger answer counts.
 """
 
 from collections.abc import Mapping
@@ -22,6 +22,7 @@ from torchid.position.fit import (
 )
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
+from torchid.statistics.jackknife import jackknife
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Int
 
@@ -48,24 +49,25 @@ class Equations:
     square: Tensor
 
     def deviations(self) -> Float[Tensor, "n K"]:
-        """Standard deviations of the parameters, of logarithms where they are searched so."""
-        both = self.mask[:, :, None] & self.mask[:, None, :]
-        gram = self.gram.sum(0) + torch.diag(prior_precision(self.names))
-        gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
-        inverse = torch.linalg.inv(gram)
-        pull = torch.where(self.mask, self.pull, 0.0)
-        pull = pull - pull.mean(0)
-        count = len(pull)
-        spread = torch.einsum("mnk,mnl->nkl", pull, pull) * count / max(1, count - 1)
-        to = self._to_values()
-        out = []
-        for covariance in (
-            inverse @ spread @ inverse,
-            inverse * (TOGETHER * self.square)[:, None, None],
-        ):
-            out.append((to @ covariance @ to.transpose(1, 2)).diagonal(dim1=1, dim2=2))
-        largest = torch.maximum(*out).clamp(min=0).sqrt()
-        return torch.where(self.mask, largest, 0.0)
+        """Half of the 95 % intervals (n, K) over that of a normal variable; of logarithms where
+        parameters are searched so."""
+        to, prior = self._to_values(), torch.diag(prior_precision(self.names))
+        out = torch.zeros_like(self.mask, dtype=self.gram.dtype)
+        for j, on in enumerate(self.mask):
+            if not bool(on.any()):
+                continue
+            # The prior is one block more, which pulls nowhere.
+            grams = torch.cat([self.gram[:, j], prior[None]])[:, on][:, :, on]
+            pulls = self.pull[:, j, on] - self.pull[:, j, on].mean(0)
+            pulls = torch.cat([pulls, torch.zeros_like(pulls[:1])])
+            noise = TOGETHER * float(self.square[j])
+            found = jackknife(grams, pulls, variance=noise, combinations=to[j][:, on])
+            by_motions = found.std * found.quantile() / HALF_95
+            inverse = torch.linalg.inv(grams.sum(0))
+            white = to[j][:, on] @ inverse @ to[j][:, on].T * noise
+            by_noise = white.diagonal().clamp(min=0).sqrt()
+            out[j] = torch.where(on, torch.maximum(by_motions, by_noise), 0.0)
+        return out
 
     def _to_values(self) -> Float[Tensor, "n K K"]:
         """Changes of parameters by searched coordinates, in which torques are shares of kp."""
